@@ -1,0 +1,78 @@
+"""Rotations, quaternion order and the axes that human and robot share.
+
+Quaternions are wxyz everywhere in mimic. ``R_AB`` maps a vector from B axes to A axes.
+
+Camera axes ``C``: x right in the image, y down, z away from the camera (the axes of BlazePose's world landmarks).
+Torso axes ``T`` of a person: x forward, y left, z up.
+Base axes ``B`` of the robot: x forward, y left, z up while on four legs; standing upright, x points up, y left, -z forward.
+
+Functions whose arrays may be NumPy or PyTorch use operators only, so that training and running share them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+R_CT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""Torso axes of a person who faces the camera, in camera axes: forward is -z, left is +x of the image, up is -y.
+
+The person's left is on the right-hand side of the image; the table of axes gives (forward, left, up) = (-z, x, -y).
+"""
+
+R_BT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Torso axes of a person in base axes of the upright robot: up is base +x, left is base +y, forward is base -z."""
+
+
+def rotation_from_quat(quat_AB: Any) -> NDArray[np.float64]:
+    """Return R_AB (..., 3, 3) for unit quaternions wxyz (..., 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(quat_AB, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
+    """Return the world's down (0, 0, -1) and x axis (1, 0, 0), both seen from the base.
+
+    Args:
+        w, x, y, z: Parts of quat_WB, arrays of any shape, NumPy or PyTorch.
+
+    Returns:
+        down_B and forward_B, each as three arrays of the parts' shape.
+    """
+    down_B = (-2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y)))
+    forward_B = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
+    return down_B, forward_B
+
+
+def heading_sin_cos(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any]:
+    """Return the unnormalised sine and cosine of the heading: the yaw of the base's left axis, less 90 degrees.
+
+    Unlike the yaw of base x, it stays defined from lying on four feet to standing upright, where it is the direction
+    that the belly faces.
+    """
+    return -2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
+
+
+def heading_from_quat(quat_WB: Any) -> NDArray[np.float64]:
+    """Return the heading [rad] (...,) of quat_WB (..., 4)."""
+    sine, cosine = heading_sin_cos(*np.moveaxis(np.asarray(quat_WB, dtype=np.float64), -1, 0))
+    return np.arctan2(sine, cosine)
+
+
+def wrap_angle(angle: Any) -> Any:
+    """Return the angle [rad] brought into [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def up_cosine(w: Any, x: Any, y: Any, z: Any) -> Any:
+    """Return the cosine between base x and world up: 0 on four feet, 1 standing upright."""
+    return 2 * (x * z - w * y)

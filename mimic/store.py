@@ -1,0 +1,159 @@
+"""Records on disk: Parquet columns named by their axes, and a JSON header with provenance. No pickle.
+
+A record's array field ``p_BE`` with axes (side, xyz) becomes columns ``p_BE.left.x`` … ``p_BE.right.z``, so that a log
+reads the same in pandas, DuckDB or a spreadsheet. Files are written beside their place and moved there when complete.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mimic import __version__
+from mimic.errors import AssetError
+from mimic.types import Provenance, Record
+
+R = TypeVar("R", bound=Record)
+
+_HEADER = b"mimic"
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield a path to write to; it becomes ``path`` when the block ends well, and vanishes when it does not."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, as hexadecimal digits."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """Return settings, arrays and paths as data that JSON can hold; NaN becomes null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, Path):
+        return value.name
+    return value
+
+
+def provenance(*, command: str = "", settings: Any = None, inputs: Mapping[str, Path] | None = None) -> Provenance:
+    """Return the provenance of something made now by this version from these inputs (name -> file)."""
+    hashes = {name: sha256_of(path) for name, path in (inputs or {}).items()}
+    return Provenance(version=__version__, command=command, settings=plain(settings or {}), inputs=hashes)
+
+
+def _columns(record: Record) -> Iterator[tuple[str, np.ndarray]]:
+    for f in dataclasses.fields(record):  # type: ignore[arg-type]
+        axes = f.metadata.get("axes")
+        if axes is None:
+            continue
+        value = getattr(record, f.name)
+        labels = [
+            record.labels(axis) or tuple(str(i) for i in range(n))
+            for axis, n in zip(axes, value.shape[1:], strict=True)
+        ]
+        for index in itertools.product(*(range(len(names)) for names in labels)):
+            name = ".".join([f.name, *(names[i] for names, i in zip(labels, index, strict=True))])
+            yield name, value[(slice(None), *index)]
+
+
+def save(record: Record, path: Path, *, made_by: Provenance) -> None:
+    """Write a record to a Parquet file, complete or not at all."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rest = {
+        f.name: plain(getattr(record, f.name))
+        for f in dataclasses.fields(record)  # type: ignore[arg-type]
+        if "axes" not in f.metadata
+    }
+    shapes = {
+        f.name: list(getattr(record, f.name).shape[1:])
+        for f in dataclasses.fields(record)  # type: ignore[arg-type]
+        if "axes" in f.metadata
+    }
+    header = {"record": type(record).__name__, "fields": rest, "shapes": shapes, "provenance": plain(made_by)}
+    table = pa.table(dict(_columns(record)))
+    table = table.replace_schema_metadata({_HEADER: json.dumps(header, allow_nan=False).encode()})
+    with written_whole(path) as part:
+        pq.write_table(table, part, compression="zstd")
+
+
+def header(path: Path) -> dict[str, Any]:
+    """Return the JSON header of a record file.
+
+    Raises:
+        AssetError: If the file is missing or was not written by mimic.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not path.is_file():
+        raise AssetError(f"there is no file {path}")
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except pa.ArrowInvalid:
+        metadata = {}
+    if _HEADER not in metadata:
+        raise AssetError(f"{path} is not a record of mimic; expected a Parquet file with a mimic header")
+    return json.loads(metadata[_HEADER])
+
+
+def load(path: Path, kind: type[R]) -> R:
+    """Read a record of the given type.
+
+    Raises:
+        AssetError: If the file is missing, is no record, or holds another type.
+    """
+    import pyarrow.parquet as pq
+
+    head = header(path)
+    if head["record"] != kind.__name__:
+        raise AssetError(f"{path} holds a {head['record']}; expected a {kind.__name__}")
+    table = pq.read_table(path)
+    values: dict[str, Any] = dict(head["fields"])
+    for f in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if "axes" in f.metadata:
+            shape = tuple(head["shapes"][f.name])
+            names = [n for n in table.column_names if n == f.name or n.startswith(f.name + ".")]
+            columns = [np.asarray(table[n].to_numpy()) for n in names]
+            values[f.name] = np.stack(columns, axis=1).reshape(table.num_rows, *shape)
+        elif isinstance(values.get(f.name), list):
+            values[f.name] = tuple(values[f.name])
+        elif values.get(f.name) is None and f.type in ("float", float):
+            values[f.name] = float("nan")
+    return kind(**values)
+
+
+def save_json(data: Any, path: Path) -> None:
+    """Write plain data as JSON, complete or not at all."""
+    with written_whole(path) as part:
+        part.write_text(json.dumps(plain(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")

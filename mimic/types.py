@@ -1,0 +1,330 @@
+"""Frozen records that flow from a source to a log; the vocabulary of mimic.
+
+Arrays are copied, made read-only and checked for shape when a record is made. Each array field declares its axes after
+the first; :mod:`mimic.store` names its columns by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mimic.errors import ContractError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+LEGS = ("FL", "FR", "RL", "RR")
+"""Front left, front right, rear left, rear right."""
+
+JOINTS = tuple(f"{leg}_{part}" for leg in LEGS for part in ("abad", "hip", "knee"))
+"""The order of every (12,) joint array. Names of the official model; signs are those of rotations about +x and +y."""
+
+SIDES = ("left", "right")
+
+LANDMARKS = (
+    "nose",
+    "left_eye_inner",
+    "left_eye",
+    "left_eye_outer",
+    "right_eye_inner",
+    "right_eye",
+    "right_eye_outer",
+    "left_ear",
+    "right_ear",
+    "mouth_left",
+    "mouth_right",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_pinky",
+    "right_pinky",
+    "left_index",
+    "right_index",
+    "left_thumb",
+    "right_thumb",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "left_heel",
+    "right_heel",
+    "left_foot_index",
+    "right_foot_index",
+)
+"""The 33 landmarks of BlazePose, in its order. Left and right are the person's."""
+
+AXES: Mapping[str, tuple[str, ...]] = {
+    "xyz": ("x", "y", "z"),
+    "xy": ("x", "y"),
+    "uv": ("u", "v"),
+    "wxyz": ("w", "x", "y", "z"),
+    "side": SIDES,
+    "joint": JOINTS,
+}
+"""Labels of the axes that every record shares."""
+
+
+def array(*axes: str, dtype: type = np.float64, **kwargs: Any) -> Any:
+    """Declare an array field: one row a time, then the named axes (see AXES; other names have no fixed length)."""
+    return field(metadata={"axes": axes, "dtype": dtype}, **kwargs)
+
+
+class Record:
+    """Base of the frozen records: array fields are copied, made read-only and checked for shape."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        rows: int | None = None
+        for f in fields(self):  # type: ignore[arg-type]
+            axes = f.metadata.get("axes")
+            if axes is None:
+                continue
+            value = np.array(getattr(self, f.name), dtype=f.metadata["dtype"])
+            labels = [self.labels(axis) for axis in axes]
+            expected = tuple(-1 if names is None else len(names) for names in labels)
+            rows = value.shape[0] if rows is None and value.ndim else rows
+            fits = value.ndim == 1 + len(axes) and value.shape[0] == rows
+            if not fits or any(e not in (-1, s) for e, s in zip(expected, value.shape[1:], strict=True)):
+                wanted = ", ".join([str(rows), *("any" if e < 0 else str(e) for e in expected)])
+                raise ContractError(f"{type(self).__name__}.{f.name} has shape {value.shape}; expected ({wanted})")
+            value.setflags(write=False)
+            object.__setattr__(self, f.name, value)
+
+    def labels(self, axis: str) -> tuple[str, ...] | None:
+        """Return the labels of an axis, or None where its length is free."""
+        return AXES.get(axis)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Provenance:
+    """Where a stored record came from."""
+
+    version: str
+    """Version of mimic that wrote it."""
+    command: str = ""
+    """The command line, or the call."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """The settings used, as plain data."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """Name of each input -> its SHA-256."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PoseTrack(Record):
+    """A person's landmarks, one row for every frame of the source."""
+
+    t: FloatArray = array()
+    """Time of the frame since the first [s], strictly increasing."""
+    landmarks: FloatArray = array("landmark", "xyz")
+    """Mid-hip -> landmark, camera axes [m]; NaN where nothing was seen."""
+    image: FloatArray = array("landmark", "uv")
+    """Position in the upright image, as a fraction of its width and height; NaN where nothing was seen."""
+    score: FloatArray = array("landmark")
+    """Visibility, 0 to 1; 0 where nothing was seen."""
+    valid: BoolArray = array("landmark", dtype=np.bool_)
+    """True where the landmark may be used."""
+    names: tuple[str, ...] = LANDMARKS
+    """Name of each landmark."""
+    size: tuple[int, int] = (0, 0)
+    """Width and height of the upright image [px]; zeros where there is none."""
+    swapped: BoolArray = array(dtype=np.bool_)
+    """True where left and right of the detector were exchanged."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know about this source."""
+
+    def labels(self, axis: str) -> tuple[str, ...] | None:
+        return self.names if axis == "landmark" else AXES.get(axis)
+
+    def index(self, name: str) -> int:
+        """Return the column of a landmark.
+
+        Raises:
+            ContractError: If this track has no landmark of that name.
+        """
+        if name not in self.names:
+            raise ContractError(f"the track has no landmark {name!r}; it has {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WristTrack(Record):
+    """Where each hand is from its own shoulder, in a measure that does not depend on the person's size."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], strictly increasing."""
+    p_SH: FloatArray = array("side", "xyz")
+    """Shoulder -> wrist in torso axes (x forward, y left, z up) [arm lengths]; NaN where not valid."""
+    heading: FloatArray = array()
+    """Heading of the torso; 0 faces the camera, positive turns to the person's left [rad]."""
+    valid: BoolArray = array("side", dtype=np.bool_)
+    """False where the source saw nothing."""
+    arm_length: float = float("nan")
+    """The clip's own reach that was divided by [m]; NaN where the source has no metres."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know, carried over from the source."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TargetTrack(Record):
+    """Where each front toe should be, over time; every row is reachable."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], strictly increasing."""
+    p_BE: FloatArray = array("side", "xyz")
+    """Base -> toe, base axes [m]."""
+    heading: FloatArray = array()
+    """Desired heading of the robot relative to its heading at the start [rad]."""
+    valid: BoolArray = array("side", dtype=np.bool_)
+    """False where the source saw nothing and the position was filled in."""
+    moved: FloatArray = array("side")
+    """How far clamping moved the wanted position [m]."""
+    limited: BoolArray = array("side", dtype=np.bool_)
+    """True where the speed or acceleration limit moved the position."""
+    wanted: FloatArray = array("side", "xyz")
+    """Base -> toe before clamping [m]."""
+    report: Mapping[str, Any] = field(default_factory=dict)
+    """Figures of the retargeting, as plain data."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CommandTrack(Record):
+    """What the policy is asked for, at the control rate."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], uniform."""
+    v: FloatArray = array("xy")
+    """Desired base velocity in the heading frame, forward and left [m/s]."""
+    heading: FloatArray = array()
+    """Desired heading relative to the heading at the start [rad]."""
+    p_BE: FloatArray = array("side", "xyz")
+    """Desired base -> toe, base axes [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RobotState:
+    """The robot at one instant; NaN where a quantity is not measured."""
+
+    t: float
+    """Time of the plant [s]."""
+    q: FloatArray
+    """Joint positions (12,) [rad]."""
+    dq: FloatArray
+    """Joint velocities (12,) [rad/s]."""
+    tau: FloatArray
+    """Joint torques (12,) [N m]."""
+    quat_WB: FloatArray
+    """Orientation of the base (4,), wxyz."""
+    omega_B: FloatArray
+    """Angular velocity of the base, base axes (3,) [rad/s]."""
+    p_WB: FloatArray
+    """Position of the base (3,) [m]; NaN on a robot that cannot measure it."""
+    v_WB: FloatArray
+    """Velocity of the base, world axes (3,) [m/s]; NaN on a robot that cannot measure it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JointCommand:
+    """What the joints are asked for: tau = tau_ff + kp (q_des - q) + kd (dq_des - dq)."""
+
+    q_des: FloatArray
+    """Desired positions (12,) [rad]."""
+    dq_des: FloatArray
+    """Desired velocities (12,) [rad/s]."""
+    kp: FloatArray
+    """Position gains (12,) [N m/rad]."""
+    kd: FloatArray
+    """Velocity gains (12,) [N m s/rad]."""
+    tau_ff: FloatArray
+    """Feed-forward torques (12,) [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class JointSamples(Record):
+    """Joint readings faster than the control rate; the columns are those of a calibration log."""
+
+    t: FloatArray = array()
+    """Time of the plant [s]."""
+    q: FloatArray = array("joint")
+    """Positions [rad]."""
+    dq: FloatArray = array("joint")
+    """Velocities [rad/s]."""
+    tau: FloatArray = array("joint")
+    """Torques [N m]."""
+    q_des: FloatArray = array("joint")
+    """Desired positions as they were sent [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Tick:
+    """One control step of a plant: the state after it, and the command that really went out."""
+
+    state: RobotState
+    sent: JointCommand
+    samples: JointSamples | None = None
+    """Joint readings during the step, where the plant has them."""
+
+
+PHASES = ("lie", "stand_up", "blend", "track", "hold")
+"""Phases of a run; a log stores their index."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RunLog(Record):
+    """Every control tick of a run: the state at its start, and what was decided and sent from it."""
+
+    t: FloatArray = array()
+    """Time of the plant [s]."""
+    t_host: FloatArray = array()
+    """Monotonic clock of the computer [s]."""
+    phase: IntArray = array(dtype=np.int64)
+    """Index into PHASES."""
+    q: FloatArray = array("joint")
+    """Joint positions [rad]."""
+    dq: FloatArray = array("joint")
+    """Joint velocities [rad/s]."""
+    tau: FloatArray = array("joint")
+    """Joint torques [N m]."""
+    quat_WB: FloatArray = array("wxyz")
+    """Orientation of the base."""
+    omega_B: FloatArray = array("xyz")
+    """Angular velocity of the base, base axes [rad/s]."""
+    p_WB: FloatArray = array("xyz")
+    """Position of the base [m]; NaN where not measured."""
+    v_WB: FloatArray = array("xyz")
+    """Velocity of the base, world axes [m/s]; NaN where not measured."""
+    p_BE: FloatArray = array("side", "xyz")
+    """Base -> front toe by forward kinematics, base axes [m]."""
+    v_des: FloatArray = array("xy")
+    """Desired base velocity in the heading frame [m/s]."""
+    heading_des: FloatArray = array()
+    """Desired heading, world [rad]."""
+    p_BE_des: FloatArray = array("side", "xyz")
+    """Desired base -> front toe, base axes [m]."""
+    observation: FloatArray = array("observation")
+    """What the policy saw; NaN while no policy ran."""
+    action: FloatArray = array("joint")
+    """What the policy answered; NaN while no policy ran."""
+    q_des: FloatArray = array("joint")
+    """Commanded joint positions [rad]."""
+    q_sent: FloatArray = array("joint")
+    """Joint positions that really went out [rad]."""
+    kp: FloatArray = array("joint")
+    """Position gains that went out [N m/rad]."""
+    kd: FloatArray = array("joint")
+    """Velocity gains that went out [N m s/rad]."""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Plant, policy and settings, as plain data."""
