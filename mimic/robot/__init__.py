@@ -1,0 +1,1 @@
+"""What the robot is: description, model, reach, and what varies from robot to robot."""
