@@ -23,6 +23,8 @@ class PoseSettings:
     min_person_share: float = 0.3
     """A clip is refused when fewer frames than this show both shoulders and a wrist. 0.60-1.00 on real clips, 0.02-0.11
     on clips without a person."""
+    min_duration: float = 0.1
+    """A clip shorter than this is refused: it holds less than one sampling step [s]."""
     max_jump: float = 0.25
     """A hip or wrist that moves more than this in a frame jumped [m]."""
     max_jump_share: float = 0.05
@@ -93,6 +95,8 @@ class Randomisation:
     """Viscous friction of each joint [N m s/rad]."""
     ground_friction: tuple[float, float] = (1.0, 3.0)
     """Sliding friction coefficient of the ground."""
+    restitution: tuple[float, float] = (0.0, 0.4)
+    """Rebound speed over impact speed of the ground."""
     base_mass: tuple[float, float] = (-0.5, 0.5)
     """Added to the trunk [kg]."""
     abad_mass: tuple[float, float] = (0.0, 0.1)
@@ -127,6 +131,7 @@ NOMINAL = Randomisation(
     joint_friction=(0.05, 0.05),
     joint_damping=(0.04, 0.04),
     ground_friction=(1.0, 1.0),
+    restitution=(0.0, 0.0),
     base_mass=(0.0, 0.0),
     abad_mass=(0.0, 0.0),
     hip_mass=(0.0, 0.0),
@@ -170,3 +175,123 @@ class ViewSettings:
 
     view: Literal["auto", "yes", "no"] = "auto"
     """Open Rerun; auto opens it where a display exists."""
+
+
+TRAINING_RANDOMISATION = Randomisation(
+    joint_friction=(0.0, 0.12),
+    joint_damping=(0.0, 0.08),
+    ground_friction=(0.5, 3.0),
+    base_mass=(-1.0, 1.0),
+    kp=(0.75, 1.25),
+    kd=(0.75, 1.25),
+    delay=(0.005, 0.035),
+    push=(0.0, 0.4),
+    push_interval=4.0,
+    start_q=(-0.15, 0.15),
+    start_height=(0.0, 0.03),
+)
+"""Wider than the paper's Table II, so that its ends are not the edge of what the policy has seen."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RewardWeights:
+    """Weight of each reward term, per control step; see mimic.train.rewards for the terms."""
+
+    height: float = 0.6
+    upright: float = 1.0
+    velocity: float = 0.6
+    heading: float = 0.4
+    toes: float = 1.0
+    toes_fine: float = 0.6
+    gait: float = 0.5
+    slip: float = -0.25
+    low: float = -0.3
+    action_rate: float = -0.02
+    torque: float = -2e-4
+    joint_velocity: float = -3e-4
+    joint_acceleration: float = -1e-7
+    limits: float = -2.0
+    fall: float = -2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MdpSettings:
+    """The worlds a policy is trained in."""
+
+    worlds: int = 8192
+    """Robots simulated at once."""
+    episode_steps: int = 600
+    """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
+    stand_up_steps: int = 50
+    """Control steps until goals and terminations begin; paper: 50."""
+    upright_share: float = 0.35
+    """Share of episodes that start upright."""
+    command_seconds: tuple[float, float] = (3.0, 10.0)
+    """Time between two velocity and heading commands [s]; paper: 10."""
+    still_share: float = 0.4
+    """Share of velocity commands that are zero; the same of heading commands that keep the heading."""
+    goal_seconds: tuple[float, float] = (0.1, 3.0)
+    """Time between two toe goals [s], log-uniform; paper: 3."""
+    paper_goal_share: float = 0.35
+    """Share of goals that take 3 s on a straight line, as in the paper."""
+    hold_share: float = 0.15
+    """Share of goals that stay where they are."""
+    goal_speed: float = 2.5
+    """Fastest mean speed of a toe goal [m/s]."""
+    goals_anywhere: float = 0.35
+    """Share of goals drawn over the whole reachable set instead of the paper's boxes."""
+    clock_hz: float = 2.0
+    """Frequency of the gait clock [Hz]."""
+    action_scale: float = 0.5
+    """Radians per unit of action."""
+    action_clip: float = 6.0
+    """Actions are clipped to plus and minus this."""
+    history: int = 3
+    """Frames in an observation; paper: 3."""
+    noise_q: float = 0.01
+    """Half width of the noise on joint positions [rad]."""
+    noise_axes: float = 0.015
+    """Half width of the noise on the two world axes."""
+    solver_iterations: int = 6
+    """Newton iterations of the training physics; the judge uses MuJoCo's 100."""
+    linesearch_iterations: int = 8
+    """Line-search iterations of the training physics."""
+    contacts: int = 24
+    """Most contacts of a world."""
+    rows: int = 120
+    """Most constraint rows of a world."""
+    randomisation: Randomisation = TRAINING_RANDOMISATION
+    rewards: RewardWeights = field(default_factory=RewardWeights)
+
+    def __post_init__(self) -> None:
+        _check_range("worlds", self.worlds, 1, 1_000_000)
+        _check_range("episode-steps", self.episode_steps, 100, 100_000)
+        _check_range("solver-iterations", self.solver_iterations, 1, 200)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LearnSettings:
+    """PPO and the training run."""
+
+    iterations: int = 1500
+    """Policy updates."""
+    minutes: float = 0.0
+    """Stop after this wall-clock time [min]; 0 does not stop."""
+    seed: int = 1
+    device: str = "auto"
+    """cuda, cpu, or auto."""
+    steps: int = 24
+    """Control steps of each world between two updates."""
+    epochs: int = 4
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    desired_kl: float = 0.01
+    entropy: float = 0.003
+    gamma: float = 0.99
+    lam: float = 0.95
+    clip: float = 0.2
+    init_std: float = 0.8
+    std_range: tuple[float, float] = (0.05, 1.2)
+    hidden: tuple[int, ...] = (512, 256, 128)
+    save_every: int = 100
+    """Updates between two checkpoints."""

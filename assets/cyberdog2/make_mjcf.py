@@ -123,13 +123,18 @@ def defaults(root: ET.Element) -> None:
         solreffriction=text(physics["solref_friction"]),
         solimpfriction=text(physics["solimp_friction"]),
     )
+    slope = motor["torque_max"] / (motor["speed_max"] - motor["speed_flat"])
+    constant = motor["voltage"] / motor["speed_max"]
     ET.SubElement(
         top,
-        "general",
-        biastype="affine",
-        gainprm=text(motor["kp"]),
-        biasprm=text(0, -motor["kp"], -motor["kd"]),
-        forcerange=text(-motor["torque_max"], motor["torque_max"]),
+        "dcmotor",
+        motorconst=text(constant),
+        resistance=text(constant**2 / slope),
+        input="pos",
+        controller=text(motor["kp"], 0, motor["kd"], 0, 0, motor["voltage"]),
+        saturation=text(motor["torque_max"]),
+        delay=text(motor["delay"]),
+        nsample=text(round(motor["delay"] / physics["timestep"]) + 1),
     )
     limits = {
         "abad": ("1 0 0", ROBOT["abad"]["range"]),
@@ -153,7 +158,7 @@ def defaults(root: ET.Element) -> None:
 def robot_xml() -> ET.Element:
     root = ET.Element("mujoco", model=ROBOT["name"])
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", fusestatic="true")
-    ET.SubElement(root, "option", timestep=text(ROBOT["physics"]["timestep"]), integrator="implicitfast")
+    ET.SubElement(root, "option", timestep=text(ROBOT["physics"]["timestep"]), integrator="implicitfast", cone="elliptic")
     defaults(root)
     assets = ET.SubElement(root, "asset")
     for name, attributes in MATERIALS.items():
@@ -180,7 +185,7 @@ def robot_xml() -> ET.Element:
     for name in LEGS:
         for joint in ("abad", "hip", "knee"):
             label = f"{name}_{joint}"
-            ET.SubElement(actuators, "general", {"name": label, "joint": label, "class": "cyberdog2"})
+            ET.SubElement(actuators, "dcmotor", {"name": label, "joint": label, "class": "cyberdog2"})
 
     frames = ET.SubElement(root, "keyframe")
     for name, pose in ROBOT["pose"].items():

@@ -1,0 +1,1 @@
+"""What a policy promises, and how it is run."""

@@ -1,0 +1,235 @@
+"""What an ONNX policy declares, and the one place where its observation is built, for training and for running.
+
+An observation is the newest frames, oldest first, each of these terms in this order (see TERMS):
+
+====================  ==  ===========================================================================================
+joint_position        12  q - default pose [rad]
+down                   3  the world's (0, 0, -1) seen from the base
+forward                3  the world's (1, 0, 0) seen from the base
+last_action           12  what the policy answered one step ago
+velocity_command       2  desired velocity forward and left in the heading frame [m/s]
+heading_error          1  desired heading - heading, wrapped, clipped to +-1 [rad]
+toe_command            6  desired base -> front toe, left then right, base axes [m]
+clock                  2  sine and cosine of the gait phase
+====================  ==  ===========================================================================================
+
+There is no base velocity and no gyro: two older frames stand in for them. Source: Li et al. 2024, section III, with
+the gait clock of its public code.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import ContractError
+from mimic.frames import heading_sin_cos, world_axes_in_base
+from mimic.robot.description import RobotDescription
+from mimic.types import JOINTS, FloatArray
+
+TERMS = (
+    ("joint_position", 12),
+    ("down", 3),
+    ("forward", 3),
+    ("last_action", 12),
+    ("velocity_command", 2),
+    ("heading_error", 1),
+    ("toe_command", 6),
+    ("clock", 2),
+)
+"""Name and width of each term of one frame."""
+
+FRAME_SIZE = sum(width for _, width in TERMS)
+
+METADATA_KEY = "mimic_contract"
+"""Key of the contract in the ONNX file's metadata."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyContract:
+    """Everything a policy needs to be run as it was trained."""
+
+    robot: str
+    """Name of the robot description."""
+    joints: tuple[str, ...]
+    """Order of joint quantities."""
+    default_q: tuple[float, ...]
+    """Joint positions of a zero action [rad]."""
+    action_scale: tuple[float, ...]
+    """Radians per unit of action."""
+    action_clip: float
+    """Actions are clipped to plus and minus this."""
+    q_min: tuple[float, ...]
+    """Commanded joint positions are clipped to these [rad]."""
+    q_max: tuple[float, ...]
+    """… and these [rad]."""
+    kp: float
+    """Position gain [N m/rad]."""
+    kd: float
+    """Velocity gain [N m s/rad]."""
+    dt: float
+    """Control step [s]."""
+    history: int
+    """Frames in an observation, oldest first."""
+    terms: tuple[tuple[str, int], ...]
+    """Name and width of each term of a frame."""
+    clock_hz: float
+    """Frequency of the gait clock [Hz]."""
+    neutral_toes: tuple[float, ...]
+    """Desired base -> front toe while standing up, left then right [m]."""
+    stand_up_steps: int
+    """Control steps from lying until toe commands count."""
+    training: str = ""
+    """SHA-256 of the training settings."""
+
+    @property
+    def observation_size(self) -> int:
+        """Width of the observation."""
+        return self.history * sum(width for _, width in self.terms)
+
+    def to_json(self) -> str:
+        """Return the contract as JSON, at full precision."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @staticmethod
+    def from_json(text: str) -> PolicyContract:
+        """Read a contract.
+
+        Raises:
+            ContractError: If it is no JSON or a field is missing or unknown.
+        """
+        try:
+            data = json.loads(text)
+            data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
+            values = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+            return PolicyContract(**values)
+        except (ValueError, TypeError, KeyError, AttributeError) as reason:
+            raise ContractError(f"the policy's contract cannot be read ({reason}); export the policy again") from None
+
+    def check(self, description: RobotDescription) -> None:
+        """Refuse a contract that does not fit the robot or this version's observation.
+
+        Raises:
+            ContractError: With what was given and what was expected.
+        """
+        pairs = (
+            ("robot", self.robot, description.name),
+            ("joint order", self.joints, JOINTS),
+            ("observation terms", self.terms, TERMS),
+            ("control step", self.dt, description.dt),
+            ("number of action scales", len(self.action_scale), len(JOINTS)),
+            ("number of default positions", len(self.default_q), len(JOINTS)),
+        )
+        for what, given, expected in pairs:
+            if given != expected:
+                raise ContractError(f"the policy's {what} is {given}; this robot expects {expected}")
+        low, high = np.array(self.q_min), np.array(self.q_max)
+        if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):
+            raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
+
+
+def joint_command(contract: PolicyContract, action: FloatArray) -> FloatArray:
+    """Return the commanded joint positions (12,) [rad] for an action (12,)."""
+    clipped = np.clip(action, -contract.action_clip, contract.action_clip)
+    q_des = np.array(contract.default_q) + np.array(contract.action_scale) * clipped
+    return np.clip(q_des, contract.q_min, contract.q_max)
+
+
+def observation_frame(
+    *,
+    q_offset: Any,
+    quat_WB: Any,
+    last_action: Any,
+    v_des: Any,
+    heading_des: Any,
+    toes_des: Any,
+    phase: Any,
+    xp: Any,
+) -> Any:
+    """Return one frame (..., FRAME_SIZE); arrays may be NumPy or PyTorch.
+
+    Args:
+        q_offset: Joint positions - default pose (..., 12) [rad].
+        quat_WB: Orientation of the base (..., 4), wxyz.
+        last_action: Clipped action of the step before (..., 12).
+        v_des: Desired velocity in the heading frame (..., 2) [m/s].
+        heading_des: Desired heading, world (...,) [rad].
+        toes_des: Desired base -> front toe (..., 6) [m].
+        phase: Gait phase (...,) [rad].
+        xp: ``numpy`` or ``torch``.
+    """
+    parts = tuple(quat_WB[..., i] for i in range(4))
+    down, forward = world_axes_in_base(*parts)
+    sine, cosine = heading_sin_cos(*parts)
+    error = heading_des - xp.arctan2(sine, cosine)
+    error = xp.arctan2(xp.sin(error), xp.cos(error))
+    small = [*down, *forward]
+    tail = [xp.clip(error, -1.0, 1.0)]
+    clock = [xp.sin(phase), xp.cos(phase)]
+    pieces = [
+        q_offset,
+        xp.stack(small, -1),
+        last_action,
+        v_des,
+        xp.stack(tail, -1),
+        toes_des,
+        xp.stack(clock, -1),
+    ]
+    return xp.concatenate(pieces, -1)
+
+
+def push_frame(history: Any, frame: Any, xp: Any) -> Any:
+    """Return the history (..., frames, FRAME_SIZE) with its oldest frame dropped and ``frame`` appended."""
+    return xp.concatenate([history[..., 1:, :], frame[..., None, :]], -2)
+
+
+class ObservationBuilder:
+    """Keeps the frames of one robot and returns its observation at each control step."""
+
+    def __init__(self, contract: PolicyContract) -> None:
+        self._contract = contract
+        self._default = np.array(contract.default_q)
+        self._frames: FloatArray | None = None
+        self._last_action = np.zeros(len(contract.joints))
+        self._steps = 0
+
+    @property
+    def steps(self) -> int:
+        """Control steps since the start."""
+        return self._steps
+
+    def observe(
+        self, *, q: FloatArray, quat_WB: FloatArray, v_des: FloatArray, heading_des: float, p_BE_des: FloatArray
+    ) -> FloatArray:
+        """Return the observation (observation_size,) of this control step.
+
+        Args:
+            q: Joint positions (12,) [rad].
+            quat_WB: Orientation of the base (4,), wxyz.
+            v_des: Desired velocity in the heading frame (2,) [m/s].
+            heading_des: Desired heading, world [rad].
+            p_BE_des: Desired base -> front toe (2, 3) [m].
+        """
+        frame = observation_frame(
+            q_offset=q - self._default,
+            quat_WB=quat_WB,
+            last_action=self._last_action,
+            v_des=np.asarray(v_des),
+            heading_des=np.asarray(heading_des),
+            toes_des=np.asarray(p_BE_des).reshape(6),
+            phase=np.asarray(2 * np.pi * self._contract.clock_hz * self._contract.dt * self._steps),
+            xp=np,
+        )
+        if self._frames is None:
+            self._frames = np.repeat(frame[None, :], self._contract.history, axis=0)
+        else:
+            self._frames = push_frame(self._frames, frame, np)
+        self._steps += 1
+        return self._frames.reshape(-1)
+
+    def acted(self, action: FloatArray) -> None:
+        """Tell the builder what the policy answered (12,)."""
+        self._last_action = np.clip(action, -self._contract.action_clip, self._contract.action_clip)

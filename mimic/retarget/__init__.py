@@ -1,0 +1,1 @@
+"""From a person's landmarks to toe targets and commands of the robot."""

@@ -1,0 +1,12 @@
+"""From toe targets to what the policy is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.types import CommandTrack, TargetTrack
+
+
+def command_track(targets: TargetTrack) -> CommandTrack:
+    """Return commands that stand in place, turn with the track and bring the toes to its targets."""
+    return CommandTrack(t=targets.t, v=np.zeros((len(targets.t), 2)), heading=targets.heading, p_BE=targets.p_BE)

@@ -1,0 +1,142 @@
+"""From a person's wrists to front-toe targets that the robot can reach, fast enough for its motors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.frames import R_BT
+from mimic.retarget.limits import limit_track
+from mimic.retarget.sampling import between, fill_gaps, target_times
+from mimic.robot.reach import FRONT, Closest, Reach
+from mimic.settings import RetargetSettings
+from mimic.types import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
+
+MOVED = 1e-3
+"""A target counts as clamped or limited from this distance on [m]."""
+
+
+def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> FloatArray:
+    """Return where the person's arms ask the front toes to be, reachable or not; works row by row.
+
+    Each toe is at its hip axis, plus the arm's vector stretched by ``[reach] scale`` of robot.toml along forward, left
+    and up and by ``settings.scale``, plus ``[reach] forward``. With ``settings.mirror`` the arms change sides.
+
+    Args:
+        p_SH: Shoulder -> wrist (..., 2, 3), torso axes [arm lengths].
+        reach: The robot.
+        settings: Scale and mirror.
+
+    Returns:
+        Base -> toe (..., 2, 3), base axes [m].
+    """
+    facts = reach.description.raw["reach"]
+    arms = np.asarray(p_SH, dtype=np.float64)
+    if settings.mirror:
+        arms = arms[..., ::-1, :] * (1.0, -1.0, 1.0)
+    forward = np.array([facts["forward"], 0.0, 0.0])
+    hips = np.array([leg.origin + (0.0, leg.offset, 0.0) for leg in reach.legs])
+    return hips + (settings.scale * np.array(facts["scale"]) * arms + forward) @ R_BT.T
+
+
+def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -> TargetTrack:
+    """Return reachable toe targets at the robot's control rate.
+
+    Gaps are filled, a target is taken every ``settings.rate`` seconds, a shape-preserving cubic joins them, each row is
+    moved to the closest reachable point, and the joint motion is limited in speed and acceleration without lag.
+
+    Raises:
+        SourceError: If the track is shorter than a step or shows no hand at all.
+    """
+    t = np.asarray(wrists.t - wrists.t[:1], dtype=np.float64)
+    seen = wrists.valid & np.isfinite(wrists.p_SH).all(axis=-1)
+    if len(t) < 2 or t[-1] < settings.rate - 1e-9:
+        length = f"{t[-1]:.2f} s" if len(t) else "empty"
+        raise SourceError(f"the source is {length}, shorter than one step of {settings.rate:g} s; use a longer one")
+    if not seen.any():
+        raise SourceError(
+            "the source shows no hand in any frame; film the person so that shoulders and wrists are seen"
+        )
+    asked = wanted_toes(wrists.p_SH, reach, settings)
+    seen = seen[:, ::-1] if settings.mirror else seen
+    neutral = reach.toes(reach.description.poses["upright"])
+    dt = reach.description.dt
+    grid = np.asarray(dt * np.arange(int(t[-1] / dt + 1e-6) + 1), dtype=np.float64)
+
+    wanted, times = np.empty((len(grid), 2, 3)), []
+    for side in range(2):
+        filled = fill_gaps(t, asked[:, side], seen[:, side], neutral[side])
+        times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
+        wanted[:, side] = between(times[side], between(t, filled, times[side]), grid)
+    closest = reach.closest_track(wanted)
+    q, p_BE = limited(closest, reach)
+
+    valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)
+    slowed = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > MOVED
+    heading = np.interp(grid, t, np.unwrap(wrists.heading - wrists.heading[0]))
+    return TargetTrack(
+        t=grid,
+        p_BE=p_BE,
+        heading=-heading if settings.mirror else heading,
+        valid=valid,
+        moved=closest.moved,
+        limited=slowed,
+        wanted=wanted,
+        report=_report(times, q, closest.moved, slowed, valid, reach, settings),
+        warnings=wrists.warnings,
+    )
+
+
+def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
+    """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] that the motors can follow, all reachable.
+
+    Joint bounds survive the limits; where the legs would come too close, that row is moved to the closest clear point.
+    """
+    speed = np.full(FRONT, reach.speed_max)
+    q = limit_track(closest.q, reach.description.dt, speed, reach.acceleration_max)
+    q = np.clip(q, reach.q_min, reach.q_max)
+    p_BE = closest.p_BE.copy()
+    changed = np.any(q != closest.q, axis=1)
+    for row in np.flatnonzero(changed):
+        p_BE[row] = reach.toes(q[row])
+        if not reach.is_clear(q[row]):
+            found = reach.closest(p_BE[row], q[row])
+            q[row], p_BE[row] = found.q, found.p_BE
+    return q, p_BE
+
+
+def _report(
+    times: list[FloatArray],
+    q: FloatArray,
+    moved: FloatArray,
+    slowed: BoolArray,
+    valid: BoolArray,
+    reach: Reach,
+    settings: RetargetSettings,
+) -> dict[str, Any]:
+    """Return the figures of a retargeting as plain data; shares are of targets on both sides together."""
+    dt = reach.description.dt
+    rows = [np.minimum(np.rint(own / dt).astype(int), len(q) - 1) for own in times]
+    at_targets = np.concatenate([moved[own, side] for side, own in enumerate(rows)])
+    late = np.concatenate([slowed[own, side] for side, own in enumerate(rows)])
+    clamped = at_targets > MOVED
+    acceleration = np.abs(np.diff(q, 2, axis=0)) / (dt * dt * reach.acceleration_max)
+    return {
+        "targets": len(times[0]),
+        "rate_s": settings.rate,
+        "scale_m": [settings.scale * value for value in reach.description.raw["reach"]["scale"]],
+        "mirror": settings.mirror,
+        "clamped_share": float(np.mean(clamped)),
+        "clamped_share_by_side": {
+            side: float(np.mean(moved[own, i] > MOVED)) for i, (side, own) in enumerate(zip(SIDES, rows, strict=True))
+        },
+        "moved_mean_cm": 100.0 * float(np.mean(at_targets)),
+        "moved_max_cm": 100.0 * float(np.max(at_targets)),
+        "limited_share": float(np.mean(late)),
+        "filled_share": float(np.mean(~valid)),
+        "joint_speed_max": float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0) / dt),
+        "joint_speed_limit": reach.speed_max,
+        "acceleration_of_limit": float(np.max(acceleration, initial=0.0)),
+    }

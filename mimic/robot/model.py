@@ -1,0 +1,210 @@
+"""Description -> compiled MuJoCo model and its actuator law: one place for simulation, training and evaluation.
+
+The actuator law is MuJoCo's own ``dcmotor`` in the MJCF: tau = kp (q_des - q) - kd dq, through a motor whose voltage
+limit gives the torque-speed line, clipped at the peak torque. MuJoCo on a CPU and MuJoCo Warp on a GPU both run it,
+and both integrate it implicitly.
+
+A command takes effect after a delay that varies from robot to robot. It is applied on the way to the motors
+(:func:`command_in_effect`) and not by the native ``delay`` of the MJCF, so that it can be drawn anew for each episode.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mimic.robot.description import RobotDescription
+from mimic.settings import Randomisation
+from mimic.types import JOINTS, LEGS, SIDES, FloatArray
+
+GAIN_KP, GAIN_KD = 4, 6
+"""Where the gains stand in the gain parameters of a dcmotor."""
+
+TOES = tuple(f"{leg}_toe" for leg in LEGS)
+"""Site of each toe; the first two are the front toes, left and right."""
+
+
+def load_model(description: RobotDescription, *, floor: bool = True, visuals: bool = True) -> mujoco.MjModel:
+    """Compile the robot.
+
+    Args:
+        description: The robot.
+        floor: Put it on a floor.
+        visuals: Keep the shapes that are only looked at.
+    """
+    spec = mujoco.MjSpec.from_file(str(description.scene if floor else description.mjcf))
+    for actuator in spec.actuators:
+        actuator.delay = 0.0
+        actuator.nsample = 0
+    if not visuals:
+        for geom in list(spec.geoms):
+            if geom.classname is not None and geom.classname.name == "visual":
+                spec.delete(geom)
+    model = spec.compile()
+    names = tuple(model.joint(i).name for i in range(1, model.njnt))
+    assert names == JOINTS, f"the joints of the MJCF are {names}"
+    return model
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Variation:
+    """One robot out of the randomised many; joint arrays are (12,), leg arrays (4,)."""
+
+    joint_friction: FloatArray
+    """[N m]"""
+    joint_damping: FloatArray
+    """[N m s/rad]"""
+    ground_friction: float
+    restitution: float
+    base_mass: float
+    """Added to the trunk [kg]."""
+    abad_mass: FloatArray
+    """Added [kg]."""
+    hip_mass: FloatArray
+    """Added [kg]."""
+    knee_mass: FloatArray
+    """Added [kg]."""
+    toe_mass: FloatArray
+    """Added at the toes [kg]."""
+    com: FloatArray
+    """Shift of the trunk's centre of mass (3,) [m]."""
+    kp: FloatArray
+    """Factor."""
+    kd: FloatArray
+    """Factor."""
+    delay_steps: int
+    """Physics steps from a command to its effect."""
+    start_q: FloatArray
+    """Added to the start pose [rad]."""
+    start_height: float
+    """Added to the start height [m]."""
+    heading: float
+    """At the start [rad]."""
+
+
+_SHAPES = {
+    "joint_friction": (12,),
+    "joint_damping": (12,),
+    "abad_mass": (4,),
+    "hip_mass": (4,),
+    "knee_mass": (4,),
+    "toe_mass": (4,),
+    "com": (3,),
+    "kp": (12,),
+    "kd": (12,),
+    "start_q": (12,),
+}
+
+
+def draw_variation(ranges: Randomisation, timestep: float, rng: np.random.Generator) -> Variation:
+    """Return one robot drawn from the ranges."""
+    values: dict[str, Any] = {}
+    for f in fields(Variation):
+        low, high = getattr(ranges, "delay" if f.name == "delay_steps" else f.name)
+        if f.name == "delay_steps":
+            values[f.name] = int(rng.integers(round(low / timestep), round(high / timestep) + 1))
+        elif f.name in _SHAPES:
+            values[f.name] = rng.uniform(low, high, _SHAPES[f.name])
+        else:
+            values[f.name] = float(rng.uniform(low, high))
+    return Variation(**values)
+
+
+def restitution_damping(restitution: float) -> float:
+    """Return the damping ratio of a contact whose rebound speed is ``restitution`` times the impact speed.
+
+    Source: damped oscillator, e = exp(-pi z / sqrt(1 - z^2)), solved for z; 1 where there is no rebound.
+    """
+    if restitution < 1e-3:
+        return 1.0
+    a = -math.log(restitution) / math.pi
+    return a / math.sqrt(1 + a * a)
+
+
+def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variation) -> None:
+    """Write one variation into ``model``, starting from the numbers of ``nominal``; repeatable on the same model."""
+    joints = slice(6, 18)
+    model.dof_frictionloss[joints] = variation.joint_friction
+    model.dof_damping[joints] = variation.joint_damping
+    floor = model.geom("floor").id
+    model.geom_friction[floor, 0] = variation.ground_friction
+    damping = restitution_damping(variation.restitution)
+    model.geom_solref[floor] = nominal.geom_solref[floor, 0] / damping, damping  # the stiffness stays
+    model.actuator_gainprm[:, GAIN_KP] = nominal.actuator_gainprm[:, GAIN_KP] * variation.kp
+    model.actuator_gainprm[:, GAIN_KD] = nominal.actuator_gainprm[:, GAIN_KD] * variation.kd
+    added = np.zeros(model.nbody)
+    base = model.body("base").id
+    added[base] = variation.base_mass
+    for i, leg in enumerate(LEGS):
+        added[model.body(f"{leg}_abad").id] = variation.abad_mass[i]
+        added[model.body(f"{leg}_hip").id] = variation.hip_mass[i]
+        added[model.body(f"{leg}_knee").id] = variation.knee_mass[i] + variation.toe_mass[i]
+    mass = nominal.body_mass + added
+    ratio = np.where(nominal.body_mass > 0, mass / np.maximum(nominal.body_mass, 1e-9), 1.0)
+    model.body_mass[:] = mass
+    model.body_inertia[:] = nominal.body_inertia * ratio[:, None]
+    model.body_ipos[:] = nominal.body_ipos
+    model.body_ipos[base] += variation.com
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def command_in_effect(
+    substep: int, decimation: int, delay_steps: Any, newest: Any, before: Any, before_that: Any, where: Any
+) -> Any:
+    """Return the command that acts during a physics step.
+
+    Args:
+        substep: Index of the physics step within the control step, from 0.
+        decimation: Physics steps in a control step.
+        delay_steps: Physics steps from a command to its effect; less than two control steps. Broadcasts with commands.
+        newest: Command of this control step.
+        before: Command of the control step before.
+        before_that: And of the one before that.
+        where: ``np.where`` or ``torch.where``.
+    """
+    late = where(delay_steps - decimation <= substep, before, before_that)
+    return where(delay_steps <= substep, newest, late)
+
+
+def toe_positions(q: Any, raw: dict[str, Any], cos: Any, sin: Any, stack: Any) -> Any:
+    """Return base -> front toe (..., 2, 3) [m] by the closed form of a leg, from joint positions q (..., 12) [rad].
+
+    The same function serves training (PyTorch) and running (NumPy): ``cos``, ``sin`` and ``stack(list, axis)`` are
+    the library's own.
+    """
+    toes = []
+    for index, side in enumerate((1.0, -1.0)):
+        abad, hip, knee = (q[..., 3 * index + j] for j in range(3))
+        ax, ay, az = raw["abad"]["origin"]
+        hy = side * raw["hip"]["origin"][1]
+        length = raw["hip"]["length"]
+        tx, _, tz = raw["toe"]["position"]
+        x = -length * sin(hip) + tx * cos(hip + knee) + tz * sin(hip + knee)
+        z = -length * cos(hip) - tx * sin(hip + knee) + tz * cos(hip + knee)
+        toes.append(stack([ax + x, side * ay + hy * cos(abad) - z * sin(abad), az + hy * sin(abad) + z * cos(abad)], -1))
+    return stack(toes, -2)
+
+
+def front_toes(q: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return base -> front toe (..., 2, 3) [m], base axes, from joint positions (..., 12) [rad]."""
+    return toe_positions(np.asarray(q), description.raw, np.cos, np.sin, np.stack)
+
+
+__all__ = [
+    "GAIN_KD",
+    "GAIN_KP",
+    "SIDES",
+    "TOES",
+    "Variation",
+    "command_in_effect",
+    "draw_variation",
+    "front_toes",
+    "load_model",
+    "restitution_damping",
+    "toe_positions",
+    "vary_model",
+]

@@ -1,0 +1,1 @@
+"""Sources of human motion: each turns a file, a device or a sentence into one track with true times."""

@@ -1,0 +1,452 @@
+"""The MDP: commands, observations, terminations and resets of all worlds, without a branch on the device's data.
+
+Everything after the physics is element-wise tensor code over static buffers, so that on a GPU a whole control step is
+two captured graphs: the physics (:mod:`mimic.train.worlds`) and the rest (here).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from mimic.frames import heading_sin_cos, up_cosine
+from mimic.policy.contract import FRAME_SIZE, TERMS, PolicyContract, observation_frame, push_frame
+from mimic.robot.description import RobotDescription
+from mimic.robot.goals import MARGIN, draw_goals
+from mimic.robot.model import command_in_effect, front_toes, toe_positions
+from mimic.settings import MdpSettings
+from mimic.store import plain
+from mimic.train.rewards import Facts, reward_terms, total
+from mimic.train.worlds import Worlds
+from mimic.types import JOINTS
+
+CRITIC_EXTRAS = 3 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 9
+"""Width of what the critic sees beyond the observation."""
+
+
+def make_contract(description: RobotDescription, settings: MdpSettings, training: str = "") -> PolicyContract:
+    """Return what a policy trained with these settings promises."""
+    neutral = front_toes(description.poses["upright"], description)
+    return PolicyContract(
+        robot=description.name,
+        joints=JOINTS,
+        default_q=tuple(description.poses["upright"].tolist()),
+        action_scale=(settings.action_scale,) * len(JOINTS),
+        action_clip=settings.action_clip,
+        q_min=tuple(description.q_min.tolist()),
+        q_max=tuple(description.q_max.tolist()),
+        kp=description.kp,
+        kd=description.kd,
+        dt=description.dt,
+        history=settings.history,
+        terms=TERMS,
+        clock_hz=settings.clock_hz,
+        neutral_toes=tuple(neutral.reshape(-1).tolist()),
+        stand_up_steps=settings.stand_up_steps,
+        training=training,
+    )
+
+
+class StandTrackEnv(VecEnv):
+    """Worlds in which a robot stands up from lying, keeps a velocity and a heading, and brings its front toes to goals."""
+
+    def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
+        self.description, self.settings = description, settings
+        self.contract = make_contract(description, settings)
+        self.device = device
+        self.num_envs = settings.worlds
+        self.num_actions = len(JOINTS)
+        self.max_episode_length = settings.episode_steps
+        self.cfg: Any = plain(settings)
+        torch.manual_seed(seed)
+        self.worlds = Worlds(description, settings, device, seed)
+        self._constants(seed)
+        self._buffers()
+        self._graph: Any = None
+        self._calls = 0
+        everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
+        self._reset(everyone)
+        self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
+        self._observe(everyone)
+
+    # ------------------------------------------------------------------ set-up
+
+    def _tensor(self, values: Any) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self.device)
+
+    def _constants(self, seed: int) -> None:
+        d, c = self.description, self.contract
+        rng = np.random.default_rng([seed, 29])
+        self._goal_pool = self._tensor(draw_goals(d, 20_000, rng, anywhere=self.settings.goals_anywhere))
+        self._default_q = self._tensor(c.default_q)
+        self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
+        self._soft_min, self._soft_max = self._q_min + MARGIN, self._q_max - MARGIN
+        self._lie_q, self._upright_q = self._tensor(d.poses["lie"]), self._tensor(d.poses["upright"])
+        self._neutral = self._tensor(c.neutral_toes).reshape(2, 3)
+        ux, _, uz = d.upright_direction
+        self._lean = (float(ux), float(uz))
+        w = self.worlds
+        self._front = w.geom_columns("FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe")
+        self._trunk = w.geom_columns("body", "head_0", "head_1", "shoulder", "_abad")
+        self._hind_thighs = w.geom_columns("RL_thigh", "RR_thigh")
+        self._knees = w.geom_columns("RL_rubber", "RR_rubber")
+        self._front_low = w.geom_columns("FL_toe", "FR_toe", "FL_rubber", "FR_rubber")
+        self._hind_toes = w.geom_columns("RL_toe", "RR_toe")
+        self._is_front = torch.arange(12, device=self.device) < 6
+        steps = self.settings.randomisation.delay
+        self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
+
+    def _buffers(self) -> None:
+        n, device = self.num_envs, self.device
+
+        def zeros(*shape: int) -> torch.Tensor:
+            return torch.zeros(n, *shape, device=device)
+
+        self.episode_length_buf = torch.zeros(n, dtype=torch.long, device=device)
+        self._actions = zeros(12)
+        self._last_action, self._before_last = zeros(12), zeros(12)
+        self._commands = [zeros(12) for _ in range(3)]
+        self._delay = torch.zeros(n, 1, dtype=torch.long, device=device)
+        self._history = zeros(self.settings.history, FRAME_SIZE)
+        self._phase0, self._heading_des, self._command_left = zeros(), zeros(), zeros()
+        self._v_des = zeros(2)
+        self._goal_from, self._goal_to, self._goal = zeros(2, 3), zeros(2, 3), zeros(2, 3)
+        self._goal_time, self._goal_length, self._goal_straight = zeros(), zeros() + 1.0, zeros()
+        self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
+        self._toes_before, self._dq_before = zeros(2, 3), zeros(12)
+        self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
+        self._critic_obs = zeros(self.settings.history * FRAME_SIZE + CRITIC_EXTRAS)
+        self._reward = zeros()
+        self._done = torch.zeros(n, dtype=torch.bool, device=device)
+        self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
+        self._log: dict[str, torch.Tensor] = {}
+
+    # ------------------------------------------------------------------ the interface of rsl_rl
+
+    def get_observations(self) -> TensorDict:
+        return TensorDict(
+            {"policy": self._policy_obs.clone(), "critic": self._critic_obs.clone()}, batch_size=[self.num_envs]
+        )
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        self._actions.copy_(actions)
+        if str(self.device).startswith("cuda"):
+            self._step_captured()
+        else:
+            self._before_physics()
+            self.worlds.step()
+            self._after_physics()
+        self._calls += 1
+        extras: dict[str, Any] = {"time_outs": self._time_out.clone()}
+        if self._calls % 24 == 0:
+            extras["log"] = {k: v.clone() for k, v in self._log.items()}
+        return self.get_observations(), self._reward.clone(), self._done.long(), extras
+
+    def _step_captured(self) -> None:
+        if self._graph is None:
+            side = torch.cuda.Stream()
+            side.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(side):
+                for _ in range(3):  # warm-up as graph capture needs it
+                    self._before_physics()
+                    self.worlds.step()
+                    self._after_physics()
+            torch.cuda.current_stream().wait_stream(side)
+            before, after = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
+            with torch.cuda.graph(before):
+                self._before_physics()
+            with torch.cuda.graph(after):
+                self._after_physics()
+            self._graph = (before, after)
+            return
+        before, after = self._graph
+        before.replay()
+        self.worlds.step()
+        after.replay()
+
+    # ------------------------------------------------------------------ one control step
+
+    def _before_physics(self) -> None:
+        c = self.contract
+        action = torch.clamp(torch.nan_to_num(self._actions), -c.action_clip, c.action_clip)
+        self._before_last.copy_(self._last_action)
+        self._last_action.copy_(action)
+        newest, before, before_that = self._commands
+        before_that.copy_(before)
+        before.copy_(newest)
+        newest.copy_(torch.clamp(self._default_q + self.settings.action_scale * action, self._q_min, self._q_max))
+        for k in range(self.worlds.decimation):
+            ctrl = command_in_effect(
+                k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where
+            )
+            self.worlds.substep_ctrl[k].copy_(ctrl)
+
+    def _quat(self) -> tuple[torch.Tensor, ...]:
+        return tuple(self.worlds.qpos[:, 3 + i] for i in range(4))
+
+    def _heading(self) -> torch.Tensor:
+        sine, cosine = heading_sin_cos(*self._quat())
+        return torch.arctan2(sine, cosine)
+
+    def _up(self, heading: torch.Tensor) -> torch.Tensor:
+        w, x, y, z = self._quat()
+        forward_x, forward_y = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
+        ahead = forward_x * torch.cos(heading) + forward_y * torch.sin(heading)
+        return self._lean[0] * ahead + self._lean[1] * up_cosine(w, x, y, z)
+
+    def _toes(self) -> torch.Tensor:
+        return toe_positions(self.worlds.qpos[:, 7:], self.description.raw, torch.cos, torch.sin, torch.stack)
+
+    def _tracking(self) -> torch.Tensor:
+        return self._upright_start | (self.episode_length_buf > self.settings.stand_up_steps)
+
+    def _after_physics(self) -> None:
+        w = self.worlds
+        finite = torch.isfinite(w.qpos).all(-1) & torch.isfinite(w.qvel).all(-1) & (w.qvel.abs().amax(-1) < 300.0)
+        w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
+        w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
+        self.episode_length_buf.add_(1)
+        self._advance_goals()
+        self._advance_commands()
+        facts = self._facts(finite)
+        terms = reward_terms(facts)
+        reward = total(terms, self.settings.rewards)
+        self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
+        self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~facts.fallen & finite)
+        self._done.copy_(facts.fallen | self._time_out | ~finite)
+        self._dq_before.copy_(w.qvel[:, 6:])
+        self._toes_before.copy_(w.site_xpos[:, self._hind_sites])
+        self._remember(terms, facts, finite)
+        self._push()
+        self._reset(self._done)
+        self._observe(self._done)
+
+    @property
+    def _hind_sites(self) -> slice:
+        # sites: imu, then a toe for each leg
+        return slice(3, 5)
+
+    def _facts(self, finite: torch.Tensor) -> Facts:
+        w = self.worlds
+        heading = self._heading()
+        up = self._up(heading)
+        low = w.lowest()
+        hind = w.site_xpos[:, self._hind_sites]
+        slip = (hind - self._toes_before)[..., :2].norm(dim=-1) / self.contract.dt
+        slip = torch.where((self.episode_length_buf > 1)[:, None], slip, torch.zeros_like(slip))
+        height = w.qpos[:, 2]
+        cosine, sine = torch.cos(heading), torch.sin(heading)
+        vx = cosine * w.qvel[:, 0] + sine * w.qvel[:, 1]
+        vy = -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1]
+        error = self._heading_des - heading
+        tracking = self._tracking()
+        grounded = (low[:, self._front].amin(-1) < 0.002) | (low[:, self._trunk].amin(-1) < 0.002)
+        grounded |= low[:, self._hind_thighs].amin(-1) < 0.002
+        fallen = finite & tracking & (grounded | (height < 0.16) | (up < 0.3))
+        q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
+        excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
+        ddq = (dq - self._dq_before) / self.contract.dt
+        ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
+        return Facts(
+            height=height,
+            up=up,
+            velocity_error=torch.stack([vx - self._v_des[:, 0], vy - self._v_des[:, 1]], -1),
+            heading_error=torch.arctan2(torch.sin(error), torch.cos(error)),
+            toe_error=self._toes() - self._goal,
+            tracking=tracking.float(),
+            contact=low[:, self._hind_toes] < 0.003,
+            clearance=low[:, self._hind_toes],
+            slip=slip,
+            phase=self._phase(),
+            low=(low[:, self._front_low] < 0.03).float().sum(-1) + (low[:, self._knees] < 0.03).float().sum(-1),
+            action_change=self._last_action - self._before_last,
+            torque=w.actuator_force,
+            dq=dq.clamp(-50, 50),
+            ddq=ddq,
+            limit_excess=excess,
+            fallen=fallen,
+        )
+
+    def _remember(self, terms: dict[str, torch.Tensor], f: Facts, finite: torch.Tensor) -> None:
+        tracking = f.tracking
+        count = tracking.sum().clamp(min=1.0)
+        figures = {f"reward/{name}": value.mean() for name, value in terms.items()}
+        figures |= {
+            "track/up": (f.up * tracking).sum() / count,
+            "track/height": (f.height * tracking).sum() / count,
+            "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,
+            "track/velocity_error": (f.velocity_error.norm(dim=-1) * tracking).sum() / count,
+            "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
+            "track/falls": (f.fallen.float() * tracking).sum() / count,
+            "track/non_finite": 1 - finite.float().mean(),
+            "track/knee_torque": (f.torque[:, [8, 11]].abs().mean(-1) * tracking).sum() / count,
+        }
+        for name, value in figures.items():
+            if name in self._log:
+                self._log[name].copy_(value)
+            else:
+                self._log[name] = value.clone()
+
+    def _phase(self) -> torch.Tensor:
+        rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
+        return self._phase0 + rate * self.episode_length_buf
+
+    # ------------------------------------------------------------------ commands and goals
+
+    def _rand(self, *shape: int) -> torch.Tensor:
+        return torch.rand(self.num_envs, *shape, device=self.device)
+
+    def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
+        return low + (high - low) * self._rand(*shape)
+
+    def _advance_commands(self) -> None:
+        s = self.settings
+        self._command_left.sub_(self.contract.dt)
+        due = self._command_left <= 0
+        length = self._uniform(*s.command_seconds)
+        self._command_left.copy_(torch.where(due, length, self._command_left))
+        speed = (torch.randint(0, 7, (self.num_envs,), device=self.device) - 3) * 0.1
+        speed = torch.where(self._rand() < s.still_share, torch.zeros_like(speed), speed)
+        v = torch.stack([speed, torch.zeros_like(speed)], -1)
+        self._v_des.copy_(torch.where(due[:, None], v, self._v_des))
+        turn = self._uniform(-math.pi / 2, math.pi / 2)
+        turn = torch.where(self._rand() < s.still_share, torch.zeros_like(turn), turn)
+        self._heading_des.copy_(torch.where(due, self._heading_des + turn, self._heading_des))
+
+    def _advance_goals(self) -> None:
+        s = self.settings
+        self._goal_time.add_(self.contract.dt)
+        begins = (self.episode_length_buf == s.stand_up_steps + 1) & ~self._upright_start
+        waiting = ~self._tracking()
+        due = ((self._goal_time >= self._goal_length) | begins) & ~waiting
+        pool = self._goal_pool[torch.randint(0, len(self._goal_pool), (self.num_envs,), device=self.device)]
+        start = torch.where(begins[:, None, None], self._toes(), self._goal_to)
+        pool = torch.where((self._rand() < s.hold_share)[:, None, None], start, pool)
+        low, high = (math.log(v) for v in s.goal_seconds)
+        straight = self._rand() < s.paper_goal_share
+        length = torch.where(straight, torch.full_like(self._goal_time, 3.0), torch.exp(self._uniform(low, high)))
+        far = (pool - start).norm(dim=-1).amax(-1)
+        shrink = torch.clamp(s.goal_speed * length / far.clamp(min=1e-6), max=1.0)[:, None, None]
+        pool = start + (pool - start) * shrink
+        self._goal_from.copy_(torch.where(due[:, None, None], start, self._goal_from))
+        self._goal_to.copy_(torch.where(due[:, None, None], pool, self._goal_to))
+        self._goal_length.copy_(torch.where(due, length, self._goal_length))
+        self._goal_straight.copy_(torch.where(due, straight.float(), self._goal_straight))
+        self._goal_time.copy_(torch.where(due, torch.zeros_like(self._goal_time), self._goal_time))
+        share = torch.clamp(self._goal_time / self._goal_length, 0, 1)
+        smooth = share * share * (3 - 2 * share)
+        share = torch.where(self._goal_straight > 0, share, smooth)[:, None, None]
+        goal = self._goal_from + share * (self._goal_to - self._goal_from)
+        self._goal.copy_(torch.where(waiting[:, None, None], self._neutral.expand_as(goal), goal))
+
+    def _push(self) -> None:
+        r = self.settings.randomisation
+        every = round(r.push_interval / self.contract.dt)
+        due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > self.settings.stand_up_steps)
+        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push)
+        kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
+        self.worlds.qvel[:, :2].add_(torch.where(due[:, None], kick, torch.zeros_like(kick)))
+
+    # ------------------------------------------------------------------ resets and observations
+
+    def _reset(self, mask: torch.Tensor) -> None:
+        s, r, w = self.settings, self.settings.randomisation, self.worlds
+        n = self.num_envs
+        upright = self._rand() < s.upright_share
+        yaw = self._uniform(*r.heading)
+        pitch = torch.where(upright, math.asin(self._lean[1]) + self._uniform(-0.12, 0.12), self._uniform(-0.05, 0.05))
+        roll = self._uniform(-0.05, 0.05)
+        quat = self._euler(roll, -pitch, yaw)
+        q = torch.where(upright[:, None], self._upright_q, self._lie_q) + self._uniform(*r.start_q, 12)
+        any_front = self._soft_min + (self._soft_max - self._soft_min) * self._rand(12)
+        q = torch.where(upright[:, None] & self._is_front, any_front, q)
+        q = torch.clamp(q, self._q_min + 0.01, self._q_max - 0.01)
+        heights = self.description.pose_height
+        height = torch.where(upright, heights["upright"] + 0.01, heights["lie"] + 0.012) + self._uniform(*r.start_height)
+        position = torch.stack([torch.zeros(n, device=self.device), torch.zeros(n, device=self.device), height], -1)
+        qpos = torch.cat([position, quat, q], -1)
+        qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
+        keep = mask[:, None]
+        w.qpos.copy_(torch.where(keep, qpos, w.qpos))
+        w.qvel.copy_(torch.where(keep, qvel, w.qvel))
+        w.warmstart.copy_(torch.where(keep, torch.zeros_like(w.warmstart), w.warmstart))
+        for command in self._commands:
+            command.copy_(torch.where(keep, q, command))
+        for buffer in (self._last_action, self._before_last):
+            buffer.copy_(torch.where(keep, torch.zeros_like(buffer), buffer))
+        low, high = self._delay_range
+        delay = torch.randint(low, high + 1, (n, 1), device=self.device)
+        self._delay.copy_(torch.where(keep, delay, self._delay))
+        self._upright_start.copy_(torch.where(mask, upright, self._upright_start))
+        self._phase0.copy_(torch.where(mask, self._uniform(-math.pi, math.pi), self._phase0))
+        self._heading_des.copy_(torch.where(mask, yaw, self._heading_des))
+        self._v_des.copy_(torch.where(keep, torch.zeros_like(self._v_des), self._v_des))
+        self._command_left.copy_(torch.where(mask, self._uniform(1.0, s.command_seconds[1]), self._command_left))
+        self.episode_length_buf.copy_(torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf))
+        wide = mask[:, None, None]
+        toes = self._toes()
+        begin = torch.where(upright[:, None, None], toes, self._neutral.expand_as(toes))
+        for goal in (self._goal_from, self._goal_to, self._goal):
+            goal.copy_(torch.where(wide, begin, goal))
+        self._goal_time.copy_(torch.where(mask, torch.zeros_like(self._goal_time), self._goal_time))
+        self._goal_length.copy_(torch.where(mask, self._uniform(0.1, 0.5), self._goal_length))
+
+    @staticmethod
+    def _euler(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+        cr, sr = torch.cos(roll / 2), torch.sin(roll / 2)
+        cp, sp = torch.cos(pitch / 2), torch.sin(pitch / 2)
+        cy, sy = torch.cos(yaw / 2), torch.sin(yaw / 2)
+        return torch.stack(
+            [
+                cr * cp * cy + sr * sp * sy,
+                sr * cp * cy - cr * sp * sy,
+                cr * sp * cy + sr * cp * sy,
+                cr * cp * sy - sr * sp * cy,
+            ],
+            -1,
+        )
+
+    def _observe(self, fresh: torch.Tensor) -> None:
+        s, w = self.settings, self.worlds
+        n = self.num_envs
+        frame = observation_frame(
+            q_offset=w.qpos[:, 7:] - self._default_q,
+            quat_WB=w.qpos[:, 3:7],
+            last_action=self._last_action,
+            v_des=self._v_des,
+            heading_des=self._heading_des,
+            toes_des=self._goal.reshape(n, 6),
+            phase=self._phase(),
+            xp=torch,
+        )
+        noisy = frame.clone()
+        noisy[:, :12] += self._uniform(-s.noise_q, s.noise_q, 12)
+        noisy[:, 12:18] += self._uniform(-s.noise_axes, s.noise_axes, 6)
+        pushed = push_frame(self._history, noisy, torch)
+        first = noisy[:, None, :].expand_as(pushed)
+        self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
+        self._policy_obs.copy_(self._history.reshape(n, -1))
+        heading = self._heading()
+        cosine, sine = torch.cos(heading), torch.sin(heading)
+        velocity = [cosine * w.qvel[:, 0] + sine * w.qvel[:, 1], -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1], w.qvel[:, 2]]
+        low = w.lowest()[:, self._hind_toes]
+        extras = [
+            torch.stack(velocity, -1),
+            w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
+            w.qvel[:, 6:].clamp(-40, 40) * 0.1,
+            w.qpos[:, 2:3] * 3,
+            self._up(heading)[:, None],
+            (self._delay.float() - 3.5) * 0.3,
+            (low < 0.003).float(),
+            low.clamp(max=0.2) * 10,
+            (self._toes() - self._goal).reshape(n, 6) * 5,
+            self._tracking().float()[:, None],
+            torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
+            w.features,
+        ]
+        self._critic_obs.copy_(torch.cat([self._policy_obs, *extras], -1).clamp(-50, 50))

@@ -1,0 +1,210 @@
+"""PPO by rsl-rl-lib: training run, checkpoints, resuming, and the export to ONNX with the contract inside."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import logging
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import torch
+from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils.logger import Logger
+
+from mimic.errors import ConfigError, MimicError
+from mimic.policy.contract import METADATA_KEY, PolicyContract
+from mimic.robot.description import RobotDescription, load_description
+from mimic.settings import LearnSettings, MdpSettings
+from mimic.store import plain, save_json, written_whole
+from mimic.train.environment import StandTrackEnv, make_contract
+
+log = logging.getLogger(__name__)
+
+Report = Callable[[int, dict[str, float]], None]
+"""Called after each update with its number and the figures of the run."""
+
+
+class TrainingDiverged(MimicError):
+    """A loss is not finite; the last checkpoint is whole."""
+
+
+class _Enough(Exception):
+    """The time is over."""
+
+
+class _Logger(Logger):
+    """rsl_rl's logger without its console table and without waiting for the device at each step."""
+
+    def attach(self, report: Report | None, deadline: float) -> None:
+        self._report, self._deadline, self._begin = report, deadline, time.monotonic()
+        self._ended = torch.zeros(3, device=self.device)
+
+    def process_env_step(self, rewards: Any, dones: Any, extras: Any, intrinsic_rewards: Any = None) -> None:
+        if self.writer is None:
+            return
+        if "log" in extras:
+            self.ep_extras.append(extras["log"])
+        self.cur_reward_sum += rewards
+        self.cur_episode_length += 1
+        done = dones > 0
+        self._ended += torch.stack(
+            [(self.cur_reward_sum * done).sum(), (self.cur_episode_length * done).sum(), done.sum()]
+        )
+        self.cur_reward_sum *= ~done
+        self.cur_episode_length *= ~done
+
+    def log(self, it: int, **figures: Any) -> None:
+        if self.writer is None:
+            return
+        rewards, lengths, count = self._ended.tolist()
+        self._ended.zero_()
+        if count:
+            self.rewbuffer.clear()
+            self.lenbuffer.clear()
+            self.rewbuffer.append(rewards / count)
+            self.lenbuffer.append(lengths / count)
+        losses = figures["loss_dict"]
+        if not all(math.isfinite(v) for v in losses.values()):
+            raise TrainingDiverged(f"the losses of update {it} are {losses}; resume from the last checkpoint")
+        row = {k: float(v) for extras in self.ep_extras for k, v in extras.items()}
+        with contextlib.redirect_stdout(io.StringIO()):
+            super().log(it=it, **figures)
+        row |= {
+            "reward": rewards / count if count else float("nan"),
+            "episode": lengths / count if count else float("nan"),
+            "std": float(figures["action_std"].detach().mean()),
+            "learning_rate": figures["learning_rate"],
+            "collect_s": figures["collect_time"],
+            "learn_s": figures["learn_time"],
+            "steps": self.tot_timesteps,
+            "elapsed_s": time.monotonic() - self._begin,
+        }
+        if self._report is not None:
+            self._report(it, row)
+        if time.monotonic() > self._deadline:
+            raise _Enough
+
+
+def runner_config(settings: LearnSettings) -> dict[str, Any]:
+    """Return the settings in the form rsl_rl takes."""
+    model = {
+        "class_name": "MLPModel",
+        "hidden_dims": list(settings.hidden),
+        "activation": "elu",
+        "obs_normalization": True,
+    }
+    spread = {"class_name": "GaussianDistribution", "init_std": settings.init_std, "std_type": "log"}
+    return {
+        "num_steps_per_env": settings.steps,
+        "save_interval": settings.save_every,
+        "check_for_nan": False,
+        "obs_groups": {"actor": ["policy"], "critic": ["critic"]},
+        "actor": {**model, "distribution_cfg": {**spread, "std_range": list(settings.std_range)}},
+        "critic": dict(model),
+        "algorithm": {
+            "class_name": "PPO",
+            "num_learning_epochs": settings.epochs,
+            "num_mini_batches": settings.minibatches,
+            "clip_param": settings.clip,
+            "gamma": settings.gamma,
+            "lam": settings.lam,
+            "value_loss_coef": 1.0,
+            "entropy_coef": settings.entropy,
+            "learning_rate": settings.learning_rate,
+            "schedule": "adaptive",
+            "desired_kl": settings.desired_kl,
+            "max_grad_norm": 1.0,
+            "use_clipped_value_loss": True,
+        },
+    }
+
+
+def settings_hash(mdp: MdpSettings, learn: LearnSettings) -> str:
+    """Return the SHA-256 of everything that decides a training run."""
+    text = json.dumps({"mdp": asdict(mdp), "learn": asdict(learn)}, sort_keys=True)
+    return sha256(text.encode()).hexdigest()
+
+
+def train(
+    folder: Path,
+    mdp: MdpSettings,
+    learn: LearnSettings,
+    *,
+    resume: Path | None = None,
+    description: RobotDescription | None = None,
+    report: Report | None = None,
+) -> Path:
+    """Train a policy and export it.
+
+    Args:
+        folder: Receives checkpoints, TensorBoard files, settings.json and policy.onnx.
+        resume: Checkpoint to go on from; the settings must shape the same networks.
+
+    Returns:
+        Path of the ONNX file.
+
+    Raises:
+        TrainingDiverged: If a loss is not finite.
+        ConfigError: If the device is not there.
+    """
+    description = description or load_description()
+    device = learn.device if learn.device != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+    rank = int(os.environ.get("LOCAL_RANK", "0"))
+    if "WORLD_SIZE" in os.environ and int(os.environ["WORLD_SIZE"]) > 1:
+        device = f"cuda:{rank}"
+        torch.cuda.set_device(rank)
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.backends.cuda.matmul.allow_tf32 = True
+    save_json({"mdp": plain(mdp), "learn": plain(learn)}, folder / "settings.json")
+    env = StandTrackEnv(description, mdp, device, learn.seed + 1000 * rank)
+    with contextlib.redirect_stdout(io.StringIO()):
+        runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
+    runner.logger.__class__ = _Logger
+    runner.logger.git_status_repos.clear()
+    deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
+    runner.logger.attach(report, deadline)  # type: ignore[attr-defined]
+    if resume is not None:
+        runner.load(str(resume), map_location=device)
+        log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
+    contract = make_contract(description, mdp, settings_hash(mdp, learn))
+    try:
+        runner.learn(learn.iterations)
+    except _Enough:
+        log.info("stopped after %.1f min", learn.minutes)
+    runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
+    return export(runner, contract, folder / "policy.onnx")
+
+
+def export(runner: OnPolicyRunner, contract: PolicyContract, path: Path) -> Path:
+    """Write the policy as ONNX with its contract in the metadata."""
+    import onnx
+
+    model = runner.alg.get_policy().as_onnx(verbose=False).to("cpu").eval()
+    buffer = io.BytesIO()
+    with contextlib.redirect_stdout(io.StringIO()):
+        torch.onnx.export(
+            model,
+            model.get_dummy_inputs(),
+            buffer,
+            opset_version=17,
+            input_names=["observation"],
+            output_names=["action"],
+            dynamo=False,
+        )
+    graph = onnx.load_model_from_string(buffer.getvalue())
+    graph.producer_name = "mimic"
+    onnx.helper.set_model_props(graph, {METADATA_KEY: contract.to_json()})
+    onnx.checker.check_model(graph)
+    with written_whole(path) as part:
+        onnx.save(graph, str(part))
+    return path

@@ -1,0 +1,93 @@
+"""Reward terms of the motion-conditioned MDP, one value a world (N,), and their names.
+
+They follow the paper's intent (tracking scaled by standing, gait and slip terms) in forms that train in minutes:
+bells instead of gates, so that a robot lying on the ground already feels which way is up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import torch
+
+from mimic.settings import RewardWeights
+
+
+@dataclass
+class Facts:
+    """What the rewards look at; one row a world."""
+
+    height: torch.Tensor
+    """Base height (N,) [m]."""
+    up: torch.Tensor
+    """Cosine between base x and the wanted upright direction (N,)."""
+    velocity_error: torch.Tensor
+    """Measured - desired base velocity in the heading frame (N, 2) [m/s]."""
+    heading_error: torch.Tensor
+    """Wrapped (N,) [rad]."""
+    toe_error: torch.Tensor
+    """Measured - desired base -> front toe (N, 2, 3) [m]."""
+    tracking: torch.Tensor
+    """1 where goals count (N,)."""
+    contact: torch.Tensor
+    """True where a hind toe touches the ground, left then right (N, 2)."""
+    clearance: torch.Tensor
+    """Height of the hind toes above the ground (N, 2) [m]."""
+    slip: torch.Tensor
+    """Horizontal speed of the hind toes (N, 2) [m/s]."""
+    phase: torch.Tensor
+    """Gait phase (N,) [rad]."""
+    low: torch.Tensor
+    """Number of front legs and hind knees on or near the ground (N,)."""
+    action_change: torch.Tensor
+    """Action - action before (N, 12)."""
+    torque: torch.Tensor
+    """(N, 12) [N m]"""
+    dq: torch.Tensor
+    """(N, 12) [rad/s]"""
+    ddq: torch.Tensor
+    """(N, 12) [rad/s^2]"""
+    limit_excess: torch.Tensor
+    """How far joints are beyond their limits with the margin (N, 12) [rad]."""
+    fallen: torch.Tensor
+    """True where the episode ends in a fall (N,)."""
+
+
+SWING_HEIGHT = 0.05
+"""Wanted height of a swinging hind toe at mid-swing [m]."""
+
+
+def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
+    """Return each unweighted term (N,)."""
+    upright = (1 + f.up) / 2
+    standing = torch.clamp((f.height - 0.15) / 0.25, 0, 1) * torch.clamp(f.up, 0, 1)
+    toes = f.toe_error.square().sum((-1, -2))
+    sine = torch.sin(f.phase)
+    swing = torch.stack([sine, -sine], -1)
+    wanted = SWING_HEIGHT * torch.clamp(swing, min=0.0)
+    stepping = torch.where(swing > 0, torch.exp(-(((f.clearance - wanted) / 0.02) ** 2)), f.contact.float())
+    speed = torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
+    turning = 0.5 * torch.exp(-f.heading_error.square() / 0.5) + 0.5 * torch.exp(-f.heading_error.square() / 0.03)
+    return {
+        "height": torch.exp(-((torch.clamp(0.42 - f.height, min=0.0) / 0.1) ** 2)),
+        "upright": upright.square(),
+        "velocity": speed * standing,
+        "heading": turning * standing,
+        "toes": torch.exp(-toes / 0.01) * standing * f.tracking,
+        "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
+        "gait": stepping.mean(-1) * standing,
+        "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
+        "low": f.low,
+        "action_rate": f.action_change.square().sum(-1),
+        "torque": f.torque.square().sum(-1),
+        "joint_velocity": f.dq.square().sum(-1),
+        "joint_acceleration": f.ddq.square().sum(-1),
+        "limits": f.limit_excess.sum(-1),
+        "fall": f.fallen.float(),
+    }
+
+
+def total(terms: dict[str, torch.Tensor], weights: RewardWeights) -> torch.Tensor:
+    """Return the weighted sum (N,)."""
+    factors = asdict(weights)
+    return torch.stack([terms[name] * factors[name] for name in terms]).sum(0)

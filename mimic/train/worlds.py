@@ -1,0 +1,160 @@
+"""Many randomised robots in MuJoCo Warp, stepped together; the same MJCF and actuator law as the simulation.
+
+Each world keeps its own friction, masses and gains for the whole training; with thousands of worlds that covers the
+ranges. Delay, start pose and pushes are drawn anew for every episode by the environment.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+
+from mimic.robot.description import RobotDescription
+from mimic.robot.model import draw_variation, load_model, vary_model
+from mimic.settings import MdpSettings
+
+log = logging.getLogger(__name__)
+
+RANDOMISED = (
+    "dof_frictionloss",
+    "dof_damping",
+    "geom_friction",
+    "geom_solref",
+    "actuator_gainprm",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+)
+"""Model fields that differ from world to world."""
+
+VARIANTS = 1024
+"""Different robots; world i is variant i modulo this."""
+
+
+@dataclass
+class _Support:
+    """What is needed for the lowest point of each collision shape."""
+
+    geoms: torch.Tensor
+    kind: torch.Tensor
+    size: torch.Tensor
+
+
+class Worlds:
+    """The physics of all worlds; its tensors are views of Warp's memory, written in place."""
+
+    def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
+        wp.config.log_level = wp.LOG_ERROR
+        wp.init()
+        self.device = device
+        self.decimation = description.decimation
+        model = load_model(description, visuals=False)
+        model.opt.iterations = settings.solver_iterations
+        model.opt.ls_iterations = settings.linesearch_iterations
+        self.mj_model = model
+        n = settings.worlds
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        with wp.ScopedDevice(device):
+            sizes = {name: n for name in RANDOMISED}
+            self.model = mjw.put_model(model, batch_sizes=sizes)
+            self.model.opt.warn_overflow = 0
+            self.data = mjw.put_data(model, data, nworld=n, nconmax=settings.contacts, njmax=settings.rows)
+            self._randomise(description, settings, n, seed)
+            self.qpos = wp.to_torch(self.data.qpos)
+            self.qvel = wp.to_torch(self.data.qvel)
+            self.warmstart = wp.to_torch(self.data.qacc_warmstart)
+            self.actuator_force = wp.to_torch(self.data.actuator_force)
+            self.site_xpos = wp.to_torch(self.data.site_xpos)
+            self.geom_xpos = wp.to_torch(self.data.geom_xpos)
+            self.geom_xmat = wp.to_torch(self.data.geom_xmat)
+            self.ctrl = wp.to_torch(self.data.ctrl)
+        self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
+        self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
+        self._support = self._make_support()
+        self._graph = None
+
+    def _randomise(self, description: RobotDescription, settings: MdpSettings, n: int, seed: int) -> None:
+        rng = np.random.default_rng([seed, 17])
+        nominal = load_model(description, visuals=False)
+        varied = load_model(description, visuals=False)
+        count = min(n, VARIANTS)
+        rows: dict[str, list[np.ndarray]] = {name: [] for name in RANDOMISED}
+        features = []
+        for _ in range(count):
+            v = draw_variation(settings.randomisation, description.timestep, rng)
+            vary_model(varied, nominal, v)
+            for name in RANDOMISED:
+                rows[name].append(np.array(getattr(varied, name)))
+            features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
+            features[-1] += [*(10 * v.com), 10 * v.joint_friction.mean()]
+        index = np.arange(n) % count
+        for name in RANDOMISED:
+            target = getattr(self.model, name)
+            values = np.stack(rows[name])[index]
+            if target.shape[0] != n:
+                raise RuntimeError(f"{name} has {target.shape[0]} rows, expected {n}")
+            tensor = wp.to_torch(target)
+            tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
+        self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
+
+    def _make_support(self) -> _Support:
+        model = self.mj_model
+        ids = [g for g in range(model.ngeom) if model.geom(g).name != "floor"]
+        kinds = [int(model.geom_type[g]) for g in ids]
+        return _Support(
+            geoms=torch.tensor(ids, device=self.device),
+            kind=torch.tensor(kinds, device=self.device),
+            size=torch.tensor(model.geom_size[ids], dtype=torch.float32, device=self.device),
+        )
+
+    def geom_columns(self, *endings: str) -> torch.Tensor:
+        """Return the columns of :meth:`lowest` whose shape's name ends with one of the given."""
+        names = [self.mj_model.geom(int(g)).name for g in self._support.geoms]
+        return torch.tensor([i for i, n in enumerate(names) if n.endswith(endings)], device=self.device)
+
+    def lowest(self) -> torch.Tensor:
+        """Return the height of the lowest point of each collision shape (worlds, shapes) [m]."""
+        s = self._support
+        up = self.geom_xmat[:, s.geoms, 2, :]
+        size = s.size
+        box = (up.abs() * size).sum(-1)
+        round_ = size[:, 1] * up[..., 2].abs() + size[:, 0] * torch.sqrt(torch.clamp(1 - up[..., 2] ** 2, min=0.0))
+        capsule = size[:, 1] * up[..., 2].abs() + size[:, 0]
+        kinds = mujoco.mjtGeom
+        drop = torch.where(s.kind == int(kinds.mjGEOM_BOX), box, size[:, 0])
+        drop = torch.where(s.kind == int(kinds.mjGEOM_CYLINDER), round_, drop)
+        drop = torch.where(s.kind == int(kinds.mjGEOM_CAPSULE), capsule, drop)
+        return self.geom_xpos[:, s.geoms, 2] - drop
+
+    def _run(self) -> None:
+        for k in range(self.decimation):
+            wp.copy(self.data.ctrl, self._substep_ctrl[k])
+            mjw.step(self.model, self.data)
+        mjw.kinematics(self.model, self.data)
+
+    def step(self) -> None:
+        """Advance all worlds by a control step, with the commands in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
+        if not str(self.device).startswith("cuda"):
+            with wp.ScopedDevice(self.device):
+                self._run()
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream())
+        with wp.ScopedStream(stream):
+            if self._graph is None:
+                self._run()  # compiles and loads every kernel before the capture
+                with wp.ScopedCapture(stream=stream) as capture:
+                    self._run()
+                self._graph = capture.graph
+                return
+            wp.capture_launch(self._graph, stream=stream)
