@@ -29,7 +29,7 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
         min_visibility: Least visibility that counts.
     """
     seen = score >= min_visibility
-    return seen[:, _SHOULDERS].all(axis=1) & seen[:, _WRISTS].any(axis=1)
+    return np.logical_and(seen[:, _SHOULDERS].all(axis=1), seen[:, _WRISTS].any(axis=1))
 
 
 def shot_starts(change: FloatArray) -> IntArray:

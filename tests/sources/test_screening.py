@@ -1,0 +1,72 @@
+import numpy as np
+
+from mimic.sources.screening import jump_share, person_rows, shot_starts, upside_down
+from mimic.types import LANDMARKS
+
+SIZE = (640, 480)
+
+
+def standing(rows: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """t, landmarks, image and valid of a person of 300 px to the metre who stands still."""
+    landmarks = np.zeros((rows, 33, 3))
+    for name, place in {"shoulder": (0.18, -0.5, 0), "wrist": (0.3, 0, 0), "hip": (0.1, 0, 0)}.items():
+        landmarks[:, LANDMARKS.index(f"left_{name}")] = place
+        landmarks[:, LANDMARKS.index(f"right_{name}")] = np.array(place) * (-1, 1, 1)
+    image = (landmarks[..., :2] * 300 + np.array([320.0, 300.0])) / np.array([640.0, 480.0])
+    return np.arange(rows) / 30, landmarks, image, np.ones((rows, 33), dtype=bool)
+
+
+def test_a_person_has_both_shoulders_and_a_wrist():
+    score = np.zeros((4, 33))
+    columns = [LANDMARKS.index(n) for n in ("left_shoulder", "right_shoulder", "right_wrist")]
+    score[0, columns] = 0.9
+    score[1, columns[:2]] = 0.9
+    score[2, columns[1:]] = 0.9
+    score[3, columns] = 0.49
+    assert person_rows(score, 0.5).tolist() == [True, False, False, False]
+
+
+def test_a_single_large_change_is_a_cut_and_steady_motion_is_not():
+    calm = np.full(60, 1.0)
+    cut = calm.copy()
+    cut[25] = 22.0
+    assert shot_starts(cut).tolist() == [25]
+    assert shot_starts(calm).tolist() == []
+    assert shot_starts(np.full(60, 25.0)).tolist() == []
+
+
+def test_standing_still_has_no_jumps():
+    assert jump_share(*standing(), SIZE, 0.25) == 0.0
+
+
+def test_walking_across_the_picture_is_no_jump_and_hopping_about_is():
+    t, landmarks, image, valid = standing()
+    right = np.array([1.0, 0.0])
+    walking = image + np.linspace(0, 0.5, 100)[:, None, None] * right
+    assert jump_share(t, landmarks, walking, valid, SIZE, 0.25) == 0.0
+    hops = np.where(np.arange(100) // 10 % 2, 0.3, 0.0)
+    hopping = image + hops[:, None, None] * right
+    assert jump_share(t, landmarks, hopping, valid, SIZE, 0.25) == 9 / 99
+
+
+def test_a_wrist_elsewhere_counts_only_where_it_is_seen():
+    t, landmarks, image, valid = standing()
+    wrist = LANDMARKS.index("left_wrist")
+    landmarks[50, wrist] += 0.5
+    assert jump_share(t, landmarks, image, valid, SIZE, 0.25) == 2 / 99
+    valid[50, wrist] = False
+    assert jump_share(t, landmarks, image, valid, SIZE, 0.25) == 0.0
+
+
+def test_frames_far_apart_may_move_further():
+    t, landmarks, image, valid = standing()
+    landmarks[::2, LANDMARKS.index("left_wrist")] += (0.4, 0, 0)
+    assert jump_share(t, landmarks, image, valid, SIZE, 0.25) == 1.0
+    assert jump_share(t * 3, landmarks, image, valid, SIZE, 0.25) == 0.0
+
+
+def test_a_person_on_their_head_is_noticed():
+    _, _, image, valid = standing()
+    assert not upside_down(image, valid)
+    assert upside_down(1 - image, valid)
+    assert not upside_down(1 - image, np.zeros_like(valid))

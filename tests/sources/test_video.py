@@ -1,0 +1,178 @@
+"""Real and rendered clips through the detector, against what is known about them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+from mimic.errors import SourceError
+from mimic.settings import PoseSettings
+from mimic.sources.video import pose_cache_key, track_video
+from mimic.types import PoseTrack
+
+Clip = Callable[[str], Path]
+Tracked = Callable[[str], PoseTrack]
+
+
+def places(pose: PoseTrack, *names: str) -> np.ndarray:
+    return pose.landmarks[:, [pose.index(name) for name in names]]
+
+
+def arms(pose: PoseTrack) -> np.ndarray:
+    """Shoulder -> wrist, left and right (T, 2, 3), camera axes [m]."""
+    return places(pose, "left_wrist", "right_wrist") - places(pose, "left_shoulder", "right_shoulder")
+
+
+def agreement(truth: np.ndarray, measured: np.ndarray) -> tuple[float, float]:
+    """Correlation, and gain of measured over truth."""
+    return float(np.corrcoef(truth, measured)[0, 1]), float(np.polyfit(truth, measured, 1)[0])
+
+
+def at_times(pose: PoseTrack, t: np.ndarray) -> np.ndarray:
+    """Shoulder -> wrist at other times."""
+    columns = arms(pose).reshape(len(pose.t), -1)
+    return np.stack([np.interp(t, pose.t, c) for c in columns.T], axis=1).reshape(-1, 2, 3)
+
+
+@pytest.mark.parametrize(("name", "least_up"), [("boxing", 0.85), ("wave", 0.97)])
+@pytest.mark.parametrize("side", [0, 1], ids=["left", "right"])
+def test_wrists_follow_the_rendered_truth_in_the_image_plane(clip: Clip, tracked: Tracked, name, least_up, side):
+    pose = tracked(f"rendered/{name}.mp4")
+    truth = np.load(clip(f"rendered/{name}.npz"))
+    joint = {str(n): truth["joints"][:, i] for i, n in enumerate(truth["names"])}
+    wanted = joint["wrist" + "LR"[side]] - joint["shoulder" + "LR"[side]]
+    np.testing.assert_allclose(pose.t, truth["t"], atol=1e-6)
+    across, gain = agreement(wanted[:, 0], arms(pose)[:, side, 0])
+    up, _ = agreement(wanted[:, 1], arms(pose)[:, side, 1])
+    assert across >= 0.93
+    assert 0.8 <= gain <= 1.1
+    assert up >= least_up
+
+
+def test_a_real_view_with_exchanged_sides_agrees_with_triangulation(clip: Clip, tracked: Tracked):
+    pose = tracked("real/multiview/cam02.mp4")
+    world = np.load(clip("real/multiview/triangulated_blazepose.npz"))["xyz"]
+    calibration = ElementTree.parse(clip("real/multiview/Calib.qca.txt"))
+    turn = next(c for c in calibration.iter("camera") if c.get("serial") == "cam02").find("transform")
+    assert turn is not None
+    axes = np.array([[float(turn.get(f"r{i}{j}", "nan")) for j in (1, 2, 3)] for i in (1, 2, 3)])
+    seen = world @ (np.diag([1.0, -1.0, -1.0]) @ axes).T  # the calibration's camera looks along -z with y up
+    wrists, shoulders, hips = (
+        [pose.index(f"{s}_{p}") for s in ("left", "right")] for p in ("wrist", "shoulder", "hip")
+    )
+    from_hip = seen[:, wrists] - seen[:, hips].mean(axis=1, keepdims=True)
+    from_shoulder = seen[:, wrists] - seen[:, shoulders]
+    assert np.isfinite(from_hip).all(axis=-1).sum() > 150
+    assert np.nanmean(np.linalg.norm(places(pose, "left_wrist", "right_wrist") - from_hip, axis=-1)) < 0.200
+    assert np.nanmean(np.linalg.norm(arms(pose) - from_shoulder, axis=-1)) < 0.200
+    assert pose.swapped.sum() == 32
+    assert any("exchanged left and right in 32 of 100" in w for w in pose.warnings)
+
+
+def test_dropped_frames_give_the_same_curve_at_the_true_times(tracked: Tracked):
+    whole, dropped = tracked("real/01_asl_walk.mkv"), tracked("nasty/vfr_dropped_frames.mp4")
+    assert len(dropped.t) == 53
+    assert dropped.t[-1] == pytest.approx(whole.t[-1], abs=0.002)
+    assert np.diff(dropped.t).max() > 0.16
+    error = np.linalg.norm(arms(dropped) - at_times(whole, dropped.t), axis=-1)
+    assert error.mean() < 0.030
+
+
+@pytest.mark.parametrize(
+    ("name", "frames"),
+    [
+        ("real/01_asl_walk.mkv", 89),
+        ("real/02_asl_book.mkv", 109),
+        ("real/03_asl_please.mkv", 73),
+        ("real/11_seated_standup_walks_out.mp4", 187),
+        ("nasty/tiny_96x72.mp4", 89),
+        ("nasty/gif_320.gif", 29),
+        ("nasty/mirrored.mp4", 89),
+        ("nasty/upside_down.mp4", 89),
+    ],
+)
+def test_a_person_is_tracked_in_every_frame(tracked: Tracked, name, frames):
+    pose = tracked(name)
+    assert len(pose.t) == frames
+    assert (np.diff(pose.t) > 0).all()
+    assert pose.valid[:, [pose.index("left_shoulder"), pose.index("right_shoulder")]].mean() > 0.95
+    assert np.isfinite(pose.landmarks).all()
+    assert not any("cuts" in w or "jumps" in w for w in pose.warnings)
+
+
+def test_a_frame_that_is_announced_and_missing_is_reported(tracked: Tracked):
+    assert any("110 frames and only 109" in w for w in tracked("real/02_asl_book.mkv").warnings)
+    assert tracked("real/01_asl_walk.mkv").warnings == ()
+
+
+def test_a_truncated_file_is_read_to_its_end_and_reported(clip: Clip, tmp_path):
+    whole = clip("real/03_asl_please.mkv").read_bytes()
+    path = tmp_path / "part.mkv"
+    path.write_bytes(whole[: len(whole) // 2])
+    pose = track_video(path)
+    assert 10 < len(pose.t) < 73
+    assert any("its end may be missing" in w for w in pose.warnings)
+
+
+def test_a_mirrored_clip_exchanges_the_arms(tracked: Tracked):
+    plain, mirrored = arms(tracked("real/01_asl_walk.mkv")), arms(tracked("nasty/mirrored.mp4"))
+    error = (mirrored - plain[:, ::-1] * (-1, 1, 1))[..., :2]
+    assert np.linalg.norm(error, axis=-1).mean() < 0.050
+
+
+def test_an_upside_down_clip_is_tracked_as_it_is_shown(tracked: Tracked):
+    turned = tracked("nasty/upside_down.mp4")
+    error = (arms(turned) - arms(tracked("real/01_asl_walk.mkv")) * (-1, -1, 1))[..., :2]
+    assert np.linalg.norm(error, axis=-1).mean() < 0.030
+    assert any("below the hips" in w for w in turned.warnings)
+
+
+def test_a_cut_to_another_person_is_reported_with_its_time(tracked: Tracked):
+    assert any("cuts at 2.43 s" in w for w in tracked("nasty/cut_two_people.mp4").warnings)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("nasty/one_frame.mp4", "shorter than a sampling step"),
+        ("nasty/empty.mp4", "is empty"),
+        ("nasty/text.mp4", "no picture can be read"),
+        ("nasty/audio_only.mp4", "no picture can be read"),
+        ("real/15_no_person_bottles.mp4", "shows no person"),
+    ],
+)
+def test_what_cannot_give_a_motion_is_refused_in_one_line(clip: Clip, capfd, name, reason):
+    with pytest.raises(SourceError, match=reason) as refusal:
+        track_video(clip(name))
+    assert Path(name).name in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def noise(path: Path, frames: int) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+    random = np.random.default_rng(0)
+    for _ in range(frames):
+        writer.write(random.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    writer.release()
+    return path
+
+
+def test_progress_counts_every_frame_before_the_verdict(tmp_path):
+    calls = []
+    with pytest.raises(SourceError, match="shows no person"):
+        track_video(noise(tmp_path / "noise.mp4", 8), progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(i, 8) for i in range(1, 9)]
+
+
+def test_the_cache_key_follows_content_and_settings_and_not_the_name(tmp_path):
+    first, copy, other = (tmp_path / n for n in ("a.mp4", "b.mp4", "c.mp4"))
+    first.write_bytes(b"one")
+    copy.write_bytes(b"one")
+    other.write_bytes(b"two")
+    assert pose_cache_key(first) == pose_cache_key(copy)
+    assert pose_cache_key(first) != pose_cache_key(other)
+    assert pose_cache_key(first) != pose_cache_key(first, PoseSettings(cutoff_hz=5.0))
