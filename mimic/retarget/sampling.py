@@ -38,7 +38,9 @@ def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, neutral: FloatArra
     last, following = seen[np.maximum(before, 0)], seen[np.minimum(after, len(seen) - 1)]
     since = np.where(has_before, t[gaps] - t[last], np.inf)
     until = np.where(has_after, t[following] - t[gaps], np.inf)
-    share = np.where(has_before & has_after, since / np.maximum(since + until, 1e-12), np.where(has_before, 0.0, 1.0))
+    bridged = has_before & has_after
+    share = np.where(has_before, 0.0, 1.0)
+    share[bridged] = since[bridged] / (since[bridged] + until[bridged])
     bridge = p[last] + _smooth(share)[:, None] * (p[following] - p[last])
     away = _smooth((np.minimum(since, until) - HOLD) / EASE)[:, None]
     filled[gaps] = bridge + away * (neutral - bridge)

@@ -16,6 +16,8 @@ from mimic.types import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
 
 MOVED = 1e-3
 """A target counts as clamped or limited from this distance on [m]."""
+ROUNDS = 4
+"""How often speed and clear legs are brought together at most."""
 
 
 def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> FloatArray:
@@ -92,18 +94,21 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
 def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
     """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] that the motors can follow, all reachable.
 
-    Joint bounds survive the limits; where the legs would come too close, that row is moved to the closest clear point.
+    Joint bounds survive the limits. Where the legs come too close on the way, the row moves to the closest clear point
+    and the motion is limited again; after ROUNDS of that, clear rows count more than the last of the speed limit.
     """
     speed = np.full(FRONT, reach.speed_max)
-    q = limit_track(closest.q, reach.description.dt, speed, reach.acceleration_max)
-    q = np.clip(q, reach.q_min, reach.q_max)
-    p_BE = closest.p_BE.copy()
-    changed = np.any(q != closest.q, axis=1)
-    for row in np.flatnonzero(changed):
-        p_BE[row] = reach.toes(q[row])
-        if not reach.is_clear(q[row]):
-            found = reach.closest(p_BE[row], q[row])
-            q[row], p_BE[row] = found.q, found.p_BE
+    q, p_BE = closest.q, closest.p_BE.copy()
+    for _ in range(ROUNDS):
+        before = q
+        q = np.clip(limit_track(q, reach.description.dt, speed, reach.acceleration_max), reach.q_min, reach.q_max)
+        for row in np.flatnonzero(np.any(q != before, axis=1)):
+            p_BE[row] = reach.toes(q[row])
+            if not reach.is_clear(q[row]):
+                found = reach.closest(p_BE[row], q[row])
+                q[row], p_BE[row] = found.q, found.p_BE
+        if np.array_equal(q, before):
+            break
     return q, p_BE
 
 
