@@ -200,11 +200,11 @@ def scene_xml() -> ET.Element:
     root = ET.Element("mujoco", model=f"{ROBOT['name']} on a floor")
     ET.SubElement(root, "include", file="cyberdog2.xml")
     visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", diffuse="0.5 0.5 0.5", ambient="0.35 0.35 0.38", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "headlight", diffuse="0.22 0.22 0.22", ambient="0.40 0.40 0.42", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "rgba", haze="0.86 0.89 0.92 1")
     ET.SubElement(visual, "global", azimuth="150", elevation="-12", offwidth="1280", offheight="960")
     ET.SubElement(visual, "quality", shadowsize="4096", offsamples="4")
-    ET.SubElement(visual, "map", znear="0.02")
+    ET.SubElement(visual, "map", znear="0.02", shadowclip="5")
     ET.SubElement(root, "statistic", center="0 0 0.3", extent="0.9")
     assets = ET.SubElement(root, "asset")
     ET.SubElement(
@@ -225,11 +225,12 @@ def scene_xml() -> ET.Element:
     )
     ET.SubElement(assets, "material", name="floor", texture="floor", texrepeat="2 2", texuniform="true", reflectance="0.08")
     world = ET.SubElement(root, "worldbody")
+    sun = {"type": "directional", "pos": "0 0 2"}
     ET.SubElement(
-        world, "light", pos="1.0 -1.2 2.6", dir="-0.35 0.42 -0.84", diffuse="0.75 0.74 0.70", specular="0.3 0.3 0.3", castshadow="true"
+        world, "light", sun, dir="-0.40 0.28 -0.87", diffuse="0.50 0.49 0.46", specular="0.3 0.3 0.3", castshadow="true"
     )
     ET.SubElement(
-        world, "light", pos="-1.5 1.5 2.0", dir="0.5 -0.5 -0.7", diffuse="0.25 0.27 0.30", castshadow="false"
+        world, "light", sun, dir="0.5 -0.5 -0.7", diffuse="0.20 0.21 0.24", specular="0.1 0.1 0.1", castshadow="false"
     )
     ET.SubElement(
         world,
