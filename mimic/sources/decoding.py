@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 MAX_SIDE = 1280
 """Longer sides are scaled down to this before the detector, which crops the person to 256 x 256 [px].
 
-Source: on 1080 x 1920 recordings of a real person, the wrist error against triangulation is 152 mm as recorded and
-154 mm at this size.
+Source: four 1080 x 1920 views of a real person against triangulation: the shoulder -> wrist error is 152 mm on average as
+recorded, and 152 mm at this size; at 640 px sides are exchanged more often.
 """
 
 _AHEAD = 8

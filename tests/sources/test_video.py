@@ -78,7 +78,7 @@ def test_dropped_frames_give_the_same_curve_at_the_true_times(tracked: Tracked):
     assert dropped.t[-1] == pytest.approx(whole.t[-1], abs=0.002)
     assert np.diff(dropped.t).max() > 0.16
     error = np.linalg.norm(arms(dropped) - at_times(whole, dropped.t), axis=-1)
-    assert error.mean() < 0.030
+    assert np.quantile(error, 0.95) < 0.030
 
 
 @pytest.mark.parametrize(
