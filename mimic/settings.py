@@ -206,7 +206,7 @@ class RewardWeights:
     gait: float = 0.5
     slip: float = -0.25
     low: float = -0.3
-    action_rate: float = -0.02
+    action_rate: float = -0.008
     torque: float = -2e-4
     joint_velocity: float = -3e-4
     joint_acceleration: float = -1e-7
@@ -286,11 +286,11 @@ class LearnSettings:
     minibatches: int = 4
     learning_rate: float = 1e-3
     desired_kl: float = 0.01
-    entropy: float = 0.003
+    entropy: float = 0.004
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
-    init_std: float = 0.8
+    init_std: float = 1.0
     std_range: tuple[float, float] = (0.05, 1.2)
     hidden: tuple[int, ...] = (512, 256, 128)
     save_every: int = 100

@@ -59,7 +59,7 @@ def main() -> int:
     parser.add_argument("--resume", type=Path, default=None)
     parser.add_argument("--every", type=int, default=25, help="updates between two lines of figures")
     parser.add_argument("overrides", nargs="*")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
 
     def report(update: int, row: dict[str, float]) -> None:

@@ -284,7 +284,7 @@ class StandTrackEnv(VecEnv):
             "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
             "track/falls": (f.fallen.float() * tracking).sum() / count,
             "track/non_finite": 1 - finite.float().mean(),
-            "track/knee_torque": (f.torque[:, [8, 11]].abs().mean(-1) * tracking).sum() / count,
+            "track/knee_torque": (f.torque[:, 8::3].abs().mean(-1) * tracking).sum() / count,
         }
         for name, value in figures.items():
             if name in self._log:

@@ -1,0 +1,135 @@
+"""Numbers from a log: tracking, standing, effort and heat. Each works on any log, simulated or measured."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mimic.frames import heading_from_quat, wrap_angle
+from mimic.robot.description import RobotDescription
+from mimic.types import JOINTS, PHASES, FloatArray, RunLog
+
+UPRIGHT_COSINE = 0.9
+"""Standing means: base x within this cosine of the wanted direction; the paper's gate."""
+
+UPRIGHT_HEIGHT = 0.35
+"""… and the base at least this high [m], where height is measured; the paper's factor is 1 from here on."""
+
+HEAT_WINDOW = 10.0
+"""Torques are averaged (root mean square) over this long before the overload table is read [s]."""
+
+
+def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return the cosine between base x and the wanted upright direction (...,), the direction turned to the heading."""
+    w, x, y, z = np.moveaxis(np.asarray(quat_WB), -1, 0)
+    heading = heading_from_quat(quat_WB)
+    forward = (1 - 2 * (y * y + z * z)) * np.cos(heading) + 2 * (x * y + w * z) * np.sin(heading)
+    ux, _, uz = description.upright_direction
+    return ux * forward + uz * 2 * (x * z - w * y)
+
+
+def standing(log: RunLog, description: RobotDescription) -> np.ndarray:
+    """Return for each tick whether the robot stands upright; height counts where it is measured."""
+    ok = uprightness(log.quat_WB, description) > UPRIGHT_COSINE
+    height = log.p_WB[:, 2]
+    return ok & (np.isnan(height) | (height > UPRIGHT_HEIGHT))
+
+
+def stand_up_time(log: RunLog, description: RobotDescription) -> float:
+    """Return the time from the start of the log to the first upright tick [s]; infinite if there is none."""
+    stood = np.flatnonzero(standing(log, description))
+    return float(log.t[stood[0]] - log.t[0]) if len(stood) else float("inf")
+
+
+def toe_error(log: RunLog) -> FloatArray:
+    """Return the distance between desired and reached toe while tracking (ticks, 2) [m]."""
+    rows = log.phase == PHASES.index("track")
+    return np.linalg.norm(log.p_BE[rows] - log.p_BE_des[rows], axis=-1)
+
+
+def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
+    """Return the delay that explains most of the toe error [s], and the mean error left with it [m].
+
+    The desired toes are shifted in time by whole ticks; the shift with the least mean error wins.
+    """
+    rows = np.flatnonzero(log.phase == PHASES.index("track"))
+    if len(rows) < 3:
+        return 0.0, float("nan")
+    dt = float(np.median(np.diff(log.t)))
+    reached, desired = log.p_BE[rows], log.p_BE_des[rows]
+    shifts = range(min(round(longest / dt) + 1, len(rows) // 2))
+    errors = [np.linalg.norm(reached[s:] - desired[: len(desired) - s], axis=-1).mean() for s in shifts]
+    best = int(np.argmin(errors))
+    return best * dt, float(errors[best])
+
+
+def overload_seconds(torque: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return how long a motor bears a torque from 25 degC [s]: the overload table, infinite at the rated torque.
+
+    Between the table's points the logarithm of the time is linear in the torque. Source: CyberGear manual, section 2.1.
+    """
+    table_torque = np.concatenate([[description.torque_rated], description.overload_torque])
+    table_time = np.concatenate([[1e6], description.overload_seconds])
+    seconds = np.exp(np.interp(np.abs(torque), table_torque, np.log(table_time)))
+    return np.where(np.abs(torque) <= description.torque_rated, np.inf, seconds)
+
+
+def thermal_load(log: RunLog, description: RobotDescription) -> FloatArray:
+    """Return the share of its overload time that each motor used (12,); 1 is the winding limit.
+
+    Cooling is not counted, so this is the upper end.
+    """
+    t, tau = log.t, log.tau
+    dt = float(np.median(np.diff(t)))
+    window = max(1, min(len(t), round(HEAT_WINDOW / dt)))
+    used = np.zeros(tau.shape[1])
+    for begin in range(0, len(t), window):
+        piece = tau[begin : begin + window]
+        effective = np.sqrt(np.mean(piece**2, axis=0))
+        used += len(piece) * dt / overload_seconds(effective, description)
+    return used
+
+
+def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
+    """Return the figures of a run as plain data; lengths in cm where the name says so."""
+    error = 100 * toe_error(log)
+    lag, left = toe_lag(log)
+    stood = standing(log, description)
+    stand_up = stand_up_time(log, description)
+    rows = log.phase >= PHASES.index("blend")
+    heat = thermal_load(log, description)
+    hottest = int(np.argmax(heat))
+    dt = float(np.median(np.diff(log.t)))
+    knees = [i for i, name in enumerate(JOINTS) if name.startswith("R") and name.endswith("knee")]
+    duration = len(log.t) * dt
+    rate = heat[hottest] / duration
+    heading = heading_from_quat(log.quat_WB)
+    drift = np.linalg.norm(log.p_WB[-1, :2] - log.p_WB[np.argmax(rows), :2]) if rows.any() else float("nan")
+    return {
+        "duration_s": duration,
+        "stand_up_s": stand_up,
+        "fell_at_s": log.metadata.get("fell_at"),
+        "falls": 0 if log.metadata.get("fell_at") is None else 1,
+        "standing_share": float(stood[rows].mean()) if rows.any() else 0.0,
+        "toe_error_cm": {
+            "mean": float(error.mean()) if error.size else float("nan"),
+            "p95": float(np.quantile(error, 0.95)) if error.size else float("nan"),
+            "max": float(error.max()) if error.size else float("nan"),
+            "left": float(error[:, 0].mean()) if error.size else float("nan"),
+            "right": float(error[:, 1].mean()) if error.size else float("nan"),
+        },
+        "lag_s": lag,
+        "toe_error_without_lag_cm": 100 * left,
+        "heading_error_rad": float(np.abs(wrap_angle(heading - log.heading_des))[rows].mean()) if rows.any() else None,
+        "drift_m": float(drift),
+        "torque_nm": {
+            "rms": float(np.sqrt(np.mean(log.tau[rows] ** 2))) if rows.any() else float("nan"),
+            "max": float(np.abs(log.tau).max()),
+            "knee_rms": float(np.sqrt(np.mean(log.tau[rows][:, knees] ** 2))) if rows.any() else float("nan"),
+        },
+        "joint_speed_max_rad_s": float(np.abs(log.dq).max()),
+        "thermal_load": {name: float(heat[i]) for i, name in enumerate(JOINTS)},
+        "hottest_motor": JOINTS[hottest],
+        "minutes_to_limit": float(1 / rate / 60) if rate > 0 else float("inf"),
+    }

@@ -1,0 +1,1 @@
+"""Playing commands on a plant: the loop, the plants, and the judging of policies."""

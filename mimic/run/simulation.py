@@ -1,0 +1,124 @@
+"""A plant in MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mimic.errors import PlantError
+from mimic.robot.description import RobotDescription
+from mimic.robot.model import GAIN_KD, GAIN_KP, Variation, command_in_effect, draw_variation, load_model, vary_model
+from mimic.settings import NOMINAL, Randomisation
+from mimic.types import FloatArray, JointCommand, JointSamples, RobotState, Tick
+
+
+class SimulatedPlant:
+    """The robot in MuJoCo at full solver iterations, one variation of it at a time.
+
+    Repeatable: the same ranges and seed give the same robot, the same pushes and the same motion on one machine.
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        *,
+        ranges: Randomisation = NOMINAL,
+        seed: int = 0,
+        samples: bool = True,
+    ) -> None:
+        """Make a robot.
+
+        Args:
+            ranges: What varies; the default is the robot as described.
+            seed: Draws the variation, the start and the pushes.
+            samples: Also record the joints at each physics step.
+        """
+        self._description = description
+        self._nominal = load_model(description, visuals=False)
+        self.model = load_model(description, visuals=False)
+        self.data = mujoco.MjData(self.model)
+        self._samples = samples
+        self._ranges = ranges
+        self.restart(seed)
+
+    @property
+    def description(self) -> RobotDescription:
+        """The robot's numbers."""
+        return self._description
+
+    def restart(self, seed: int) -> None:
+        """Draw another robot from the same ranges."""
+        self._rng = np.random.default_rng(seed)
+        self.variation: Variation = draw_variation(self._ranges, self._description.timestep, self._rng)
+        vary_model(self.model, self._nominal, self.variation)
+        self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
+        self._gains_kp, self._gains_kd = self._description.kp, self._description.kd
+
+    def start(self) -> RobotState:
+        """Put the robot on the ground, lying on its folded legs, and return its state."""
+        d, v, data = self._description, self.variation, self.data
+        mujoco.mj_resetData(self.model, data)
+        q = np.clip(d.poses["lie"] + v.start_q, d.q_min + 0.01, d.q_max - 0.01)
+        data.qpos[:3] = 0.0, 0.0, d.pose_height["lie"] + 0.005 + v.start_height
+        data.qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
+        data.qpos[7:] = q
+        mujoco.mj_forward(self.model, data)
+        self._commands = [q, q, q]
+        self._next_push = self._ranges.push_interval
+        return self._state()
+
+    def _state(self) -> RobotState:
+        data = self.data
+        return RobotState(
+            t=data.time,
+            q=data.qpos[7:].copy(),
+            dq=data.qvel[6:].copy(),
+            tau=data.actuator_force.copy(),
+            quat_WB=data.qpos[3:7].copy(),
+            omega_B=data.qvel[3:6].copy(),
+            p_WB=data.qpos[:3].copy(),
+            v_WB=data.qvel[:3].copy(),
+        )
+
+    def _set_gains(self, command: JointCommand) -> None:
+        if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
+            self._gains_kp, self._gains_kd = command.kp, command.kd
+            gains = self.model.actuator_gainprm
+            gains[:, GAIN_KP] = self._base_gains[:, 0] * command.kp / self._description.kp
+            gains[:, GAIN_KD] = self._base_gains[:, 1] * command.kd / self._description.kd
+
+    def _push(self) -> None:
+        if self._ranges.push[1] > 0 and self.data.time >= self._next_push:
+            angle, speed = self._rng.uniform(-np.pi, np.pi), self._rng.uniform(*self._ranges.push)
+            self.data.qvel[:2] += speed * np.cos(angle), speed * np.sin(angle)
+            self._next_push += self._ranges.push_interval
+
+    def step(self, command: JointCommand) -> Tick:
+        """Send a command and let one control step pass.
+
+        Raises:
+            PlantError: If the command or the simulation is not finite.
+        """
+        if not np.all(np.isfinite(command.q_des)):
+            raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
+        self._set_gains(command)
+        self._push()
+        model, data, decimation = self.model, self.data, self._description.decimation
+        self._commands = [command.q_des, *self._commands[:2]]
+        rows: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        for k in range(decimation):
+            data.ctrl[:] = command_in_effect(k, decimation, self.variation.delay_steps, *self._commands, np.where)
+            mujoco.mj_step(model, data)
+            if self._samples:
+                force = data.actuator_force.copy()
+                rows.append((data.time, data.qpos[7:].copy(), data.qvel[6:].copy(), force, command.q_des))
+        if not np.all(np.isfinite(data.qpos)):
+            raise PlantError(f"the simulation is no longer finite at {data.time:.2f} s; this is a bug, please report it")
+        samples = None
+        if self._samples:
+            t, q, dq, tau, q_des = (np.array(column) for column in zip(*rows, strict=True))
+            samples = JointSamples(t=t, q=q, dq=dq, tau=tau, q_des=q_des)
+        return Tick(state=self._state(), sent=command, samples=samples)
+
+    def close(self) -> None:
+        """Nothing to leave behind."""
