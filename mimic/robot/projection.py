@@ -13,7 +13,7 @@ from mimic.types import FloatArray
 SMALL_CURVATURE = 1e-4
 """Least curvature that a step trusts [m^2/rad^2]; a leg's own is 0.01 to 0.08."""
 PENALTY = 10.0
-"""Weight of a violated inequality [m] against the distance [m^2] when steps are judged."""
+"""Weight of a violated inequality [m] against half the squared distance [m^2], per metre of distance and one more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +76,7 @@ def project(
     """
     q = np.clip(q, low, high)
     here, trust, eye = look(q), 0.5, np.eye(len(q))
+    penalty = PENALTY * (1.0 + float(np.linalg.norm(wanted - here.p)))
     for _ in range(steps):
         miss = wanted - here.p
         g = -here.jacobian.T @ miss
@@ -91,7 +92,7 @@ def project(
             x = np.clip(np.linalg.lstsq(here.gap_jacobian, -here.gap, rcond=None)[0], down, up)
         new = np.clip(q + x, low, high)
         there = look(new)
-        gain = _merit(wanted, here) - _merit(wanted, there)
+        gain = _merit(wanted, here, penalty) - _merit(wanted, there, penalty)
         if gain >= 0.0:
             q, here, trust = new, there, min(2.0 * trust, 0.5)
             if gain < tolerance * 1e-3:
@@ -103,6 +104,6 @@ def project(
     return q, here
 
 
-def _merit(wanted: FloatArray, here: Local) -> float:
+def _merit(wanted: FloatArray, here: Local, penalty: float) -> float:
     miss = wanted - here.p
-    return 0.5 * float(miss @ miss) + PENALTY * float(np.sum(np.maximum(-here.gap, 0.0)))
+    return 0.5 * float(miss @ miss) + penalty * float(np.sum(np.maximum(-here.gap, 0.0)))

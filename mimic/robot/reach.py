@@ -77,6 +77,7 @@ class Reach:
         """Lower bounds of the front legs, margin included (6,) [rad]."""
         self.q_max = self.description.q_max[:FRONT] - raw["margin"]
         """Upper bounds of the front legs, margin included (6,) [rad]."""
+        self._clear = self.description.poses["upright"][:FRONT].copy()
         self.legs = tuple(self._leg(index) for index in range(2))
         """The front legs in closed form."""
         self.speed_max: float = raw["speed_share"] * self.description.speed_flat
@@ -188,7 +189,7 @@ class Reach:
         return np.where(np.all((both >= low) & (both <= high), axis=-1, keepdims=True), both, np.nan)
 
     def _closest(self, p_wanted: FloatArray, postures: FloatArray, q_start: FloatArray | None) -> Closest:
-        start = self.description.poses["upright"][:FRONT] if q_start is None else np.asarray(q_start)
+        start = self._clear if q_start is None else np.asarray(q_start)
         q = _nearer(postures, start)
         unknown = np.isnan(q)
         if not unknown.any() and self.is_clear(q):
@@ -224,6 +225,10 @@ class Reach:
 
     def _search(self, p_wanted: FloatArray, q: FloatArray) -> Closest:
         q, here = project(self._look, p_wanted.ravel(), q, self.q_min, self.q_max)
+        if np.any(here.gap < -ROUNDING):  # stuck where shapes overlap: begin where none do
+            q, here = project(self._look, p_wanted.ravel(), self._clear, self.q_min, self.q_max)
+        if np.any(here.gap < -ROUNDING):
+            q, here = self._clear, self._look(self._clear)
         p = here.p.reshape(2, 3).copy()
         return Closest(q, p, np.linalg.norm(p - p_wanted, axis=-1))
 
