@@ -14,7 +14,7 @@ import torch
 
 from mimic.robot.description import load_description
 from mimic.settings import LearnSettings, MdpSettings
-from mimic.train.__main__ import parse_overrides
+from mimic.train.overrides import with_overrides
 from mimic.train.environment import StandTrackEnv
 from mimic.train.worlds import Worlds
 
@@ -100,14 +100,14 @@ def whole(mdp: MdpSettings, learn: LearnSettings) -> dict[str, float]:
 def main() -> None:
     words = sys.argv[1:]
     if "--physics" in words:
-        base, _ = parse_overrides([w for w in words if w != "--physics"])
+        base, _ = with_overrides(MdpSettings(), LearnSettings(), [w for w in words if w != "--physics"])
         for iterations, search in ((6, 8), (4, 6), (3, 5), (2, 4), (10, 20)):
             s = dataclasses.replace(base, solver_iterations=iterations, linesearch_iterations=search)
             print(f"worlds {s.worlds} newton {iterations} line search {search}: {physics(s) / 1e6:.2f} M/s", flush=True)
         big = dataclasses.replace(base, worlds=2 * base.worlds)
         print(f"worlds {big.worlds} newton {big.solver_iterations}: {physics(big) / 1e6:.2f} M/s", flush=True)
         return
-    mdp, learn = parse_overrides(words)
+    mdp, learn = with_overrides(MdpSettings(), LearnSettings(), words)
     for name, value in whole(mdp, learn).items():
         print(f"{name:>24} {value:,.3f}", flush=True)
 

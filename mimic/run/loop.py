@@ -36,6 +36,8 @@ class RunResult:
     """Joints faster than the control rate, where the plant records them."""
     fell_at: float | None
     """When the robot tipped over and was damped [s]."""
+    interrupted: bool
+    """Whether Ctrl-C ended it early."""
 
 
 class _Rows:
@@ -106,6 +108,7 @@ def run_policy(
     samples: list[JointSamples] = []
     gains = np.full(12, contract.kp), np.full(12, contract.kd)
     fell_at: float | None = None
+    interrupted = False
     try:
         state = plant.start()
         heading0 = float(heading_from_quat(state.quat_WB))
@@ -140,6 +143,10 @@ def run_policy(
                 fell_at = state.t
                 plant.step(damping_command(state.q, contract.kd))
                 break
+    except KeyboardInterrupt:
+        if not rows.columns:
+            raise
+        interrupted = True
     finally:
         plant.close()
     metadata = {
@@ -150,7 +157,7 @@ def run_policy(
         "fell_at": fell_at,
     }
     log = RunLog(**{name: np.array(values) for name, values in rows.columns.items()}, metadata=metadata)
-    return RunResult(log=log, samples=_joined(samples), fell_at=fell_at)
+    return RunResult(log=log, samples=_joined(samples), fell_at=fell_at, interrupted=interrupted)
 
 
 def _record(

@@ -7,51 +7,13 @@ LearnSettings, RewardWeights or Randomisation, such as ``worlds=4096 seed=2 rewa
 from __future__ import annotations
 
 import argparse
-import ast
-import dataclasses
 import logging
 import sys
 from pathlib import Path
-from typing import Any, TypeVar
 
-from mimic.errors import ConfigError, MimicError
+from mimic.errors import MimicError
 from mimic.settings import LearnSettings, MdpSettings
-
-S = TypeVar("S")
-
-
-def changed(settings: S, path: str, value: Any) -> S:
-    """Return the settings with the field at ``path`` (dots go down) replaced; lists become tuples."""
-    name, _, rest = path.partition(".")
-    inner = changed(getattr(settings, name), rest, value) if rest else value
-    return dataclasses.replace(settings, **{name: inner})  # type: ignore[type-var]
-
-
-def parse_overrides(words: list[str]) -> tuple[MdpSettings, LearnSettings]:
-    """Return the default settings with ``name=value`` words applied.
-
-    Raises:
-        ConfigError: If a word has no such form or names no setting.
-    """
-    mdp, learn = MdpSettings(), LearnSettings()
-    for word in words:
-        name, equals, text = word.partition("=")
-        if not equals:
-            raise ConfigError(f"{word!r} is not a setting; expected name=value")
-        try:
-            value = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            value = text
-        first = name.split(".")[0]
-        if first in {f.name for f in dataclasses.fields(mdp)}:
-            mdp = changed(mdp, name, value)
-        elif first in {f.name for f in dataclasses.fields(learn)}:
-            learn = changed(learn, name, value)
-        else:
-            names = [f.name for s in (mdp, learn) for f in dataclasses.fields(s)]
-            raise ConfigError(f"there is no setting {name!r}; there are {', '.join(names)}")
-    return mdp, learn
-
+from mimic.train.overrides import with_overrides
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m mimic.train", description=__doc__)
@@ -74,7 +36,7 @@ def main() -> int:
     from mimic.train.learn import train
 
     try:
-        mdp, learn = parse_overrides(options.overrides)
+        mdp, learn = with_overrides(MdpSettings(), LearnSettings(), options.overrides)
         path = train(options.out, mdp, learn, resume=options.resume, report=report)
     except MimicError as error:
         sys.stderr.write(f"{error}\n")

@@ -1,0 +1,197 @@
+"""The commands and their options; each does its work in a module that is imported when it is called."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+from cyclopts.exceptions import CycloptsError
+
+from mimic import __version__
+from mimic.errors import ConfigError, MimicError
+from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, PoseSettings, RetargetSettings, RunSettings
+
+DONE, BUG, USER, STOPPED = 0, 1, 2, 3
+"""Exit statuses."""
+
+Flat = Parameter(name="*")
+
+app = App(
+    name="mimic",
+    version=__version__,
+    help="A person in a video moves, and a CyberDog 2 standing on its hind legs moves the same way.",
+    default_parameter=Parameter(show_env_var=False),
+    result_action="return_value",
+)
+
+
+@app.default
+def play(
+    source: Path,
+    /,
+    *,
+    sim: Annotated[bool, Parameter(negative="")] = False,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    video: Path | None = None,
+    view: bool | None = None,
+    pose: Annotated[PoseSettings | None, Flat] = None,
+    retarget: Annotated[RetargetSettings | None, Flat] = None,
+    run: Annotated[RunSettings | None, Flat] = None,
+) -> int:
+    """Play a human video, or targets stored before, on the robot.
+
+    Parameters
+    ----------
+    source
+        A video of one person, or a targets.parquet written by ``mimic retarget``.
+    sim
+        Play it in MuJoCo.
+    out
+        Run folder; by default runs/NAME, with a number where that is taken.
+    video
+        Also film human and robot side by side into this MP4 file.
+    view
+        Open the Rerun viewer at the end; by default where a display exists.
+    """
+    if not sim:
+        raise ConfigError("say where to play it: add --sim for the simulated robot")
+    from mimic.cli.play import play_source
+
+    return play_source(
+        source,
+        out=out,
+        film=video,
+        view=view,
+        pose=pose or PoseSettings(),
+        retarget=retarget or RetargetSettings(),
+        run=run or RunSettings(),
+    )
+
+
+@app.command
+def retarget(
+    source: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    pose: Annotated[PoseSettings | None, Flat] = None,
+    retarget: Annotated[RetargetSettings | None, Flat] = None,
+) -> int:
+    """Turn a human video into targets and stop there; ``mimic TARGETS --sim`` plays them later.
+
+    Parameters
+    ----------
+    source
+        A video of one person.
+    out
+        Parquet file to write.
+    """
+    from mimic.cli.play import retarget_only
+
+    return retarget_only(source, out, pose or PoseSettings(), retarget or RetargetSettings())
+
+
+@app.command
+def evaluate(
+    policy: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    episodes: int = EvaluateSettings().episodes,
+    seconds: float = EvaluateSettings().seconds,
+    seed: int = EvaluateSettings().seed,
+    workers: int = 0,
+) -> int:
+    """Judge a policy in plain MuJoCo from the lying start: standing up, reaching, walking, turning.
+
+    Parameters
+    ----------
+    policy
+        ONNX file with its contract inside, such as policies/stand_track.onnx.
+    out
+        JSON file for all figures; by default evaluation-NAME.json in the current folder.
+    episodes
+        Randomised episodes from the lying start.
+    seconds
+        Length of a randomised episode [s].
+    seed
+        Seed of the first episode.
+    workers
+        Processes; 0 takes one for each core.
+    """
+    from mimic.cli.judge import evaluate_policy
+
+    settings = EvaluateSettings(episodes=episodes, seconds=seconds, seed=seed, workers=workers)
+    return evaluate_policy(policy, out or Path(f"evaluation-{policy.stem}.json"), settings)
+
+
+@app.command
+def train(
+    out: Path,
+    /,
+    *,
+    resume: Path | None = None,
+    worlds: int = MdpSettings().worlds,
+    learn: Annotated[LearnSettings | None, Flat] = None,
+    set: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
+) -> int:
+    """Train the low-level policy; on a GPU in minutes, on a CPU with few worlds to try it out.
+
+    Parameters
+    ----------
+    out
+        Folder for checkpoints, TensorBoard files and policy.onnx.
+    resume
+        Checkpoint (.pt) to go on from.
+    worlds
+        Robots simulated at once.
+    set
+        name=value for any other setting, such as rewards.slip=-0.4 or randomisation.push=[0,0.5].
+    """
+    from mimic.cli.judge import train_policy
+
+    return train_policy(out, resume, replace(MdpSettings(), worlds=worlds), learn or LearnSettings(), set or [])
+
+
+@app.command
+def view(run: Path, /) -> int:
+    """Open the Rerun scene of a run folder.
+
+    Parameters
+    ----------
+    run
+        Folder that ``mimic … --sim`` wrote, or its scene.rrd.
+    """
+    from mimic.cli.play import view_run
+
+    return view_run(run)
+
+
+def run(arguments: list[str]) -> int:
+    """Parse the arguments, run the command and return the exit status."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    from rich.console import Console
+
+    errors = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        result = app(arguments, exit_on_error=False, print_error=False)
+    except MimicError as error:
+        errors.print(f"[bold red]mimic:[/] {_escaped(error)}")
+        return USER
+    except CycloptsError as error:
+        cause = error.__cause__
+        errors.print(f"[bold red]mimic:[/] {_escaped(cause if isinstance(cause, MimicError) else error)}")
+        return USER
+    except KeyboardInterrupt:
+        errors.print("[bold red]mimic:[/] interrupted")
+        return STOPPED
+    return result if isinstance(result, int) else DONE
+
+
+def _escaped(error: BaseException) -> str:
+    from rich.markup import escape
+
+    return escape(str(error).strip())

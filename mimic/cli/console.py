@@ -1,0 +1,47 @@
+"""What the commands print: progress bars, notes and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+console = Console(highlight=False)
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int | None], None]]:
+    """Yield a function that takes the steps done and in all, and shows them on a line of their own."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda done, total=None: progress.update(task, completed=done, total=total)
+
+
+def note(text: str) -> None:
+    """Print a line that the user should read."""
+    console.print(text, soft_wrap=True, markup=False)
+
+
+def warn(text: str) -> None:
+    """Print a warning."""
+    console.print("note: " + text, style="yellow", soft_wrap=True, markup=False)
+
+
+def table(title: str, rows: Mapping[str, str]) -> None:
+    """Print figures, one a row."""
+    grid = Table(title=title, show_header=False, title_justify="left", title_style="bold")
+    grid.add_column(style="cyan")
+    grid.add_column()
+    for name, value in rows.items():
+        grid.add_row(name, value)
+    console.print(grid)

@@ -1,0 +1,70 @@
+"""Training and judging policies from the command line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mimic import store
+from mimic.cli.app import DONE
+from mimic.cli.console import console, note, progress_bar, table
+from mimic.errors import AssetError, MissingExtra
+from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings
+
+
+def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
+    """Judge a policy, print the figures that decide, and write all of them."""
+    from mimic.run.evaluation import evaluate
+
+    if not policy.is_file():
+        raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
+    with progress_bar("episodes") as progress:
+        result = evaluate(policy, settings, progress=progress)
+    made_by = store.provenance(
+        command=" ".join(["mimic", *sys.argv[1:]]), settings=settings, inputs={"policy": policy}
+    )
+    store.save_json({**result, "provenance": made_by}, out)
+    s = result["summary"]
+    walk = ", ".join(f"{v:+.2f} at {k}" for k, v in s["walk_m_s"].items())
+    turn = ", ".join(f"{v:.2f} at {k} deg" for k, v in s["turn_error_rad"].items())
+    table(
+        f"{policy.name}: {s['episodes']} randomised episodes of {settings.seconds:g} s, and nominal ones",
+        {
+            "stood up in 1.5 s and kept standing": f"{s['stood_up_and_kept']:.1%}",
+            "time to stand up": f"{s['stand_up_median_s']:.2f} s median, {s['stand_up_p95_s']:.2f} s at the 95th percentile",
+            "toe error, randomised": f"{s['randomised_toe_error_cm']:.1f} cm",
+            "toe error, nominal": f"{s['nominal_toe_error_cm']:.1f} cm",
+            "walking speed [m/s]": walk,
+            "heading error after 10 s [rad]": turn,
+            "drift while standing": f"{s['nominal_drift_m']:.2f} m in {settings.seconds:g} s",
+            "falls on the nominal robot": f"{s['nominal_falls']}",
+            "heat": f"{s['nominal_knee_torque_rms_nm']:.1f} N m rms in the hind knees, "
+            f"{s['nominal_minutes_to_limit']:.0f} min to the hottest motor's limit",
+            "written": str(out),
+        },
+    )
+    return DONE
+
+
+def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnSettings, overrides: list[str]) -> int:
+    """Train a policy and print its figures on the way."""
+    try:
+        from mimic.train.learn import train
+        from mimic.train.overrides import with_overrides
+    except ModuleNotFoundError as missing:
+        raise MissingExtra(str(missing.name), "train") from None
+    mdp, learn = with_overrides(mdp, learn, overrides)
+
+    def report(update: int, row: dict[str, float]) -> None:
+        if update % 10 == 0 or update == learn.iterations - 1:
+            console.print(
+                f"update {update:5d}  {row['steps'] / 1e6:7.1f} M steps  {row['elapsed_s']:6.0f} s  "
+                f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  toes {row['track/toe_error_cm']:5.1f} cm"
+            )
+
+    if resume is not None and not resume.is_file():
+        raise AssetError(f"there is no checkpoint {resume}")
+    note(f"{mdp.worlds} worlds, {learn.iterations} updates; TensorBoard: tensorboard --logdir {out}")
+    path = train(out, mdp, learn, resume=resume, report=report)
+    note(f"wrote {path}; judge it with: mimic evaluate {path}")
+    return DONE

@@ -1,0 +1,218 @@
+"""The main flow: source → pose → wrists → targets → commands → run → files, and what is told about it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from mimic import store
+from mimic.cli.app import DONE, STOPPED
+from mimic.cli.console import note, progress_bar, table, warn
+from mimic.errors import AssetError, ConfigError, SourceError
+from mimic.settings import PoseSettings, RetargetSettings, RunSettings
+from mimic.types import CommandTrack, PoseTrack, TargetTrack
+
+SCENE, LOG, JOINTS, TARGETS, POSE, METRICS = (
+    "scene.rrd",
+    "log.parquet",
+    "joints.parquet",
+    "targets.parquet",
+    "pose.parquet",
+    "metrics.json",
+)
+"""Files of a run folder."""
+
+
+def _command() -> str:
+    return " ".join(["mimic", *sys.argv[1:]])
+
+
+def _pose_cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
+
+
+def pose_of(video: Path, settings: PoseSettings) -> PoseTrack:
+    """Return the pose track of a video, stored by its content, and say when a stored one is used."""
+    from mimic.sources.video import pose_cache_key, track_video
+
+    if not video.exists():
+        raise SourceError(f"there is no file {video}")
+    if video.is_dir():
+        raise SourceError(f"{video} is a folder; expected a video file")
+    cached = _pose_cache() / f"{pose_cache_key(video, settings)}.parquet"
+    if cached.is_file():
+        track = store.load(cached, PoseTrack)
+        note(f"pose         reused from an earlier run on the same video ({cached})")
+        return track
+    with progress_bar("pose") as progress:
+        track = track_video(video, settings, progress=progress)
+    made_by = store.provenance(command=_command(), settings=settings, inputs={"video": video})
+    store.save(track, cached, made_by=made_by)
+    return track
+
+
+def targets_of(video: Path, pose: PoseSettings, retarget: RetargetSettings) -> tuple[PoseTrack, TargetTrack]:
+    """Return pose and targets of a video."""
+    from dataclasses import replace
+
+    from mimic.retarget.targets import target_track
+    from mimic.retarget.wrists import pose_report, wrist_track
+    from mimic.robot.reach import Reach
+
+    track = pose_of(video, pose)
+    wrists = wrist_track(track, retarget)
+    targets = target_track(wrists, Reach(), retarget)
+    report = {**targets.report, "pose": pose_report(track, retarget)}
+    for text in targets.warnings:
+        warn(text)
+    return track, replace(targets, report=report)
+
+
+def retarget_only(source: Path, out: Path, pose: PoseSettings, retarget: RetargetSettings) -> int:
+    """Write the targets of a video, and print what retargeting did."""
+    _, targets = targets_of(source, pose, retarget)
+    made_by = store.provenance(
+        command=_command(), settings={"pose": pose, "retarget": retarget}, inputs={"video": source}
+    )
+    store.save(targets, out, made_by=made_by)
+    table("Targets", _target_rows(targets) | {"written": str(out)})
+    return DONE
+
+
+def _target_rows(targets: TargetTrack) -> dict[str, str]:
+    report: dict[str, Any] = dict(targets.report)
+    rows = {
+        "targets": f"{report['targets']} at {report['rate_s']:g} s, {targets.t[-1]:.1f} s in all",
+        "clamped": f"{report['clamped_share']:.1%}, moved {report['moved_mean_cm']:.2f} cm on average, "
+        f"{report['moved_max_cm']:.1f} cm at most",
+        "limited by speed": f"{report['limited_share']:.1%}",
+    }
+    pose = report.get("pose")
+    if pose:
+        rows |= {
+            "frames with a person": f"{pose['frames_with_person']} of {pose['frames']}",
+            "left/right exchanged": f"{pose['frames_exchanged']} frames",
+            "camera": str(pose["unseen"]),
+        }
+    return rows
+
+
+def _run_folder(source: Path, out: Path | None) -> Path:
+    if out is not None:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
+        return out
+    name = source.parent.name if source.name == TARGETS else source.stem
+    folder, number = Path("runs") / name, 2
+    while folder.exists():
+        folder, number = Path("runs") / f"{name}-{number}", number + 1
+    return folder
+
+
+def _is_targets(source: Path) -> bool:
+    return source.suffix == ".parquet"
+
+
+def play_source(
+    source: Path,
+    *,
+    out: Path | None,
+    film: Path | None,
+    view: bool | None,
+    pose: PoseSettings,
+    retarget: RetargetSettings,
+    run: RunSettings,
+) -> int:
+    """Play a source in simulation and write its run folder."""
+    from mimic.metrics import run_metrics
+    from mimic.policy.runtime import load_policy
+    from mimic.retarget.commands import command_track
+    from mimic.robot.description import load_description
+    from mimic.run.loop import run_policy
+    from mimic.run.simulation import SimulatedPlant
+
+    if not source.exists():
+        raise SourceError(f"there is no file {source}")
+    if film is not None and film.suffix != ".mp4":
+        raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
+    folder = _run_folder(source, out)
+    description = load_description()
+    policy = load_policy(run.policy, description)
+    track: PoseTrack | None = None
+    if _is_targets(source):
+        targets = store.load(source, TargetTrack)
+    else:
+        track, targets = targets_of(source, pose, retarget)
+    commands: CommandTrack = command_track(targets)
+
+    plant = SimulatedPlant(description, seed=run.seed)
+    with progress_bar("simulation") as progress:
+        result = run_policy(plant, policy, commands, run, progress=progress)
+
+    settings = {"pose": pose, "retarget": retarget, "run": run}
+    inputs = {"source": source, "policy": policy.path}
+    made_by = store.provenance(command=_command(), settings=settings, inputs=inputs)
+    if track is not None:
+        store.save(track, folder / POSE, made_by=made_by)
+    store.save(targets, folder / TARGETS, made_by=made_by)
+    store.save(result.log, folder / LOG, made_by=made_by)
+    if result.samples is not None:
+        store.save(result.samples, folder / JOINTS, made_by=made_by)
+    metrics = run_metrics(result.log, description)
+    everything = {**metrics, "interrupted": result.interrupted, "retarget": targets.report, "provenance": made_by}
+    store.save_json(everything, folder / METRICS)
+
+    video = None if _is_targets(source) else source
+    shown = {"log": result.log, "description": description, "targets": targets, "pose": track, "video": video}
+    from mimic.view.scene import display_available, open_viewer, save_scene
+
+    with progress_bar("scene") as progress:
+        save_scene(folder / SCENE, **shown, progress=progress)
+    if film is not None:
+        from mimic.view.side_by_side import save_video
+
+        with progress_bar("film") as progress:
+            save_video(film, **shown, progress=progress)
+    rows = _target_rows(targets) | _metric_rows(metrics) | {"run folder": str(folder)}
+    table(source.name, rows | ({"film": str(film)} if film else {}))
+    if result.fell_at is not None:
+        warn(f"the robot tipped over at {result.fell_at:.1f} s and was damped")
+    if view or (view is None and display_available()):
+        open_viewer(folder / SCENE)
+    return STOPPED if result.fell_at is not None or result.interrupted else DONE
+
+
+def _metric_rows(m: dict[str, Any]) -> dict[str, str]:
+    error = m["toe_error_cm"]
+    return {
+        "stood up in": f"{m['stand_up_s']:.2f} s",
+        "upright": f"{m['standing_share']:.1%} of the time after standing up",
+        "toe error": f"{error['mean']:.1f} cm mean, {error['p95']:.1f} cm at the 95th percentile",
+        "of it lag": f"{1e3 * m['lag_s']:.0f} ms; without it {m['toe_error_without_lag_cm']:.1f} cm",
+        "knee torque": f"{m['torque_nm']['knee_rms']:.1f} N m rms, {m['torque_nm']['max']:.1f} N m peak of any joint",
+        "heat": f"{m['hottest_motor']} reaches its limit after {m['minutes_to_limit']:.0f} min of this"
+        if m["minutes_to_limit"] < 1e4
+        else "no motor above its continuous rating",
+    }
+
+
+def view_run(run: Path) -> int:
+    """Open the scene of a run."""
+    from mimic.view.scene import display_available, open_viewer
+
+    scene = run / SCENE if run.is_dir() else run
+    if not scene.is_file():
+        raise AssetError(f"there is no {SCENE} in {run}; expected a folder that mimic … --sim wrote")
+    if not display_available():
+        raise ConfigError(f"there is no display here; copy {scene} to a computer with one and run: rerun {scene.name}")
+    open_viewer(scene)
+    return DONE
+
+
+def read_metrics(run: Path) -> dict[str, Any]:
+    """Return the figures of a run folder."""
+    return json.loads((run / METRICS).read_text(encoding="utf-8"))
