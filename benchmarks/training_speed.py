@@ -1,7 +1,7 @@
 """Control steps per second of training, split into physics, rewards and observations, inference, and learning.
 
-    python benchmarks/training_speed.py [name=value ...]          # settings as in python -m mimic.train
-    python benchmarks/training_speed.py --physics                 # physics alone, several solver settings
+python benchmarks/training_speed.py [name=value ...]          # settings as in python -m mimic.train
+python benchmarks/training_speed.py --physics                 # physics alone, several solver settings
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import torch
 
 from mimic.robot.description import load_description
 from mimic.settings import LearnSettings, MdpSettings
-from mimic.train.overrides import with_overrides
 from mimic.train.environment import StandTrackEnv
+from mimic.train.overrides import with_overrides
 from mimic.train.worlds import Worlds
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from mimic.errors import ContractError
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+IntArray = NDArray[np.integer[Any]]
 
 LEGS = ("FL", "FR", "RL", "RR")
 """Front left, front right, rear left, rear right."""
@@ -145,6 +145,7 @@ class PoseTrack(Record):
     """What the user should know about this source."""
 
     def labels(self, axis: str) -> tuple[str, ...] | None:
+        """Return the labels of an axis, or None where its length is free."""
         return self.names if axis == "landmark" else AXES.get(axis)
 
     def index(self, name: str) -> int:

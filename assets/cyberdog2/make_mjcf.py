@@ -148,7 +148,13 @@ def defaults(root: ET.Element) -> None:
         )
     collision = ET.SubElement(top, "default", {"class": "collision"})
     ET.SubElement(
-        collision, "geom", group="3", contype="0", conaffinity="1", rgba="0.9 0.4 0.1 0.5", friction=text(contact["friction"])
+        collision,
+        "geom",
+        group="3",
+        contype="0",
+        conaffinity="1",
+        rgba="0.9 0.4 0.1 0.5",
+        friction=text(contact["friction"]),
     )
     visual = ET.SubElement(top, "default", {"class": "visual"})
     ET.SubElement(visual, "geom", group="2", contype="0", conaffinity="0", mass="0")
@@ -158,14 +164,18 @@ def defaults(root: ET.Element) -> None:
 def robot_xml() -> ET.Element:
     root = ET.Element("mujoco", model=ROBOT["name"])
     ET.SubElement(root, "compiler", angle="radian", autolimits="true", fusestatic="true")
-    ET.SubElement(root, "option", timestep=text(ROBOT["physics"]["timestep"]), integrator="implicitfast", cone="elliptic")
+    ET.SubElement(
+        root, "option", timestep=text(ROBOT["physics"]["timestep"]), integrator="implicitfast", cone="elliptic"
+    )
     defaults(root)
     assets = ET.SubElement(root, "asset")
     for name, attributes in MATERIALS.items():
         ET.SubElement(assets, "material", {"name": name, **attributes})
 
     world = ET.SubElement(root, "worldbody")
-    body = ET.SubElement(world, "body", {"name": "base", "pos": text(0, 0, ROBOT["pose"]["four"]["z"]), "childclass": "cyberdog2"})
+    body = ET.SubElement(
+        world, "body", {"name": "base", "pos": text(0, 0, ROBOT["pose"]["four"]["z"]), "childclass": "cyberdog2"}
+    )
     ET.SubElement(body, "freejoint", name="base")
     inertial(body, ROBOT["body"]["mass"], ROBOT["body"]["com"], ROBOT["body"]["inertia"])
     collide(body, "body", type="box", size=text([v / 2 for v in ROBOT["body"]["box"]]))
@@ -208,7 +218,14 @@ def scene_xml() -> ET.Element:
     ET.SubElement(root, "statistic", center="0 0 0.3", extent="0.9")
     assets = ET.SubElement(root, "asset")
     ET.SubElement(
-        assets, "texture", type="skybox", builtin="gradient", rgb1="0.93 0.95 0.97", rgb2="0.62 0.70 0.78", width="256", height="1536"
+        assets,
+        "texture",
+        type="skybox",
+        builtin="gradient",
+        rgb1="0.93 0.95 0.97",
+        rgb2="0.62 0.70 0.78",
+        width="256",
+        height="1536",
     )
     ET.SubElement(
         assets,
@@ -223,7 +240,9 @@ def scene_xml() -> ET.Element:
         width="512",
         height="512",
     )
-    ET.SubElement(assets, "material", name="floor", texture="floor", texrepeat="2 2", texuniform="true", reflectance="0.08")
+    ET.SubElement(
+        assets, "material", name="floor", texture="floor", texrepeat="2 2", texuniform="true", reflectance="0.08"
+    )
     world = ET.SubElement(root, "worldbody")
     sun = {"type": "directional", "pos": "0 0 2"}
     ET.SubElement(

@@ -104,7 +104,7 @@ class PolicyContract:
         try:
             data = json.loads(text)
             data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
-            values = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
             return PolicyContract(**values)
         except (ValueError, TypeError, KeyError, AttributeError) as reason:
             raise ContractError(f"the policy's contract cannot be read ({reason}); export the policy again") from None
@@ -224,11 +224,12 @@ class ObservationBuilder:
             xp=np,
         )
         if self._frames is None:
-            self._frames = np.repeat(frame[None, :], self._contract.history, axis=0)
+            frames = np.repeat(frame[None, :], self._contract.history, axis=0)
         else:
-            self._frames = push_frame(self._frames, frame, np)
+            frames = push_frame(self._frames, frame, np)
+        self._frames = frames
         self._steps += 1
-        return self._frames.reshape(-1)
+        return frames.reshape(-1)
 
     def acted(self, action: FloatArray) -> None:
         """Tell the builder what the policy answered (12,)."""

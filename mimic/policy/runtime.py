@@ -51,7 +51,7 @@ class Policy:
         """Return the action (12,) for an observation (observation_size,)."""
         batch = np.asarray(observation, dtype=np.float32)[None, :]
         (action,) = self._session.run([self._output], {self._input: batch})
-        return np.asarray(action[0], dtype=np.float64)
+        return np.asarray(action, dtype=np.float64)[0]
 
 
 def load_policy(path: str | Path | None, description: RobotDescription) -> Policy:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -59,7 +60,7 @@ class RobotDescription:
     """Torques of the motor's overload table [N m]."""
     overload_seconds: FloatArray
     """How long each may last from 25 degC [s]."""
-    poses: dict[str, FloatArray]
+    poses: Mapping[str, FloatArray]
     """Named joint poses [rad]: lie, four, upright."""
     pose_height: dict[str, float]
     """Base height in each pose [m]."""

@@ -185,7 +185,9 @@ def toe_positions(q: Any, raw: dict[str, Any], cos: Any, sin: Any, stack: Any) -
         tx, _, tz = raw["toe"]["position"]
         x = -length * sin(hip) + tx * cos(hip + knee) + tz * sin(hip + knee)
         z = -length * cos(hip) - tx * sin(hip + knee) + tz * cos(hip + knee)
-        toes.append(stack([ax + x, side * ay + hy * cos(abad) - z * sin(abad), az + hy * sin(abad) + z * cos(abad)], -1))
+        toes.append(
+            stack([ax + x, side * ay + hy * cos(abad) - z * sin(abad), az + hy * sin(abad) + z * cos(abad)], -1)
+        )
     return stack(toes, -2)
 
 

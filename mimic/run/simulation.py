@@ -104,16 +104,21 @@ class SimulatedPlant:
         self._set_gains(command)
         self._push()
         model, data, decimation = self.model, self.data, self._description.decimation
-        self._commands = [command.q_des, *self._commands[:2]]
+        newest, before, oldest = command.q_des, *self._commands[:2]
+        self._commands = [newest, before, oldest]
         rows: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for k in range(decimation):
-            data.ctrl[:] = command_in_effect(k, decimation, self.variation.delay_steps, *self._commands, np.where)
+            data.ctrl[:] = command_in_effect(
+                k, decimation, self.variation.delay_steps, newest, before, oldest, np.where
+            )
             mujoco.mj_step(model, data)
             if self._samples:
                 force = data.actuator_force.copy()
                 rows.append((data.time, data.qpos[7:].copy(), data.qvel[6:].copy(), force, command.q_des))
         if not np.all(np.isfinite(data.qpos)):
-            raise PlantError(f"the simulation is no longer finite at {data.time:.2f} s; this is a bug, please report it")
+            raise PlantError(
+                f"the simulation is no longer finite at {data.time:.2f} s; this is a bug, please report it"
+            )
         samples = None
         if self._samples:
             t, q, dq, tau, q_des = (np.array(column) for column in zip(*rows, strict=True))

@@ -132,7 +132,7 @@ def _decode_into(capture: Any, ahead: queue.Queue[Any], stop: threading.Event, t
             # Read after read(): the time of this frame, right for variable frame rates too.
             frame, thumbnail = _frame(bgr, capture.get(cv2.CAP_PROP_POS_MSEC), thumbnail)
             put(frame)
-    except Exception as error:  # noqa: BLE001 - handed to the reader, who raises it
+    except Exception as error:
         put(error)
     else:
         put(None)

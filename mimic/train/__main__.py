@@ -15,7 +15,9 @@ from mimic.errors import MimicError
 from mimic.settings import LearnSettings, MdpSettings
 from mimic.train.overrides import with_overrides
 
+
 def main() -> int:
+    """Run the training and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m mimic.train", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--resume", type=Path, default=None)

@@ -91,7 +91,9 @@ class StandTrackEnv(VecEnv):
         ux, _, uz = d.upright_direction
         self._lean = (float(ux), float(uz))
         w = self.worlds
-        self._front = w.geom_columns("FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe")
+        self._front = w.geom_columns(
+            "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"
+        )
         self._trunk = w.geom_columns("body", "head_0", "head_1", "shoulder", "_abad")
         self._hind_thighs = w.geom_columns("RL_thigh", "RR_thigh")
         self._knees = w.geom_columns("RL_rubber", "RR_rubber")
@@ -129,11 +131,13 @@ class StandTrackEnv(VecEnv):
     # ------------------------------------------------------------------ the interface of rsl_rl
 
     def get_observations(self) -> TensorDict:
+        """Return what actor (policy) and critic see of each world."""
         return TensorDict(
             {"policy": self._policy_obs.clone(), "critic": self._critic_obs.clone()}, batch_size=[self.num_envs]
         )
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
         if str(self.device).startswith("cuda"):
             self._step_captured()
@@ -181,9 +185,7 @@ class StandTrackEnv(VecEnv):
         before.copy_(newest)
         newest.copy_(torch.clamp(self._default_q + self.settings.action_scale * action, self._q_min, self._q_max))
         for k in range(self.worlds.decimation):
-            ctrl = command_in_effect(
-                k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where
-            )
+            ctrl = command_in_effect(k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where)
             self.worlds.substep_ctrl[k].copy_(ctrl)
 
     def _quat(self) -> tuple[torch.Tensor, ...]:
@@ -367,7 +369,9 @@ class StandTrackEnv(VecEnv):
         q = torch.where(upright[:, None] & self._is_front, any_front, q)
         q = torch.clamp(q, self._q_min + 0.01, self._q_max - 0.01)
         heights = self.description.pose_height
-        height = torch.where(upright, heights["upright"] + 0.01, heights["lie"] + 0.012) + self._uniform(*r.start_height)
+        height = torch.where(upright, heights["upright"] + 0.01, heights["lie"] + 0.012) + self._uniform(
+            *r.start_height
+        )
         position = torch.stack([torch.zeros(n, device=self.device), torch.zeros(n, device=self.device), height], -1)
         qpos = torch.cat([position, quat, q], -1)
         qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
@@ -387,7 +391,9 @@ class StandTrackEnv(VecEnv):
         self._heading_des.copy_(torch.where(mask, yaw, self._heading_des))
         self._v_des.copy_(torch.where(keep, torch.zeros_like(self._v_des), self._v_des))
         self._command_left.copy_(torch.where(mask, self._uniform(1.0, s.command_seconds[1]), self._command_left))
-        self.episode_length_buf.copy_(torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf))
+        self.episode_length_buf.copy_(
+            torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf)
+        )
         wide = mask[:, None, None]
         toes = self._toes()
         begin = torch.where(upright[:, None, None], toes, self._neutral.expand_as(toes))
@@ -433,7 +439,11 @@ class StandTrackEnv(VecEnv):
         self._policy_obs.copy_(self._history.reshape(n, -1))
         heading = self._heading()
         cosine, sine = torch.cos(heading), torch.sin(heading)
-        velocity = [cosine * w.qvel[:, 0] + sine * w.qvel[:, 1], -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1], w.qvel[:, 2]]
+        velocity = [
+            cosine * w.qvel[:, 0] + sine * w.qvel[:, 1],
+            -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1],
+            w.qvel[:, 2],
+        ]
         low = w.lowest()[:, self._hind_toes]
         extras = [
             torch.stack(velocity, -1),

@@ -61,7 +61,7 @@ class _Logger(Logger):
         self.cur_reward_sum *= ~done
         self.cur_episode_length *= ~done
 
-    def log(self, it: int, **figures: Any) -> None:
+    def log(self, it: int, **figures: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         if self.writer is None:
             return
         rewards, lengths, count = self._ended.tolist()
@@ -189,8 +189,9 @@ def export(runner: OnPolicyRunner, contract: PolicyContract, path: Path) -> Path
     """Write the policy as ONNX with its contract in the metadata."""
     import onnx
 
-    model = runner.alg.get_policy().as_onnx(verbose=False).to("cpu").eval()
-    buffer = io.BytesIO()
+    model: Any = runner.alg.get_policy().as_onnx(verbose=False)
+    model = model.to("cpu").eval()
+    buffer: Any = io.BytesIO()
     with contextlib.redirect_stdout(io.StringIO()):
         torch.onnx.export(
             model,
