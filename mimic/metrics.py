@@ -42,6 +42,11 @@ def stand_up_time(log: RunLog, description: RobotDescription) -> float:
     return float(log.t[stood[0]] - log.t[0]) if len(stood) else float("inf")
 
 
+def _step(log: RunLog) -> float:
+    """Return the time between two ticks [s]; a log of one tick takes it from its metadata."""
+    return float(np.median(np.diff(log.t))) if len(log.t) > 1 else float(log.metadata["dt"])
+
+
 def toe_error(log: RunLog) -> FloatArray:
     """Return the distance between desired and reached toe while tracking (ticks, 2) [m]."""
     rows = log.phase == PHASES.index("track")
@@ -56,7 +61,7 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     rows = np.flatnonzero(log.phase == PHASES.index("track"))
     if len(rows) < 3:
         return 0.0, float("nan")
-    dt = float(np.median(np.diff(log.t)))
+    dt = _step(log)
     reached, desired = log.p_BE[rows], log.p_BE_des[rows]
     shifts = range(min(round(longest / dt) + 1, len(rows) // 2))
     errors = [np.linalg.norm(reached[s:] - desired[: len(desired) - s], axis=-1).mean() for s in shifts]
@@ -80,11 +85,10 @@ def thermal_load(log: RunLog, description: RobotDescription) -> FloatArray:
 
     Cooling is not counted, so this is the upper end.
     """
-    t, tau = log.t, log.tau
-    dt = float(np.median(np.diff(t)))
-    window = max(1, min(len(t), round(HEAT_WINDOW / dt)))
+    tau, dt = log.tau, _step(log)
+    window = max(1, min(len(tau), round(HEAT_WINDOW / dt)))
     used = np.zeros(tau.shape[1])
-    for begin in range(0, len(t), window):
+    for begin in range(0, len(tau), window):
         piece = tau[begin : begin + window]
         effective = np.sqrt(np.mean(piece**2, axis=0))
         used += len(piece) * dt / overload_seconds(effective, description)
@@ -100,7 +104,7 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     rows = log.phase >= PHASES.index("blend")
     heat = thermal_load(log, description)
     hottest = int(np.argmax(heat))
-    dt = float(np.median(np.diff(log.t)))
+    dt = _step(log)
     knees = [i for i, name in enumerate(JOINTS) if name.startswith("R") and name.endswith("knee")]
     duration = len(log.t) * dt
     rate = heat[hottest] / duration
