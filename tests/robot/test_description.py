@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mimic.errors import AssetError
+from mimic.robot import description as module
+from mimic.robot.description import RobotDescription, load_description
+from mimic.types import JOINTS
+
+
+def test_every_pose_keeps_inside_the_joint_limits(description):
+    assert set(description.poses) == {"lie", "four", "upright"}
+    for q in description.poses.values():
+        assert np.all(q > description.q_min)
+        assert np.all(q < description.q_max)
+
+
+def test_legs_have_the_limits_of_their_end(description):
+    by_name = {name: (description.q_min[i], description.q_max[i]) for i, name in enumerate(JOINTS)}
+    for part in ("abad", "hip", "knee"):
+        assert by_name[f"FL_{part}"] == by_name[f"FR_{part}"]
+        assert by_name[f"RL_{part}"] == by_name[f"RR_{part}"]
+    assert by_name["RL_hip"][1] > by_name["FL_hip"][1]
+
+
+def test_a_policy_runs_at_50_hz_over_physics_at_200_hz(description):
+    assert description.dt == pytest.approx(1 / 50)
+    assert description.timestep == pytest.approx(1 / 200)
+
+
+def test_upright_is_a_direction(description):
+    assert np.linalg.norm(description.upright_direction) == pytest.approx(1.0)
+    assert description.upright_direction[1] == 0.0
+
+
+def test_goal_boxes_have_volume_and_shares_of_one(description):
+    assert description.goals.share.sum() == pytest.approx(1.0)
+    assert np.all(description.goals.low < description.goals.high)
+
+
+def test_a_motor_gives_its_peak_torque_up_to_the_flat_speed(description):
+    low, high = description.torque_limits(np.linspace(-description.speed_flat, description.speed_flat, 50))
+    assert np.allclose(high, description.torque_max)
+    assert np.allclose(low, -description.torque_max)
+
+
+def test_a_motor_at_its_highest_speed_can_brake_but_not_drive(description):
+    low, high = description.torque_limits(np.array([description.speed_max, -description.speed_max]))
+    assert np.allclose(high, [0.0, description.torque_max])
+    assert np.allclose(low, [-description.torque_max, 0.0])
+
+
+def test_driving_torque_falls_steadily_between_the_two_speeds(description):
+    speeds = np.linspace(description.speed_flat, description.speed_max, 100)
+    _, high = description.torque_limits(speeds)
+    assert np.all(np.diff(high) < 0)
+    assert np.allclose(np.diff(high, 2), 0)
+
+
+def test_both_directions_of_motion_are_alike(description):
+    speeds = np.linspace(-40, 40, 161)
+    low, high = description.torque_limits(speeds)
+    assert np.allclose(low, -high[::-1])
+
+
+def test_the_overload_table_goes_from_little_to_much(description):
+    assert np.all(np.diff(description.overload_torque) > 0)
+    assert np.all(np.diff(description.overload_seconds) < 0)
+    assert description.torque_rated < description.overload_torque[0]
+    assert description.overload_torque[-1] == description.torque_max
+
+
+def test_a_robot_that_does_not_ship_is_told():
+    with pytest.raises(AssetError, match="assets/spot is missing"):
+        load_description("spot")
+
+
+def edited(text: str, tmp_path, monkeypatch) -> RobotDescription:
+    folder = tmp_path / "edited"
+    folder.mkdir()
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(module, "shipped", lambda *parts: folder)
+    load_description.cache_clear()
+    try:
+        return load_description("edited")
+    finally:
+        load_description.cache_clear()
+
+
+def test_a_missing_number_is_told_by_name(description, tmp_path, monkeypatch):
+    text = (description.folder / "robot.toml").read_text(encoding="utf-8").replace("torque_rated =", "torque_rotted =")
+    with pytest.raises(AssetError, match=r"robot\.toml lacks 'torque_rated'"):
+        edited(text, tmp_path, monkeypatch)
+
+
+def test_a_pose_that_lacks_a_joint_is_told(description, tmp_path, monkeypatch):
+    text = (description.folder / "robot.toml").read_text(encoding="utf-8")
+    text = text.replace("four = { z = 0.259, up = 0.0, q = [0.0, ", "four = { z = 0.259, up = 0.0, q = [")
+    with pytest.raises(AssetError, match="does not have 12 joints"):
+        edited(text, tmp_path, monkeypatch)

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimic.metrics import (
+    overload_seconds,
+    run_metrics,
+    stand_up_time,
+    standing,
+    thermal_load,
+    toe_error,
+    toe_lag,
+    uprightness,
+)
+from mimic.store import plain
+from mimic.types import JOINTS, PHASES, RunLog
+
+STAND_UP, BLEND, TRACK, HOLD = (PHASES.index(name) for name in ("stand_up", "blend", "track", "hold"))
+LYING = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def upright(heading: float = 0.0, lean: float = 0.0) -> np.ndarray:
+    """Base x along the description's upright direction (wxyz), tipped back by ``lean``."""
+    pitch = np.arctan2(1.0, 0.2) + lean
+    return Rotation.from_euler("ZY", [heading, -pitch]).as_quat(scalar_first=True)
+
+
+def make_log(rows: int, *, dt: float = 0.02, **columns: object) -> RunLog:
+    """A log of a robot that stands still and tracks all the time, with other columns where given."""
+    values = {name: np.zeros((rows, 12)) for name in ("q", "dq", "tau", "action", "q_des", "q_sent", "kp", "kd")}
+    values |= {name: np.zeros((rows, 3)) for name in ("omega_B", "v_WB")}
+    values |= {
+        "t": dt * np.arange(rows),
+        "t_host": dt * np.arange(rows),
+        "phase": np.full(rows, TRACK),
+        "quat_WB": np.tile(upright(), (rows, 1)),
+        "p_WB": np.tile([0.0, 0.0, 0.43], (rows, 1)),
+        "p_BE": np.zeros((rows, 2, 3)),
+        "v_des": np.zeros((rows, 2)),
+        "heading_des": np.zeros(rows),
+        "p_BE_des": np.zeros((rows, 2, 3)),
+        "observation": np.zeros((rows, 5)),
+    }
+    return RunLog(**(values | columns))
+
+
+def test_toe_error_is_the_distance_of_each_toe_while_tracking():
+    phase = np.repeat([STAND_UP, BLEND, TRACK, HOLD], 10)
+    p_BE = np.full((40, 2, 3), 9.0)
+    p_BE[phase == TRACK] = [[0.03, 0.0, 0.04], [0.0, 0.01, 0.0]]
+    error = toe_error(make_log(40, phase=phase, p_BE=p_BE))
+    assert error.shape == (10, 2)
+    assert np.allclose(error, [0.05, 0.01])
+
+
+@pytest.mark.parametrize("late", [0, 1, 5, 12])
+def test_a_late_toe_is_explained_by_its_lag(late, description):
+    t = 0.02 * np.arange(400)
+    path = 0.1 * np.stack([np.sin(3 * t), np.cos(2 * t), np.sin(t)], -1)
+    desired = np.stack([path, -path], 1)
+    reached = np.concatenate([np.repeat(desired[:1], late, 0), desired[: 400 - late]])
+    log = make_log(400, p_BE=reached, p_BE_des=desired)
+    lag, left = toe_lag(log)
+    assert lag == pytest.approx(0.02 * late)
+    assert left == pytest.approx(0.0, abs=1e-9)
+    assert run_metrics(log, description)["lag_s"] == lag
+
+
+def test_an_offset_that_no_lag_explains_is_left():
+    t = 0.02 * np.arange(400)
+    desired = np.zeros((400, 2, 3))
+    desired[..., 0] = 0.1 * np.sin(3 * t)[:, None]
+    lag, left = toe_lag(make_log(400, p_BE=desired + [0.0, 0.02, 0.0], p_BE_des=desired))
+    assert lag == 0.0
+    assert left == pytest.approx(0.02)
+
+
+def test_a_log_that_never_tracked_has_no_lag():
+    lag, left = toe_lag(make_log(50, phase=np.full(50, STAND_UP)))
+    assert lag == 0.0
+    assert np.isnan(left)
+
+
+@pytest.mark.parametrize("heading", [-2.5, 0.0, 1.3])
+def test_uprightness_is_one_along_the_wanted_direction_whatever_the_heading(heading, description):
+    assert uprightness(upright(heading), description) == pytest.approx(1.0)
+    tipped = uprightness(upright(heading, 0.5), description)
+    assert tipped == pytest.approx(uprightness(upright(heading, -0.5), description))
+    assert tipped < 0.9
+
+
+def test_standing_needs_both_posture_and_height(description):
+    quat = np.stack([upright(), upright(), LYING, upright(), LYING])
+    height = np.array([0.43, 0.2, 0.43, np.nan, np.nan])
+    p_WB = np.stack([np.zeros(5), np.zeros(5), height], -1)
+    assert standing(make_log(5, quat_WB=quat, p_WB=p_WB), description).tolist() == [True, False, False, True, False]
+
+
+def test_stand_up_time_counts_from_the_start_of_the_log(description):
+    quat = np.stack([LYING] * 30 + [upright()] * 20)
+    log = make_log(50, quat_WB=quat, t=7.0 + 0.02 * np.arange(50))
+    assert stand_up_time(log, description) == pytest.approx(0.6)
+
+
+def test_a_robot_that_never_stands_takes_forever(description):
+    assert stand_up_time(make_log(50, quat_WB=np.tile(LYING, (50, 1))), description) == np.inf
+
+
+def load_after(seconds: float, torque: float, description) -> np.ndarray:
+    dt = min(1.0, seconds / 20)
+    rows = round(seconds / dt)
+    return thermal_load(make_log(rows, dt=dt, tau=np.full((rows, 12), torque)), description)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_motor_below_its_rated_torque_never_reaches_its_limit(share, description):
+    assert np.array_equal(load_after(3600.0, share * description.torque_rated, description), np.zeros(12))
+
+
+@pytest.mark.parametrize("point", range(9))
+def test_a_motor_is_at_its_limit_after_the_time_of_the_overload_table(point, description):
+    torque, seconds = description.overload_torque[point], description.overload_seconds[point]
+    for sign in (1.0, -1.0):
+        assert np.allclose(load_after(seconds, sign * torque, description), 1.0)
+
+
+def test_more_torque_is_borne_for_less_time(description):
+    seconds = overload_seconds(np.linspace(4.01, 12.0, 200), description)
+    assert np.all(np.diff(seconds) < 0)
+
+
+def test_each_motor_has_its_own_load(description):
+    tau = np.zeros((3000, 12))
+    tau[:, 8] = 8.0
+    load = thermal_load(make_log(3000, tau=tau), description)
+    assert load[8] > 0.1
+    assert not np.delete(load, 8).any()
+    metrics = run_metrics(make_log(3000, tau=tau), description)
+    assert metrics["hottest_motor"] == JOINTS[8]
+    assert metrics["minutes_to_limit"] == pytest.approx(description.overload_seconds[4] / 60)
+
+
+def test_figures_of_a_known_run(description):
+    rows = 200
+    phase = np.repeat([STAND_UP, BLEND, TRACK, HOLD], 50)
+    p_BE = np.zeros((rows, 2, 3))
+    p_BE[:, 0, 0], p_BE[:, 1, 2] = 0.02, 0.04
+    p_WB = np.tile([0.0, 0.0, 0.43], (rows, 1))
+    p_WB[-1, :2] = 0.3, 0.4
+    quat = np.tile(upright(0.25), (rows, 1))
+    quat[:40] = LYING
+    tau = np.zeros((rows, 12))
+    tau[:, [8, 11]] = 3.0
+    tau[10, 0] = -7.0
+    m = run_metrics(make_log(rows, phase=phase, p_BE=p_BE, p_WB=p_WB, quat_WB=quat, tau=tau), description)
+    assert m["duration_s"] == pytest.approx(4.0)
+    assert m["stand_up_s"] == pytest.approx(0.8)
+    assert m["standing_share"] == 1.0
+    assert m["toe_error_cm"]["left"] == pytest.approx(2.0)
+    assert m["toe_error_cm"]["right"] == pytest.approx(4.0)
+    assert m["toe_error_cm"]["mean"] == pytest.approx(3.0)
+    assert m["drift_m"] == pytest.approx(0.5)
+    assert m["heading_error_rad"] == pytest.approx(0.25)
+    assert m["torque_nm"]["knee_rms"] == pytest.approx(3.0)
+    assert m["torque_nm"]["max"] == 7.0
+    assert m["falls"] == 0
+
+
+def test_a_fall_is_read_from_the_log(description):
+    m = run_metrics(make_log(20, metadata={"fell_at": 0.38}), description)
+    assert (m["falls"], m["fell_at_s"]) == (1, 0.38)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+@pytest.mark.parametrize("phase", [STAND_UP, TRACK])
+def test_the_shortest_log_has_figures_that_json_can_hold(rows, phase, description):
+    m = run_metrics(make_log(rows, phase=np.full(rows, phase), metadata={"dt": 0.02}), description)
+    assert m["duration_s"] == pytest.approx(0.02 * rows)
+    assert json.loads(json.dumps(plain(m), allow_nan=False))["falls"] == 0

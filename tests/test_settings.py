@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from mimic.errors import ConfigError, MimicError
+from mimic.settings import (
+    NOMINAL,
+    TRAINING_RANDOMISATION,
+    EvaluateSettings,
+    LearnSettings,
+    MdpSettings,
+    PoseSettings,
+    Randomisation,
+    RetargetSettings,
+    RunSettings,
+)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: RetargetSettings(rate=5.0), "rate is 5 s; it must be from 0.05 to 1 s"),
+        (lambda: RetargetSettings(rate=0.01), "rate is 0.01 s"),
+        (lambda: RetargetSettings(rate=float("nan")), "rate is nan s"),
+        (lambda: RetargetSettings(scale=0.0), "scale is 0; it must be from 0.2 to 2"),
+        (lambda: RunSettings(stand_up=0.1), "stand-up is 0.1 s"),
+        (lambda: RunSettings(hold=-1.0), "hold is -1 s"),
+        (lambda: PoseSettings(min_visibility=1.5), "min-visibility is 1.5"),
+        (lambda: EvaluateSettings(episodes=0), "episodes is 0"),
+        (lambda: EvaluateSettings(seconds=1.0), "seconds is 1 s"),
+        (lambda: MdpSettings(worlds=0), "worlds is 0; it must be from 1"),
+    ],
+)
+def test_a_value_out_of_range_is_told_with_its_range(make, words):
+    with pytest.raises(ConfigError) as error:
+        make()
+    assert words in str(error.value)
+
+
+def test_a_bad_setting_is_an_error_of_mimic_and_of_values():
+    with pytest.raises(ValueError, match="rate") as error:
+        RetargetSettings(rate=2.0)
+    assert isinstance(error.value, MimicError)
+
+
+@pytest.mark.parametrize("ends", [0.05, 1.0])
+def test_the_ends_of_the_documented_rates_are_allowed(ends):
+    assert RetargetSettings(rate=ends).rate == ends
+
+
+@pytest.mark.parametrize(
+    "kind", [PoseSettings, RetargetSettings, RunSettings, EvaluateSettings, Randomisation, MdpSettings, LearnSettings]
+)
+def test_settings_have_defaults_and_cannot_be_changed_in_place(kind):
+    settings = kind()
+    name = dataclasses.fields(kind)[0].name
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(settings, name, None)
+
+
+def pairs(ranges: Randomisation) -> dict[str, tuple[float, float]]:
+    return {k: v for k, v in dataclasses.asdict(ranges).items() if isinstance(v, tuple)}
+
+
+def test_nothing_varies_in_the_nominal_robot():
+    assert all(low == high for low, high in pairs(NOMINAL).values())
+
+
+def test_training_covers_what_the_judge_draws():
+    wide = pairs(TRAINING_RANDOMISATION)
+    for name, (low, high) in pairs(Randomisation()).items():
+        assert wide[name][0] <= low <= high <= wide[name][1], name
