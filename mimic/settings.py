@@ -199,19 +199,25 @@ class RewardWeights:
 
     height: float = 0.6
     upright: float = 1.0
-    velocity: float = 0.6
+    velocity: float = 1.0
     heading: float = 0.4
     toes: float = 1.0
     toes_fine: float = 0.6
-    gait: float = 0.5
-    slip: float = -0.25
+    gait: float = 0.8
+    slip: float = -0.4
+    flight: float = -0.5
     low: float = -0.3
     action_rate: float = -0.008
     torque: float = -2e-4
     joint_velocity: float = -3e-4
+    joint_speed: float = -0.02
     joint_acceleration: float = -1e-7
     limits: float = -2.0
     fall: float = -2.0
+
+
+REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration", "slip")
+"""Reward terms that grow during training, once the robot stands."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -224,11 +230,11 @@ class MdpSettings:
     """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
     stand_up_steps: int = 50
     """Control steps until goals and terminations begin; paper: 50."""
-    upright_share: float = 0.35
+    upright_share: float = 0.25
     """Share of episodes that start upright."""
     command_seconds: tuple[float, float] = (3.0, 10.0)
     """Time between two velocity and heading commands [s]; paper: 10."""
-    still_share: float = 0.4
+    still_share: float = 0.35
     """Share of velocity commands that are zero; the same of heading commands that keep the heading."""
     goal_seconds: tuple[float, float] = (0.1, 3.0)
     """Time between two toe goals [s], log-uniform; paper: 3."""
@@ -252,16 +258,20 @@ class MdpSettings:
     """Half width of the noise on joint positions [rad]."""
     noise_axes: float = 0.015
     """Half width of the noise on the two world axes."""
-    solver_iterations: int = 6
+    solver_iterations: int = 5
     """Newton iterations of the training physics; the judge uses MuJoCo's 100."""
-    linesearch_iterations: int = 8
+    linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
-    contacts: int = 24
+    contacts: int = 20
     """Most contacts of a world."""
-    rows: int = 120
+    rows: int = 96
     """Most constraint rows of a world."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     rewards: RewardWeights = field(default_factory=RewardWeights)
+    regularisation: float = 3.0
+    """Factor on the weights of REGULARISERS at the end of the ramp."""
+    ramp_steps: int = 12_000
+    """Control steps of a world over which they grow."""
 
     def __post_init__(self) -> None:
         _check_range("worlds", self.worlds, 1, 1_000_000)
@@ -286,7 +296,7 @@ class LearnSettings:
     minibatches: int = 4
     learning_rate: float = 1e-3
     desired_kl: float = 0.01
-    entropy: float = 0.004
+    entropy: float = 0.003
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2

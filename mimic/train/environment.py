@@ -21,11 +21,14 @@ from mimic.robot.goals import MARGIN, draw_goals
 from mimic.robot.model import command_in_effect, front_toes, toe_positions
 from mimic.settings import MdpSettings
 from mimic.store import plain
-from mimic.train.rewards import Facts, reward_terms, total
+from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.worlds import Worlds
 from mimic.types import JOINTS
 
-CRITIC_EXTRAS = 3 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 9
+SWAY_SECONDS = 0.25
+"""Time constant of the averaged base velocity [s]: half a gait cycle."""
+
+CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 9
 """Width of what the critic sees beyond the observation."""
 
 
@@ -126,6 +129,9 @@ class StandTrackEnv(VecEnv):
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
+        self._mean_velocity = zeros(2)
+        start = weights_at(0.0, self.settings.rewards, self.settings.regularisation)
+        self._weights = torch.tensor(start, device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     # ------------------------------------------------------------------ the interface of rsl_rl
@@ -139,6 +145,10 @@ class StandTrackEnv(VecEnv):
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
+        if self._calls % 240 == 0:
+            progress = min(1.0, self._calls / self.settings.ramp_steps)
+            now = weights_at(progress, self.settings.rewards, self.settings.regularisation)
+            self._weights.copy_(torch.tensor(now))
         if str(self.device).startswith("cuda"):
             self._step_captured()
         else:
@@ -217,7 +227,7 @@ class StandTrackEnv(VecEnv):
         self._advance_commands()
         facts = self._facts(finite)
         terms = reward_terms(facts)
-        reward = total(terms, self.settings.rewards)
+        reward = total(terms, self._weights)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~facts.fallen & finite)
         self._done.copy_(facts.fallen | self._time_out | ~finite)
@@ -245,7 +255,10 @@ class StandTrackEnv(VecEnv):
         cosine, sine = torch.cos(heading), torch.sin(heading)
         vx = cosine * w.qvel[:, 0] + sine * w.qvel[:, 1]
         vy = -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1]
+        velocity = torch.stack([vx, vy], -1)
+        self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
         error = self._heading_des - heading
+        error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
         grounded = (low[:, self._front].amin(-1) < 0.002) | (low[:, self._trunk].amin(-1) < 0.002)
         grounded |= low[:, self._hind_thighs].amin(-1) < 0.002
@@ -257,8 +270,10 @@ class StandTrackEnv(VecEnv):
         return Facts(
             height=height,
             up=up,
-            velocity_error=torch.stack([vx - self._v_des[:, 0], vy - self._v_des[:, 1]], -1),
-            heading_error=torch.arctan2(torch.sin(error), torch.cos(error)),
+            velocity_error=velocity - self._v_des,
+            mean_velocity_error=self._mean_velocity - self._v_des,
+            moving=(self._v_des.abs().sum(-1) > 0.05) | (error.abs() > 0.3),
+            heading_error=error,
             toe_error=self._toes() - self._goal,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
@@ -282,6 +297,7 @@ class StandTrackEnv(VecEnv):
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,
+            "track/mean_velocity_error": (f.mean_velocity_error.norm(dim=-1) * tracking).sum() / count,
             "track/velocity_error": (f.velocity_error.norm(dim=-1) * tracking).sum() / count,
             "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
             "track/falls": (f.fallen.float() * tracking).sum() / count,
@@ -312,7 +328,8 @@ class StandTrackEnv(VecEnv):
         due = self._command_left <= 0
         length = self._uniform(*s.command_seconds)
         self._command_left.copy_(torch.where(due, length, self._command_left))
-        speed = (torch.randint(0, 7, (self.num_envs,), device=self.device) - 3) * 0.1
+        speed = (torch.randint(1, 4, (self.num_envs,), device=self.device)) * 0.1
+        speed = torch.where(self._rand() < 0.5, speed, -speed)
         speed = torch.where(self._rand() < s.still_share, torch.zeros_like(speed), speed)
         v = torch.stack([speed, torch.zeros_like(speed)], -1)
         self._v_des.copy_(torch.where(due[:, None], v, self._v_des))
@@ -390,6 +407,7 @@ class StandTrackEnv(VecEnv):
         self._phase0.copy_(torch.where(mask, self._uniform(-math.pi, math.pi), self._phase0))
         self._heading_des.copy_(torch.where(mask, yaw, self._heading_des))
         self._v_des.copy_(torch.where(keep, torch.zeros_like(self._v_des), self._v_des))
+        self._mean_velocity.copy_(torch.where(keep, torch.zeros_like(self._mean_velocity), self._mean_velocity))
         self._command_left.copy_(torch.where(mask, self._uniform(1.0, s.command_seconds[1]), self._command_left))
         self.episode_length_buf.copy_(
             torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf)
@@ -447,6 +465,7 @@ class StandTrackEnv(VecEnv):
         low = w.lowest()[:, self._hind_toes]
         extras = [
             torch.stack(velocity, -1),
+            self._mean_velocity,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,

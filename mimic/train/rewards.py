@@ -6,11 +6,11 @@ bells instead of gates, so that a robot lying on the ground already feels which 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import torch
 
-from mimic.settings import RewardWeights
+from mimic.settings import REGULARISERS, RewardWeights
 
 
 @dataclass
@@ -23,6 +23,10 @@ class Facts:
     """Cosine between base x and the wanted upright direction (N,)."""
     velocity_error: torch.Tensor
     """Measured - desired base velocity in the heading frame (N, 2) [m/s]."""
+    mean_velocity_error: torch.Tensor
+    """The same with the measured velocity averaged over half a gait cycle, which takes out the sway (N, 2) [m/s]."""
+    moving: torch.Tensor
+    """True where walking or turning is asked for (N,)."""
     heading_error: torch.Tensor
     """Wrapped (N,) [rad]."""
     toe_error: torch.Tensor
@@ -57,6 +61,10 @@ SWING_HEIGHT = 0.05
 """Wanted height of a swinging hind toe at mid-swing [m]."""
 
 
+FAST = 10.0
+"""Joint speed from which on it costs [rad/s]; the motors give full torque up to 11.5."""
+
+
 def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
     upright = (1 + f.up) / 2
@@ -65,8 +73,11 @@ def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
     sine = torch.sin(f.phase)
     swing = torch.stack([sine, -sine], -1)
     wanted = SWING_HEIGHT * torch.clamp(swing, min=0.0)
-    stepping = torch.where(swing > 0, torch.exp(-(((f.clearance - wanted) / 0.02) ** 2)), f.contact.float())
-    speed = torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
+    planted = f.contact.float()
+    stepping = torch.where(swing > 0, torch.exp(-(((f.clearance - wanted) / 0.02) ** 2)), planted)
+    stepping = torch.where(f.moving[:, None], stepping, planted)
+    speed = 0.5 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
+    speed = speed + 0.5 * torch.exp(-f.mean_velocity_error.square().sum(-1) / 0.02)
     turning = 0.5 * torch.exp(-f.heading_error.square() / 0.5) + 0.5 * torch.exp(-f.heading_error.square() / 0.03)
     return {
         "height": torch.exp(-((torch.clamp(0.42 - f.height, min=0.0) / 0.1) ** 2)),
@@ -77,17 +88,31 @@ def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
         "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
+        "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
+        "joint_speed": torch.clamp(f.dq.abs() - FAST, min=0.0).sum(-1),
         "joint_acceleration": f.ddq.square().sum(-1),
         "limits": f.limit_excess.sum(-1),
         "fall": f.fallen.float(),
     }
 
 
-def total(terms: dict[str, torch.Tensor], weights: RewardWeights) -> torch.Tensor:
-    """Return the weighted sum (N,)."""
-    factors = asdict(weights)
-    return torch.stack([terms[name] * factors[name] for name in terms]).sum(0)
+def weights_at(progress: float, weights: RewardWeights, factor: float) -> list[float]:
+    """Return the weight of each term in the order of the settings.
+
+    Args:
+        progress: Share of the ramp that is done, 0 to 1.
+        weights: Weights at its beginning.
+        factor: What the regularisers' weights are multiplied by at its end.
+    """
+    grown = 1 + (factor - 1) * progress
+    return [value * (grown if name in REGULARISERS else 1.0) for name, value in asdict(weights).items()]
+
+
+def total(terms: dict[str, torch.Tensor], weights: torch.Tensor) -> torch.Tensor:
+    """Return the weighted sum (N,); weights as :func:`weights_at` orders them."""
+    names = [f.name for f in fields(RewardWeights)]
+    return (torch.stack([terms[name] for name in names]) * weights[:, None]).sum(0)

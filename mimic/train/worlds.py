@@ -149,12 +149,21 @@ class Worlds:
             with wp.ScopedDevice(self.device):
                 self._run()
             return
+        if self._graph is None:
+            self._capture()
+            return
         stream = wp.stream_from_torch(torch.cuda.current_stream())
         with wp.ScopedStream(stream):
-            if self._graph is None:
+            wp.capture_launch(self._graph, stream=stream)
+
+    def _capture(self) -> None:
+        side = torch.cuda.Stream()  # PyTorch's default stream cannot be captured
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            stream = wp.stream_from_torch(side)
+            with wp.ScopedStream(stream):
                 self._run()  # compiles and loads every kernel before the capture
                 with wp.ScopedCapture(stream=stream) as capture:
                     self._run()
-                self._graph = capture.graph
-                return
-            wp.capture_launch(self._graph, stream=stream)
+        self._graph = capture.graph
+        torch.cuda.current_stream().wait_stream(side)

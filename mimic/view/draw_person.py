@@ -1,0 +1,53 @@
+"""The person as Rerun entities: a flat skeleton over the video and one that stands in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from mimic.types import PoseTrack
+from mimic.view import layout, skeleton
+from mimic.view.draw_floor import draw_floor
+from mimic.view.timing import from_start
+
+_HEAD = (0.085, 0.085, 0.11)
+"""Half the length, width and height of the head [m]."""
+
+
+def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int] | None, start: float) -> None:
+    """Add the person to a scene.
+
+    Args:
+        size: Width and height of the video picture [px]; None draws no flat skeleton.
+        start: When the robot begins, on the shared clock [s]; the person waits from then on.
+    """
+    t, rows = from_start(pose.t, start)
+    points = skeleton.standing_points(pose)
+    pairs = skeleton.bones(pose.names)
+    for side, colour in skeleton.COLOURS.items():
+        if size is not None:
+            flat = pose.image * size
+            found = skeleton.segments(flat[rows], skeleton.visible(flat, pose.valid)[rows], pairs[side])
+            entity = f"{layout.VIDEO}/skeleton/{side}"
+            scene.log(entity, rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.5)), static=True)
+            strips = rr.LineStrips2D.columns(strips=list(found.ends)).partition(found.counts)
+            scene.send_columns(entity, indexes=[layout.time_column(t)], columns=strips)
+        found = skeleton.segments(points[rows], skeleton.visible(points, pose.valid)[rows], pairs[side])
+        entity = f"{layout.BODY}/{side}"
+        scene.log(entity, rr.LineStrips3D.from_fields(colors=colour, radii=0.022), static=True)
+        strips = rr.LineStrips3D.columns(strips=list(found.ends)).partition(found.counts)
+        scene.send_columns(entity, indexes=[layout.time_column(t)], columns=strips)
+    for side, (wrist, known) in skeleton.wrists(pose, points).items():
+        entity = f"{layout.BODY}/{side}/wrist"
+        scene.log(entity, rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05), static=True)
+        balls = rr.Points3D.columns(positions=wrist[rows][known[rows]]).partition(known[rows].astype(int))
+        scene.send_columns(entity, indexes=[layout.time_column(t)], columns=balls)
+    middle, known = (column[rows] for column in skeleton.heads(pose, points))
+    entity = f"{layout.BODY}/head"
+    style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
+    scene.log(entity, style, static=True)
+    heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1))).partition(
+        known.astype(int)
+    )
+    scene.send_columns(entity, indexes=[layout.time_column(t)], columns=heads)
+    draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

@@ -1,0 +1,103 @@
+"""Upright frames of the human video, small enough to show, and their encoding for the two films."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.types import FloatArray
+
+Progress = Callable[[int, int | None], None]
+"""Called with the steps done and, where it is known, the number of all."""
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when first used
+os.environ.setdefault("SVT_LOG", "1")  # errors only; read by the AV1 encoder
+
+
+def frame_stamps(path: Path) -> FloatArray:
+    """Return the time that the file gives each frame (F,) [s].
+
+    Raises:
+        SourceError: If no frame can be decoded.
+    """
+    return np.array([stamp for stamp, _ in _frames(path, lambda _: None)])
+
+
+def read_frames(
+    path: Path, *, width: int | None = None, height: int | None = None
+) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield the time that the file gives each frame [s] and the upright picture (H, W, 3), RGB.
+
+    Args:
+        width: At most this wide; narrower pictures keep their size.
+        height: Exactly this high. Both sides are even numbers, as encoders want them.
+
+    Raises:
+        SourceError: If no frame can be decoded.
+    """
+    import cv2
+
+    def picture(bgr: np.ndarray) -> np.ndarray:
+        scale = height / bgr.shape[0] if height else min(1.0, (width or bgr.shape[1]) / bgr.shape[1])
+        size = tuple(max(2, 2 * round(scale * side / 2)) for side in bgr.shape[1::-1])
+        if size != bgr.shape[1::-1]:
+            bgr = cv2.resize(bgr, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+    for stamp, rgb in _frames(path, picture):
+        assert rgb is not None
+        yield stamp, rgb
+
+
+def _frames(
+    path: Path, picture: Callable[[np.ndarray], np.ndarray | None]
+) -> Iterator[tuple[float, np.ndarray | None]]:
+    import cv2
+
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        some = False
+        while True:
+            ok, bgr = capture.read()
+            if not ok:
+                break
+            some = True
+            yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, picture(bgr)
+        if not some:
+            raise SourceError(f"no picture can be read from {path}; give the video that the run was made from")
+    finally:
+        capture.release()
+
+
+def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:
+    """Write pictures (H, W, 3), RGB, as AV1 that the Rerun viewer decodes by itself; the frame rate means nothing."""
+    _encode(frames, path, codec="libsvtav1", fps=Fraction(30), options={"preset": "10", "crf": "40", "g": "60"})
+
+
+def encode_h264(frames: Iterable[np.ndarray], path: Path, *, fps: Fraction) -> None:
+    """Write pictures (H, W, 3), RGB, as an H.264 film that every browser plays."""
+    _encode(frames, path, codec="libx264", fps=fps, options={"preset": "veryfast", "crf": "20"})
+
+
+def _encode(frames: Iterable[np.ndarray], path: Path, *, codec: str, fps: Fraction, options: dict[str, str]) -> None:
+    import av
+
+    logging.getLogger("libav").setLevel(logging.ERROR)
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        stream = None
+        for index, rgb in enumerate(frames):
+            if stream is None:
+                stream = container.add_stream(codec, rate=fps, options=options)
+                stream.height, stream.width = rgb.shape[:2]
+                stream.pix_fmt = "yuv420p"
+            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+            frame.pts, frame.time_base = index, 1 / fps
+            container.mux(stream.encode(frame))
+        if stream is not None:
+            container.mux(stream.encode(None))

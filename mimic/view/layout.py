@@ -1,0 +1,122 @@
+"""Where everything stands on the screen: video | person | robot, and the plots below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mimic.view import plots
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    from mimic.types import FloatArray
+
+TIMELINE = "time"
+VIDEO, BODY, ROBOT = "/video", "/person", "/robot"
+"""Roots of the three pictures in the scene."""
+EYE = f"{ROBOT}/eye"
+"""The point on the floor that moves with the robot and that the camera looks at."""
+
+_SIDEWAYS = np.radians(22.0)
+"""How far a camera stands to the side of the one it looks at, so that depth is seen [rad]."""
+
+
+def time_column(t: FloatArray) -> rr.TimeColumn:
+    """Return shared times [s] as Rerun's index."""
+    import rerun as rr
+
+    return rr.TimeColumn(TIMELINE, duration=t)
+
+
+def camera_at(
+    facing: float, *, distance: float, height: float, target: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return position and target of a camera in front of something at the origin, from three quarters [m].
+
+    Args:
+        facing: Direction that the person or robot faces [rad].
+        distance: On the floor [m].
+        height: Of the camera [m].
+        target: Height looked at [m].
+    """
+    angle = facing + _SIDEWAYS
+    return (distance * np.cos(angle), distance * np.sin(angle), height), (0.0, 0.0, target)
+
+
+def blueprint(
+    *, span: tuple[float, float], facing: float, video: tuple[int, int] | None, person: bool
+) -> rrb.Blueprint:
+    """Return the layout.
+
+    Args:
+        span: First and last moment of the plots on the shared clock [s].
+        facing: Direction that the robot faces when it begins [rad].
+        video: Width and height of the video picture [px]; None leaves it out.
+        person: Show the person in three dimensions.
+    """
+    import rerun.blueprint as rrb
+
+    bright = rrb.Background(color=(226, 231, 237))
+    pictures: list[rrb.Spatial2DView | rrb.Spatial3DView] = []
+    shares: list[float] = []
+    if video is not None:
+        width, tall = video
+        bounds = rrb.VisualBounds2D(x_range=[0, width], y_range=[0, tall])
+        pictures.append(rrb.Spatial2DView(origin=VIDEO, name="video", visual_bounds=bounds))
+        shares.append(float(np.clip(width / tall, 0.7, 1.5)))
+    if person:
+        eye, target = camera_at(0.0, distance=2.35, height=1.4, target=0.98)
+        pictures.append(
+            rrb.Spatial3DView(
+                origin=BODY,
+                name="person",
+                background=bright,
+                line_grid=rrb.LineGrid3D(visible=False),
+                eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+            )
+        )
+        shares.append(0.9)
+    eye, target = camera_at(facing, distance=0.98, height=0.6, target=0.42)
+    pictures.append(
+        rrb.Spatial3DView(
+            origin=EYE,
+            contents=f"{ROBOT}/**",
+            name="robot",
+            background=bright,
+            line_grid=rrb.LineGrid3D(visible=False),
+            eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+        )
+    )
+    shares.append(1.1)
+    toes = (_plot(plots.toe_plot(axis), span, legend=False) for axis in reversed(plots.TOE_AXES))
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(*pictures, column_shares=shares),
+            rrb.Horizontal(
+                _plot(plots.ERROR, span),
+                rrb.Vertical(*toes),
+                _plot(plots.KNEES, span),
+                _plot(plots.STANDING, span),
+                column_shares=[1.0, 1.4, 0.9, 0.9],
+            ),
+            row_shares=[1.7, 1.0],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="playing", loop_mode="all"),
+        collapse_panels=True,
+    )
+
+
+def _plot(title: str, span: tuple[float, float], *, legend: bool = True) -> rrb.TimeSeriesView:
+    """Return a plot; all of them begin and end at the same moments."""
+    import rerun.blueprint as rrb
+
+    begin, end = (rrb.TimeRangeBoundary.absolute(seconds=moment) for moment in span)
+    return rrb.TimeSeriesView(
+        origin=plots.plot_path(title),
+        name=title,
+        axis_x=rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+    )

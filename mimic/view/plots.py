@@ -1,0 +1,92 @@
+"""The curves below the pictures: toe error, toes wanted and reached, knee torques, uprightness and height."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.frames import R_BT
+from mimic.metrics import uprightness
+from mimic.robot.description import RobotDescription
+from mimic.types import JOINTS, PHASES, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.view.skeleton import CENTRE, LEFT, RIGHT
+from mimic.view.timing import shared_time
+
+Colour = tuple[int, int, int]
+
+ROOT = "/plots"
+
+ERROR, KNEES, STANDING = "toe error [cm]", "knee torque [N m]", "standing"
+TOE_AXES = ("forward", "left", "up")
+"""The axes of the person's torso, in the order of torso coordinates."""
+
+_SOFT = 0.5
+"""Share of white in the colour of what is wanted, beside what is reached."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Curve:
+    """One line of a plot."""
+
+    plot: str
+    name: str
+    colour: Colour
+    width: float
+    t: FloatArray
+    """Shared time [s]."""
+    value: FloatArray
+
+    @property
+    def path(self) -> str:
+        """Where it stands in the scene."""
+        return f"{plot_path(self.plot)}/{self.name.replace(' ', '_')}"
+
+
+def plot_path(plot: str) -> str:
+    """Return where the curves of a plot stand in the scene."""
+    return f"{ROOT}/{plot.split(' [')[0].replace(' ', '_')}"
+
+
+def toe_plot(axis: str) -> str:
+    """Return the title of the plot of one axis of the toes."""
+    return f"toe {axis} [cm], wanted: pale"
+
+
+def soft(colour: Colour) -> Colour:
+    """Return the paler colour of what is wanted."""
+    red, green, blue = (round(c + _SOFT * (255 - c)) for c in colour)
+    return red, green, blue
+
+
+def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | None) -> Iterator[Curve]:
+    """Yield every curve of a run; toe positions are along the axes of the person's torso, from the base."""
+    t = shared_time(log)
+    shown = log.phase >= PHASES.index("blend")
+    error = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
+    wanted, reached = 100 * log.p_BE_des @ R_BT, 100 * log.p_BE @ R_BT
+    for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):
+        yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[shown], value=error[shown, i])
+        if targets is not None:
+            moved = 100 * targets.moved[:, i]
+            yield Curve(plot=ERROR, name=f"{side} clamped by", colour=soft(colour), width=1.0, t=targets.t, value=moved)
+        for axis, title in enumerate(TOE_AXES):
+            for name, values, line, width in (
+                ("wanted", wanted, soft(colour), 1.2),
+                ("reached", reached, colour, 2.0),
+            ):
+                yield Curve(
+                    plot=toe_plot(title),
+                    name=f"{side} {name}",
+                    colour=line,
+                    width=width,
+                    t=t[shown],
+                    value=values[shown, i, axis],
+                )
+    for name, leg, colour in (("rear left", "RL", LEFT), ("rear right", "RR", RIGHT)):
+        yield Curve(plot=KNEES, name=name, colour=colour, width=1.2, t=t, value=log.tau[:, JOINTS.index(f"{leg}_knee")])
+    upright = uprightness(log.quat_WB, description)
+    yield Curve(plot=STANDING, name="upright 0 to 1", colour=(240, 160, 50), width=2.0, t=t, value=upright)
+    if np.isfinite(log.p_WB[:, 2]).any():
+        yield Curve(plot=STANDING, name="height m", colour=CENTRE, width=2.0, t=t, value=log.p_WB[:, 2])

@@ -1,0 +1,103 @@
+"""The stick figure of a person: its bones, its colours, and the segments that are seen at each frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.frames import R_CT
+from mimic.types import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
+
+LEFT = (32, 190, 170)
+"""Colour of the person's and the robot's left, sRGB; neither the robot nor its orange toes have it."""
+RIGHT = (232, 84, 150)
+"""Colour of the right."""
+CENTRE = (150, 158, 170)
+"""Colour of what is on no side."""
+
+COLOURS = {"left": LEFT, "right": RIGHT, "centre": CENTRE}
+
+_LIMBS = (
+    ("shoulder", "elbow"),
+    ("elbow", "wrist"),
+    ("wrist", "index"),
+    ("hip", "knee"),
+    ("knee", "ankle"),
+    ("ankle", "foot_index"),
+)
+_CENTRE = (
+    ("left_shoulder", "right_shoulder"),
+    ("left_hip", "right_hip"),
+    ("left_shoulder", "left_hip"),
+    ("right_shoulder", "right_hip"),
+    ("left_ear", "nose"),
+    ("right_ear", "nose"),
+)
+_FEET = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_foot_index", "right_foot_index")
+
+_HIP_HEIGHT = 0.9
+"""Height of the hips where no foot is seen [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segments:
+    """The bones of one side that are seen, frame after frame."""
+
+    ends: FloatArray
+    """Both ends of every seen bone of all frames (S, 2, D)."""
+    counts: IntArray
+    """How many of them belong to each frame (T,)."""
+
+
+def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
+    """Return the pairs of landmarks to connect on each side, of those that a track has."""
+    pairs = {side: [(f"{side}_{a}", f"{side}_{b}") for a, b in _LIMBS] for side in ("left", "right")}
+    pairs["centre"] = list(_CENTRE)
+    return {
+        side: [(names.index(a), names.index(b)) for a, b in both if a in names and b in names]
+        for side, both in pairs.items()
+    }
+
+
+def visible(points: FloatArray, valid: BoolArray) -> BoolArray:
+    """Return which points (T, L, D) may be drawn (T, L)."""
+    return valid & np.isfinite(points).all(axis=-1)
+
+
+def segments(points: FloatArray, seen: BoolArray, pairs: list[tuple[int, int]]) -> Segments:
+    """Return the bones between points (T, L, D) of which both ends are seen (T, L)."""
+    if not pairs:
+        return Segments(ends=np.zeros((0, 2, points.shape[-1])), counts=np.zeros(len(points), dtype=np.int64))
+    begin, end = np.array(pairs).T
+    drawn = seen[:, begin] & seen[:, end]
+    return Segments(ends=np.stack([points[:, begin], points[:, end]], axis=2)[drawn], counts=drawn.sum(axis=1))
+
+
+def standing_points(pose: PoseTrack) -> FloatArray:
+    """Return the landmarks (T, L, 3) [m] with x towards the camera, y to the person's left, z up from the floor.
+
+    The floor is where the feet are most of the time; without feet, the hips are 0.9 m above it.
+    """
+    points = pose.landmarks @ R_CT
+    feet = [pose.index(name) for name in _FEET if name in pose.names]
+    heights = points[:, feet, 2][visible(pose.landmarks, pose.valid)[:, feet]]
+    enough = heights.size > 0.2 * len(feet) * len(points)
+    floor = float(np.quantile(heights, 0.1)) if enough else -_HIP_HEIGHT
+    return points - [0.0, 0.0, floor]
+
+
+def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
+    """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and where it is seen (T,)."""
+    seen = visible(points, pose.valid)
+    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
+    return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}
+
+
+def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the middle of the head (T, 3) in the axes of ``points`` (T, L, 3), and where it is known (T,)."""
+    ears = [pose.names.index(name) for name in ("left_ear", "right_ear") if name in pose.names]
+    if len(ears) < 2:
+        return np.full((len(points), 3), np.nan), np.zeros(len(points), dtype=np.bool_)
+    known = visible(points, pose.valid)[:, ears].any(axis=1) & np.isfinite(points[:, ears]).all(axis=(1, 2))
+    return points[:, ears].mean(axis=1), known
