@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -43,5 +44,5 @@ def table(title: str, rows: Mapping[str, str]) -> None:
     grid.add_column(style="cyan")
     grid.add_column()
     for name, value in rows.items():
-        grid.add_row(name, value)
+        grid.add_row(escape(name), escape(value))
     console.print(grid)

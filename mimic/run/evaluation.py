@@ -105,7 +105,7 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
         rows = log.t > 2.0
         travelled = np.diff(log.p_WB[rows, :2], axis=0)
         ahead = np.stack([np.cos(heading[rows]), np.sin(heading[rows])], axis=-1)[:-1]
-        duration = log.t[rows][-1] - log.t[rows][0]
+        duration = np.ptp(log.t[rows]) if len(travelled) else np.inf  # who fell before that walked nowhere
         figures["forward_m_s"] = float(np.sum(travelled * ahead) / duration)
         figures["commanded_m_s"] = job.speed
     if job.kind == "turn":
@@ -173,7 +173,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
             for key in path:
                 value = value[key]
             values.append(value)
-        return float(np.mean(values))
+        known = [v for v in values if np.isfinite(v)]  # an episode that fell before its first goal has no toe error
+        return float(np.mean(known)) if known else float("nan")
 
     return {
         "episodes": len(randomised),

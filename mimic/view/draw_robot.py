@@ -93,11 +93,12 @@ def _toes(scene: rr.RecordingStream, log: RunLog, qpos: FloatArray, description:
         return
     t = layout.time_column(shared_time(log)[shown])
     ticks = max(2, round(_TRAIL / description.dt))
+    see_through = rr.components.FillMode.TransparentFillMajorWireframe
     for i, (side, colour) in enumerate((side, skeleton.COLOURS[side]) for side in SIDES):
         entity = f"{layout.ROBOT}/toes/{side}"
         for name, points, radius, colours, fill in (
-            ("wanted", wanted, _WANTED_RADIUS, (*colour, 110), "TransparentFillMajorWireframe"),
-            ("reached", reached, 1.05 * description.toe_radius, colour, "Solid"),
+            ("wanted", wanted, _WANTED_RADIUS, (*colour, 110), see_through),
+            ("reached", reached, 1.05 * description.toe_radius, colour, rr.components.FillMode.Solid),
         ):
             scene.log(f"{entity}/{name}", rr.Ellipsoids3D.from_fields(colors=colours, fill_mode=fill), static=True)
             centers = points[shown, i]

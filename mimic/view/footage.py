@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -87,17 +87,17 @@ def encode_h264(frames: Iterable[np.ndarray], path: Path, *, fps: Fraction) -> N
 
 def _encode(frames: Iterable[np.ndarray], path: Path, *, codec: str, fps: Fraction, options: dict[str, str]) -> None:
     import av
+    from av.video.stream import VideoStream
 
-    logging.getLogger("libav").setLevel(logging.ERROR)
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
-        stream = None
+        stream: VideoStream | None = None
         for index, rgb in enumerate(frames):
             if stream is None:
-                stream = container.add_stream(codec, rate=fps, options=options)
+                stream = cast(VideoStream, container.add_stream(codec, rate=fps, options=options))
                 stream.height, stream.width = rgb.shape[:2]
                 stream.pix_fmt = "yuv420p"
             frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
             frame.pts, frame.time_base = index, 1 / fps
-            container.mux(stream.encode(frame))
+            container.mux(stream.codec_context.encode(frame))
         if stream is not None:
-            container.mux(stream.encode(None))
+            container.mux(stream.codec_context.encode(None))

@@ -52,7 +52,7 @@ def save_scene(
     start = float(clock[0])
     with written_whole(path) as part, tempfile.TemporaryDirectory() as scratch:
         size = None if pose is None or 0 in pose.size else pose.size
-        clip = None
+        clip, stamps = None, np.zeros(0)
         if video is not None:
             clip = Path(scratch) / "video.mp4"
             stamps, size = _encode(video, clip, pose, progress)

@@ -99,5 +99,5 @@ def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:
     ears = [pose.names.index(name) for name in ("left_ear", "right_ear") if name in pose.names]
     if len(ears) < 2:
         return np.full((len(points), 3), np.nan), np.zeros(len(points), dtype=np.bool_)
-    known = visible(points, pose.valid)[:, ears].any(axis=1) & np.isfinite(points[:, ears]).all(axis=(1, 2))
+    known = pose.valid[:, ears].any(axis=1) & np.isfinite(points[:, ears]).all(axis=(1, 2))
     return points[:, ears].mean(axis=1), known

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mimic.frames import heading_from_quat
-from mimic.types import PHASES, FloatArray, PoseTrack, RunLog
+from mimic.types import PHASES, FloatArray, IntArray, PoseTrack, RunLog
 
 TRACK = PHASES.index("track")
 
@@ -34,21 +34,18 @@ def frame_times(stamps: FloatArray, pose: PoseTrack | None) -> FloatArray:
     return np.maximum.accumulate(stamps - stamps[0]) if len(stamps) else stamps
 
 
-def from_start(t: FloatArray, start: float) -> tuple[FloatArray, np.ndarray]:
+def from_start(t: FloatArray, start: float) -> tuple[FloatArray, IntArray]:
     """Return times and rows with the first row also at ``start`` [s], where that is earlier."""
-    rows = np.arange(len(t))
+    rows = np.arange(len(t), dtype=np.int64)
     if len(t) and start < t[0]:
-        return np.concatenate([[start], t]), np.concatenate([[0], rows])
+        return np.concatenate([[start], t]), np.concatenate([rows[:1], rows])
     return t, rows
 
 
-def nearest(t: FloatArray, wanted: FloatArray) -> np.ndarray:
-    """Return the row of the sorted times ``t`` that is nearest to each wanted time."""
-    after = np.clip(np.searchsorted(t, wanted), 1, max(len(t) - 1, 1))
-    before = after - 1
-    return np.where(
-        wanted - t[before] <= t[np.minimum(after, len(t) - 1)] - wanted, before, np.minimum(after, len(t) - 1)
-    )
+def nearest(t: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return the row of the increasing times ``t`` that is nearest to each wanted time."""
+    middles = (t[1:] + t[:-1]) / 2
+    return np.searchsorted(middles, wanted)
 
 
 def followed(log: RunLog, position: FloatArray) -> FloatArray:

@@ -1,0 +1,162 @@
+"""Pictures of a MuJoCo model without a window, wherever OpenGL can be had: EGL, OSMesa, or the system's own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mimic.errors import MimicError
+from mimic.types import FloatArray
+
+_SUPERSAMPLE = 1.5
+"""Rendered larger by this and shrunk: as smooth as four samples a pixel, and twice as fast in software."""
+_SHADOW_SIZE = 1024
+_SHADOW_CLIP = 1.6
+"""Shadows are cast within this, in extents of the model, around what the camera looks at."""
+_LIGHT_DISTANCE = 1.0
+"""From there to the light that casts them [m]; farther or nearer, the floor shades itself."""
+_ROUNDNESS = 20
+"""Slices of a drawn sphere."""
+
+
+class NoOffscreenGL(MimicError):
+    """This computer cannot draw without a window."""
+
+    def __init__(self, tried: dict[str, str]) -> None:
+        self.tried = tried
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in tried.items())
+        super().__init__(
+            f"the robot cannot be drawn here, no off-screen OpenGL works ({reasons}); install one (Debian and Ubuntu: "
+            "apt-get install libegl1 libgl1-mesa-dri) or run without a film"
+        )
+
+
+def _backends() -> list[str]:
+    """Return the ways to try, best first; the environment variable MUJOCO_GL decides if it is set."""
+    asked = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if asked in ("egl", "osmesa", "glfw", "cgl"):
+        return [asked]
+    if sys.platform == "darwin":
+        return ["cgl", "glfw"]
+    if sys.platform == "win32":
+        return ["glfw"]
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return ["egl", "osmesa", "glfw"] if shown else ["egl", "osmesa"]
+
+
+def _context_of(backend: str, width: int, height: int) -> Any:
+    """Return MuJoCo's own context of a kind, made current; it chooses one at import, which may be too early."""
+    if backend == "egl":
+        from mujoco.egl import GLContext
+    elif backend == "osmesa":
+        from mujoco.osmesa import GLContext
+    elif backend == "cgl":
+        from mujoco.cgl import GLContext
+    else:
+        from mujoco.glfw import GLContext
+    context = GLContext(width, height)
+    context.make_current()
+    return context
+
+
+class Offscreen:
+    """Renders one model into RGB pictures. Use it in one thread; close it, or use it as a context."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, supersample: float = _SUPERSAMPLE) -> None:
+        """Prepare drawing; the visual quality of ``model`` is changed to what software drawing can bear.
+
+        Raises:
+            NoOffscreenGL: If there is no OpenGL without a window.
+        """
+        self.model, self.size = model, (width, height)
+        self._drawn = round(width * supersample), round(height * supersample)
+        quality, view = model.vis.quality, model.vis.global_
+        quality.shadowsize, quality.offsamples = _SHADOW_SIZE, 0
+        quality.numslices, quality.numstacks = _ROUNDNESS, _ROUNDNESS // 2
+        model.vis.map.shadowclip = _SHADOW_CLIP
+        model.mat_reflectance[:] = 0.0
+        view.offwidth, view.offheight = self._drawn
+        self._light_dirs = model.light_dir.copy()
+        tried: dict[str, str] = {}
+        self._gl: Any = None
+        for backend in _backends():
+            try:
+                self._gl = _context_of(backend, *self._drawn)
+                self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+                break
+            except Exception as error:  # noqa: BLE001 - each way fails with errors of its own
+                tried[backend] = str(error).strip().split("\n")[0] or type(error).__name__
+                self._gl = None
+        if self._gl is None:
+            raise NoOffscreenGL(tried)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self.data = mujoco.MjData(model)
+        self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 200)
+        self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
+        self._option.geomgroup[:] = [1, 0, 1, 0, 0, 0]
+        self._option.sitegroup[:] = 0
+        self._pixels = np.empty((self._drawn[1], self._drawn[0], 3), dtype=np.uint8)
+
+    def pose(self, qpos: FloatArray, lookat: FloatArray, *, distance: float, azimuth: float, elevation: float) -> None:
+        """Place the robot, the camera and the light; the light comes over the camera's shoulder.
+
+        Args:
+            qpos: MuJoCo's positions (nq,).
+            lookat: Point in the middle of the picture (3,) [m].
+            distance: From there to the camera [m].
+            azimuth: Direction in which the camera looks, about z [rad].
+            elevation: And upwards of level [rad].
+        """
+        model, data, camera = self.model, self.data, self._camera
+        data.qpos[:] = qpos
+        angle = azimuth - np.pi
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+        model.light_dir[:] = self._light_dirs @ turn.T
+        model.light_pos[:] = [lookat[0], lookat[1], 0.3] - _LIGHT_DISTANCE * model.light_dir
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        camera.lookat[:] = lookat
+        camera.distance, camera.azimuth, camera.elevation = distance, np.degrees(azimuth), np.degrees(elevation)
+        every = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, self._option, None, camera, every, self.scene)
+
+    def add_ball(self, centre: FloatArray, radius: float, rgba: tuple[float, float, float, float]) -> None:
+        """Add a ball to the picture of the last pose; its centre (3,) in world axes [m]."""
+        if self.scene.ngeom >= self.scene.maxgeom:
+            return
+        geom = self.scene.geoms[self.scene.ngeom]
+        ball, size, straight = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), np.eye(3).ravel()
+        mujoco.mjv_initGeom(geom, ball, size, np.asarray(centre), straight, np.array(rgba, dtype=np.float32))
+        self.scene.ngeom += 1
+
+    def picture(self) -> np.ndarray:
+        """Return the picture (H, W, 3), RGB."""
+        import cv2
+
+        self._gl.make_current()
+        area = mujoco.MjrRect(0, 0, *self._drawn)
+        mujoco.mjr_render(area, self.scene, self._context)
+        mujoco.mjr_readPixels(self._pixels, None, area, self._context)
+        upright = self._pixels[::-1]
+        if self._drawn == self.size:
+            return upright.copy()
+        return cv2.resize(upright, self.size, interpolation=cv2.INTER_AREA)
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        if self._gl is not None:
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+            self._gl = None
+
+    def __enter__(self) -> Offscreen:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
