@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mimic.errors import ContractError
+from mimic.policy.contract import FRAME_SIZE, TERMS, ObservationBuilder, PolicyContract, joint_command
+
+UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def changed(contract: PolicyContract, **changes: object) -> PolicyContract:
+    return dataclasses.replace(contract, **changes)
+
+
+def term(observation: np.ndarray, name: str, frame: int = -1) -> np.ndarray:
+    """One term of one frame of an observation."""
+    begin = 0
+    for other, width in TERMS:
+        if other == name:
+            return observation.reshape(-1, FRAME_SIZE)[frame, begin : begin + width]
+        begin += width
+    raise KeyError(name)
+
+
+def observe(builder: ObservationBuilder, **changes: object) -> np.ndarray:
+    values = {
+        "q": np.zeros(12),
+        "quat_WB": UPRIGHT,
+        "v_des": np.zeros(2),
+        "heading_des": 0.0,
+        "p_BE_des": np.zeros((2, 3)),
+    }
+    return builder.observe(**(values | changes))
+
+
+# ---------------------------------------------------------------------- the contract as text
+
+
+def test_a_contract_survives_json(contract):
+    assert PolicyContract.from_json(contract.to_json()) == contract
+
+
+@given(kp=numbers, default=st.lists(numbers, min_size=12, max_size=12))
+def test_no_digit_is_lost_in_json(kp, default, contract):
+    saved = changed(contract, kp=kp, default_q=tuple(default))
+    read = PolicyContract.from_json(saved.to_json())
+    assert read == saved
+    assert [v.hex() for v in read.default_q] == [v.hex() for v in saved.default_q]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "3", "{}", '{"terms": 7}'])
+def test_what_is_no_contract_is_told(text):
+    with pytest.raises(ContractError, match=r"cannot be read.*export the policy again"):
+        PolicyContract.from_json(text)
+
+
+def test_a_contract_with_a_missing_or_an_unknown_field_is_refused(contract):
+    data = json.loads(contract.to_json())
+    for wrong in ({k: v for k, v in data.items() if k != "kd"}, data | {"mood": "good"}):
+        with pytest.raises(ContractError, match="cannot be read"):
+            PolicyContract.from_json(json.dumps(wrong))
+
+
+def test_the_shipped_contract_fits_the_robot(contract, description):
+    contract.check(description)
+    assert contract.observation_size == contract.history * FRAME_SIZE
+
+
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("robot is cyberdog9", lambda c: {"robot": "cyberdog9"}),
+        ("joint order", lambda c: {"joints": c.joints[3:] + c.joints[:3]}),
+        ("control step is 0.01; this robot expects 0.02", lambda c: {"dt": 0.01}),
+        ("observation terms", lambda c: {"terms": c.terms[:-1]}),
+        ("observation terms", lambda c: {"terms": (c.terms[1], c.terms[0], *c.terms[2:])}),
+        ("number of action scales is 11", lambda c: {"action_scale": c.action_scale[1:]}),
+        ("number of default positions is 13", lambda c: {"default_q": (*c.default_q, 0.0)}),
+        ("outside this robot's limits", lambda c: {"q_max": (3.0, *c.q_max[1:])}),
+        ("outside this robot's limits", lambda c: {"q_min": (*c.q_min[:-1], -3.0)}),
+    ],
+)
+def test_a_contract_that_does_not_fit_is_refused_with_what_was_given(what, change, contract, description):
+    with pytest.raises(ContractError) as error:
+        changed(contract, **change(contract)).check(description)
+    assert what in str(error.value)
+
+
+# ---------------------------------------------------------------------- actions
+
+
+def test_no_action_is_the_default_pose(contract):
+    assert np.array_equal(joint_command(contract, np.zeros(12)), contract.default_q)
+
+
+def test_an_action_moves_each_joint_by_its_own_scale(contract):
+    scales = tuple(0.01 * (i + 1) for i in range(12))
+    moved = joint_command(changed(contract, action_scale=scales), np.ones(12)) - np.array(contract.default_q)
+    assert np.allclose(moved, scales)
+
+
+@given(action=st.lists(st.floats(-1e6, 1e6), min_size=12, max_size=12))
+def test_commands_stay_inside_the_limits_whatever_the_policy_says(action, contract):
+    q_des = joint_command(contract, np.array(action))
+    assert np.all(q_des >= contract.q_min)
+    assert np.all(q_des <= contract.q_max)
+
+
+def test_actions_are_clipped_before_they_are_scaled(contract):
+    gentle = changed(contract, action_clip=0.1)
+    assert np.array_equal(joint_command(gentle, np.full(12, 50.0)), joint_command(gentle, np.full(12, 0.1)))
+
+
+# ---------------------------------------------------------------------- observations
+
+
+def test_the_first_observation_repeats_its_frame(contract):
+    frames = observe(ObservationBuilder(contract), q=np.arange(12.0)).reshape(-1, FRAME_SIZE)
+    assert len(frames) == contract.history
+    assert np.array_equal(frames, np.tile(frames[:1], (contract.history, 1)))
+
+
+def test_frames_go_from_old_to_new(contract):
+    builder = ObservationBuilder(contract)
+    for i in range(5):
+        observation = observe(builder, v_des=np.array([i, 0.0]))
+    speeds = [term(observation, "velocity_command", frame)[0] for frame in range(contract.history)]
+    assert speeds == list(range(5 - contract.history, 5))
+    assert builder.steps == 5
+
+
+def test_joints_are_seen_from_the_default_pose(contract):
+    seen = observe(ObservationBuilder(contract), q=np.array(contract.default_q) + np.arange(12))
+    assert np.allclose(term(seen, "joint_position"), np.arange(12))
+
+
+def test_on_four_feet_down_is_under_the_belly_and_upright_behind_the_tail(contract):
+    lying = observe(ObservationBuilder(contract), quat_WB=np.array([1.0, 0.0, 0.0, 0.0]))
+    assert np.allclose(term(lying, "down"), (0, 0, -1))
+    assert np.allclose(term(lying, "forward"), (1, 0, 0))
+    standing = observe(ObservationBuilder(contract), quat_WB=UPRIGHT)
+    assert np.allclose(term(standing, "down"), (-1, 0, 0))
+    assert np.allclose(term(standing, "forward"), (0, 0, -1))
+
+
+def test_the_action_of_the_step_before_is_seen_as_it_was_used(contract):
+    builder = ObservationBuilder(contract)
+    assert not term(observe(builder), "last_action").any()
+    builder.acted(np.full(12, 0.3))
+    assert np.allclose(term(observe(builder), "last_action"), 0.3)
+    builder.acted(np.full(12, 1e3))
+    assert np.allclose(term(observe(builder), "last_action"), contract.action_clip)
+
+
+@pytest.mark.parametrize(
+    ("heading", "wanted", "seen"),
+    [(0.0, 0.3, 0.3), (3.0, -3.0, 2 * np.pi - 6.0), (-3.0, 3.0, 6.0 - 2 * np.pi), (0.0, 2.0, 1.0), (0.5, -2.0, -1.0)],
+)
+def test_the_heading_error_takes_the_short_way_and_is_limited(heading, wanted, seen, contract):
+    quat = (Rotation.from_euler("z", heading) * Rotation.from_quat(UPRIGHT, scalar_first=True)).as_quat(
+        scalar_first=True
+    )
+    observation = observe(ObservationBuilder(contract), quat_WB=quat, heading_des=wanted)
+    assert term(observation, "heading_error")[0] == pytest.approx(seen)
+
+
+def test_toes_are_seen_left_then_right(contract):
+    observation = observe(ObservationBuilder(contract), p_BE_des=np.arange(6.0).reshape(2, 3))
+    assert np.array_equal(term(observation, "toe_command"), np.arange(6.0))
+
+
+def test_the_clock_starts_at_zero_and_comes_round_once_a_period(contract):
+    builder = ObservationBuilder(contract)
+    period = round(1 / (contract.clock_hz * contract.dt))
+    clocks = [term(observe(builder), "clock") for _ in range(period + 1)]
+    assert np.allclose(clocks[0], (0, 1))
+    assert np.allclose(clocks[-1], clocks[0])
+    assert np.allclose(np.linalg.norm(clocks, axis=1), 1.0)
+    assert clocks[1][0] > 0

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from mimic.errors import AssetError, ContractError
+from mimic.robot.goals import leg_joints
+from mimic.run.evaluation import GOAL_SECONDS, command_script, evaluate, goal_path
+from mimic.settings import EvaluateSettings
+from mimic.shipped import shipped
+from mimic.store import plain
+
+FEW = EvaluateSettings(episodes=2, seconds=2.0, workers=1)
+
+FIGURES = {
+    "episodes",
+    "stood_up_and_kept",
+    "stood_up",
+    "stand_up_median_s",
+    "stand_up_p95_s",
+    "randomised_toe_error_cm",
+    "nominal_toe_error_cm",
+    "nominal_drift_m",
+    "nominal_knee_torque_rms_nm",
+    "nominal_minutes_to_limit",
+    "walk_m_s",
+    "turn_error_rad",
+    "nominal_falls",
+}
+
+
+def test_a_goal_path_goes_through_its_goals_in_time():
+    goals = np.random.default_rng(0).normal(size=(4, 2, 3))
+    path = goal_path(goals, 600, 0.02)
+    at = round(GOAL_SECONDS / 0.02)
+    assert np.allclose(path[[0, at, 2 * at, 3 * at]], goals)
+    assert np.allclose(path[at // 2], (goals[0] + goals[1]) / 2)
+    assert np.array_equal(path[-1], goals[-1])
+
+
+def script(description, seed: int = 0, **options: float):
+    return command_script(description, 20.0, np.random.default_rng(seed), **options)
+
+
+def test_scripts_ask_for_reachable_toes_at_their_goals(description):
+    track = script(description)
+    _, excess = leg_joints(track.p_BE[:: round(GOAL_SECONDS / description.dt)], description)
+    assert np.abs(excess).max() < 1e-9
+
+
+def test_scripts_are_those_of_their_seed(description):
+    one, same, other = script(description, 1), script(description, 1), script(description, 2)
+    assert np.array_equal(one.p_BE, same.p_BE)
+    assert np.array_equal(one.v, same.v)
+    assert not np.array_equal(one.p_BE, other.p_BE)
+
+
+def test_scripts_walk_and_turn_as_in_the_paper_unless_told(description):
+    free = script(description)
+    assert np.abs(free.v[:, 0]).max() <= 0.3 + 1e-9
+    assert not free.v[:, 1].any()
+    assert len(np.unique(free.heading)) == 2
+    told = script(description, speed=-0.3, turn=1.0)
+    assert np.all(told.v[:, 0] == -0.3)
+    assert np.all(told.heading == 1.0)
+
+
+@pytest.fixture(scope="module")
+def judged() -> tuple[dict, list]:
+    seen: list[tuple[int, int]] = []
+    path = shipped("policies", "stand_track.onnx")
+    return evaluate(path, FEW, progress=lambda done, total: seen.append((done, total))), seen
+
+
+def test_a_policy_is_judged_by_these_figures(judged):
+    result, _ = judged
+    assert set(result["summary"]) == FIGURES
+    assert result["policy"] == "stand_track.onnx"
+    assert result["summary"]["episodes"] == 2
+    assert 0.0 <= result["summary"]["stood_up_and_kept"] <= result["summary"]["stood_up"] <= 1.0
+    assert set(result["summary"]["walk_m_s"]) == {"-0.3", "+0.3"}
+    assert set(result["summary"]["turn_error_rad"]) == {"+90", "-60"}
+
+
+def test_every_kind_of_episode_is_played(judged):
+    kinds = [row["kind"] for row in judged[0]["episodes"]]
+    assert kinds.count("randomised") == 2
+    assert {"toes", "walk", "turn"} < set(kinds)
+
+
+def test_progress_counts_all_episodes(judged):
+    result, seen = judged
+    total = len(result["episodes"])
+    assert seen == [(i + 1, total) for i in range(total)]
+
+
+def test_episodes_are_numbered_by_their_seeds(judged):
+    assert [row["seed"] for row in judged[0]["episodes"] if row["kind"] == "randomised"] == [1, 2]
+
+
+def test_the_same_seeds_give_the_same_figures(judged):
+    again = evaluate(shipped("policies", "stand_track.onnx"), FEW)
+    assert json.dumps(plain(again)) == json.dumps(plain(judged[0]))
+
+
+def test_a_policy_that_only_falls_is_judged_too(tmp_path, constant_onnx):
+    result = evaluate(constant_onnx(tmp_path / "useless.onnx"), FEW)
+    assert result["summary"]["stood_up_and_kept"] == 0.0
+    assert result["summary"]["nominal_falls"] > 0
+    assert all(row["falls"] for row in result["episodes"] if row["kind"] == "walk")
+
+
+def test_a_policy_that_cannot_run_is_refused_at_once(tmp_path, constant_onnx):
+    with pytest.raises(AssetError, match="there is no policy"):
+        evaluate(tmp_path / "nowhere.onnx", FEW)
+    with pytest.raises(ContractError, match="declares no contract"):
+        evaluate(constant_onnx(tmp_path / "a.onnx", metadata=None), FEW)

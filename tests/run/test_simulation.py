@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimic.errors import PlantError
+from mimic.frames import heading_from_quat
+from mimic.metrics import stand_up_time, standing
+from mimic.policy.runtime import load_policy
+from mimic.run.loop import damping_command, run_policy
+from mimic.run.simulation import SimulatedPlant
+from mimic.settings import NOMINAL, Randomisation, RunSettings
+from mimic.types import CommandTrack, JointCommand, RobotState
+
+PUSHED = dataclasses.replace(Randomisation(), push_interval=0.1)
+
+
+def command(description, q: np.ndarray, **changes: np.ndarray) -> JointCommand:
+    zeros = np.zeros(12)
+    values = {
+        "q_des": q,
+        "dq_des": zeros,
+        "kp": np.full(12, description.kp),
+        "kd": np.full(12, description.kd),
+        "tau_ff": zeros,
+    }
+    return JointCommand(**(values | changes))
+
+
+def play(plant: SimulatedPlant, ticks: int = 40) -> list[RobotState]:
+    """Random motions, the same each time."""
+    rng = np.random.default_rng(0)
+    d = plant.description
+    states = [plant.start()]
+    for _ in range(ticks):
+        q_des = d.poses["lie"] + rng.uniform(-0.4, 0.2, 12)
+        states.append(plant.step(command(d, q_des)).state)
+    return states
+
+
+def same(one: list[RobotState], other: list[RobotState]) -> bool:
+    names = [f.name for f in dataclasses.fields(RobotState)]
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for a, b in zip(one, other, strict=True) for n in names)
+
+
+@pytest.mark.parametrize("ranges", [NOMINAL, PUSHED], ids=["nominal", "randomised"])
+def test_the_same_seed_gives_the_same_motion_to_the_last_bit(ranges, description):
+    first, second = (play(SimulatedPlant(description, ranges=ranges, seed=11)) for _ in range(2))
+    assert same(first, second)
+
+
+def test_another_seed_gives_another_robot(description):
+    first, second = (play(SimulatedPlant(description, ranges=PUSHED, seed=seed)) for seed in (1, 2))
+    assert not same(first, second)
+
+
+def test_a_robot_drawn_anew_is_the_one_of_that_seed(description):
+    plant = SimulatedPlant(description, ranges=PUSHED, seed=1)
+    play(plant)
+    plant.restart(2)
+    assert same(play(plant), play(SimulatedPlant(description, ranges=PUSHED, seed=2)))
+
+
+def test_recording_the_joints_does_not_change_the_motion(description):
+    assert same(play(SimulatedPlant(description, samples=True)), play(SimulatedPlant(description, samples=False)))
+
+
+@pytest.mark.parametrize("steps", range(8))
+def test_a_command_takes_effect_after_exactly_its_delay(steps, description):
+    seconds = steps * description.timestep
+    ranges = dataclasses.replace(NOMINAL, delay=(seconds, seconds))
+    lie = description.poses["lie"]
+
+    def torques(then: np.ndarray) -> np.ndarray:
+        plant = SimulatedPlant(description, ranges=ranges)
+        plant.start()
+        before = [plant.step(command(description, lie)) for _ in range(5)]
+        after = [plant.step(command(description, then)) for _ in range(3)]
+        assert len(before) == 5
+        return np.concatenate([tick.samples.tau for tick in after])
+
+    differs = np.any(torques(lie) != torques(lie + 0.1), axis=1)
+    assert np.argmax(differs) == steps
+    assert differs[steps:].all()
+
+
+def test_joints_are_sampled_at_each_physics_step(description):
+    plant = SimulatedPlant(description)
+    plant.start()
+    ticks = [plant.step(command(description, description.poses["four"])) for _ in range(5)]
+    t = np.concatenate([tick.samples.t for tick in ticks])
+    assert np.allclose(t, description.timestep * np.arange(1, 21))
+    for tick in ticks:
+        assert np.array_equal(tick.samples.q[-1], tick.state.q)
+        assert np.array_equal(tick.samples.dq[-1], tick.state.dq)
+        assert np.array_equal(tick.samples.tau[-1], tick.state.tau)
+        assert np.array_equal(tick.samples.q_des, np.tile(description.poses["four"], (4, 1)))
+
+
+def test_a_lying_robot_rests_on_the_floor(description):
+    plant = SimulatedPlant(description)
+    plant.start()
+    for _ in range(50):
+        state = plant.step(command(description, description.poses["lie"])).state
+    sagged = description.pose_height["lie"] - state.p_WB[2]
+    assert 0.0 < sagged < 0.04
+    assert np.abs(state.v_WB).max() < 0.02
+    assert np.abs(state.dq).max() < 0.1
+
+
+def test_a_damped_robot_only_brakes(description):
+    plant = SimulatedPlant(description)
+    plant.start()
+    for _ in range(30):
+        state = plant.step(command(description, description.poses["four"])).state
+    height = state.p_WB[2]
+    for _ in range(20):
+        tick = plant.step(damping_command(state.q, description.kd))
+        state = tick.state
+    moving = np.abs(tick.samples.dq[:-1]) > 1e-2
+    assert moving.any()
+    assert np.all(np.sign(tick.samples.tau[1:][moving]) == -np.sign(tick.samples.dq[:-1][moving]))
+    assert state.p_WB[2] < height - 0.02
+
+
+def test_stiffness_comes_back_after_damping(description):
+    plant = SimulatedPlant(description)
+    start = plant.start()
+    for _ in range(5):
+        plant.step(damping_command(start.q, description.kd))
+    for _ in range(60):
+        state = plant.step(command(description, description.poses["four"])).state
+    assert np.abs(state.q - description.poses["four"]).max() < 0.15
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_command_that_is_not_finite_is_refused(bad, description):
+    plant = SimulatedPlant(description)
+    plant.start()
+    q = description.poses["lie"].copy()
+    q[3] = bad
+    with pytest.raises(PlantError, match="not finite"):
+        plant.step(command(description, q))
+
+
+def test_a_drawn_start_turns_the_robot_and_moves_its_joints(description):
+    starts = [SimulatedPlant(description, ranges=Randomisation(), seed=seed).start() for seed in range(20)]
+    headings = np.array([heading_from_quat(state.quat_WB) for state in starts])
+    assert np.ptp(headings) > np.pi
+    assert all(np.all(s.q > description.q_min) and np.all(s.q < description.q_max) for s in starts)
+
+
+def test_the_shipped_policy_stands_up_and_stays_up(description):
+    policy = load_policy(None, description)
+    ticks = 150
+    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+    still = CommandTrack(
+        t=policy.contract.dt * np.arange(ticks),
+        v=np.zeros((ticks, 2)),
+        heading=np.zeros(ticks),
+        p_BE=np.tile(neutral, (ticks, 1, 1)),
+    )
+    settings = RunSettings(stand_up=1.5, blend=0.5, hold=0.1)
+    runs = [run_policy(SimulatedPlant(description), policy, still, settings) for _ in range(2)]
+    log = runs[0].log
+    assert runs[0].fell_at is None
+    assert stand_up_time(log, description) <= 1.5
+    assert log.t[-1] >= 5.0
+    assert standing(log, description)[-1]
+    for name in ("q", "dq", "tau", "quat_WB", "p_WB", "action", "q_sent", "observation"):
+        assert np.array_equal(getattr(log, name), getattr(runs[1].log, name)), name
+    assert np.array_equal(runs[0].samples.tau, runs[1].samples.tau)
