@@ -12,18 +12,51 @@ from mimic.settings import LearnSettings, MdpSettings
 S = TypeVar("S")
 
 
-def changed(settings: S, path: str, value: Any) -> S:
-    """Return the settings with the field at ``path`` (dots go down) replaced; lists become tuples."""
+def changed(settings: S, path: str, value: Any, whole: str = "") -> S:
+    """Return the settings with the field at ``path`` (dots go down) replaced; lists become tuples.
+
+    Args:
+        settings: A settings dataclass.
+        path: Name of a field, or ``field.field``.
+        value: Its new value, of the kind of the old one.
+        whole: The path as the user wrote it, for messages.
+
+    Raises:
+        ConfigError: If there is no such field, or the value is of another kind.
+    """
+    whole = whole or path
     name, _, rest = path.partition(".")
-    inner = changed(getattr(settings, name), rest, value) if rest else value
-    return dataclasses.replace(settings, **{name: inner})  # type: ignore[type-var]
+    if not dataclasses.is_dataclass(settings) or name not in {f.name for f in dataclasses.fields(settings)}:
+        raise ConfigError(f"there is no setting {whole!r}")
+    before = getattr(settings, name)
+    if rest:
+        value = changed(before, rest, value, whole)
+    elif dataclasses.is_dataclass(before):
+        fields = ", ".join(f"{whole}.{f.name}" for f in dataclasses.fields(before))
+        raise ConfigError(f"{whole} is {value!r}; set one of its fields: {fields}")
+    else:
+        value = tuple(value) if isinstance(value, list) else value
+        if not _fits(value, before):
+            kind = {int: "a whole number", float: "a number", tuple: "a list of numbers", str: "a word"}[type(before)]
+            raise ConfigError(f"{whole} is {_shown(value)}; expected {kind} such as {_shown(before)}")
+    return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
+
+
+def _fits(value: Any, before: Any) -> bool:
+    if isinstance(before, tuple):
+        return isinstance(value, tuple) and all(isinstance(v, int | float) for v in value)
+    return isinstance(value, int | float if isinstance(before, float) else type(before))
+
+
+def _shown(value: Any) -> str:
+    return repr(list(value) if isinstance(value, tuple) else value)
 
 
 def with_overrides(mdp: MdpSettings, learn: LearnSettings, words: list[str]) -> tuple[MdpSettings, LearnSettings]:
     """Return the settings with ``name=value`` words applied, such as ``rewards.slip=-0.4``.
 
     Raises:
-        ConfigError: If a word has no such form or names no setting.
+        ConfigError: If a word has no such form, names no setting, or its value does not fit.
     """
     for word in words:
         name, equals, text = word.partition("=")
