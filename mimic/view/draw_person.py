@@ -42,7 +42,8 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
         scene.log(entity, rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05), static=True)
         balls = rr.Points3D.columns(positions=wrist[rows][known[rows]]).partition(known[rows].astype(int))
         scene.send_columns(entity, indexes=[layout.time_column(t)], columns=balls)
-    middle, known = (column[rows] for column in skeleton.heads(pose, points))
+    middle, known = skeleton.heads(pose, points)
+    middle, known = middle[rows], known[rows]
     entity = f"{layout.BODY}/head"
     style = rr.Ellipsoids3D.from_fields(colors=skeleton.CENTRE, fill_mode="Solid")
     scene.log(entity, style, static=True)

@@ -11,8 +11,8 @@ from mimic.robot.model import load_model
 from mimic.types import PHASES, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.view import layout, skeleton
 from mimic.view.draw_floor import draw_floor
-from mimic.view.plots import soft
 from mimic.view.robot_shapes import Shapes, body_poses, in_world, placed, visual_shapes
+from mimic.view.skeleton import soft
 from mimic.view.timing import followed, shared_time
 
 _TRAIL = 0.7

@@ -88,7 +88,7 @@ class Offscreen:
                 self._gl = _context_of(backend, *self._drawn)
                 self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
                 break
-            except Exception as error:  # noqa: BLE001 - each way fails with errors of its own
+            except Exception as error:  # each way fails with errors of its own
                 tried[backend] = str(error).strip().split("\n")[0] or type(error).__name__
                 self._gl = None
         if self._gl is None:

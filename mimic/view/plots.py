@@ -11,19 +11,14 @@ from mimic.frames import R_BT
 from mimic.metrics import uprightness
 from mimic.robot.description import RobotDescription
 from mimic.types import JOINTS, PHASES, SIDES, FloatArray, RunLog, TargetTrack
-from mimic.view.skeleton import CENTRE, LEFT, RIGHT
+from mimic.view.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
 from mimic.view.timing import shared_time
-
-Colour = tuple[int, int, int]
 
 ROOT = "/plots"
 
 ERROR, KNEES, STANDING = "toe error [cm]", "knee torque [N m]", "standing"
 TOE_AXES = ("forward", "left", "up")
 """The axes of the person's torso, in the order of torso coordinates."""
-
-_SOFT = 0.5
-"""Share of white in the colour of what is wanted, beside what is reached."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,12 +47,6 @@ def plot_path(plot: str) -> str:
 def toe_plot(axis: str) -> str:
     """Return the title of the plot of one axis of the toes."""
     return f"toe {axis} [cm], wanted: pale"
-
-
-def soft(colour: Colour) -> Colour:
-    """Return the paler colour of what is wanted."""
-    red, green, blue = (round(c + _SOFT * (255 - c)) for c in colour)
-    return red, green, blue
 
 
 def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | None) -> Iterator[Curve]:

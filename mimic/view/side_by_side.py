@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from mimic.view import footage, skeleton
 from mimic.view.footage import Progress
 from mimic.view.offscreen import Offscreen
 from mimic.view.robot_shapes import in_world, placed
+from mimic.view.skeleton import soft
 from mimic.view.timing import followed, frame_times, front, nearest, shared_time
 
 _DISTANCE, _LOOK_HEIGHT = 1.3, 0.41
@@ -184,9 +184,9 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
     thick = max(2, round(height / 120))
     for side, pairs in skeleton.bones(pose.names).items():
         for begin, end in skeleton.segments(points, seen, pairs).ends:
-            cv2.line(picture, *(_pixel(p) for p in (begin, end)), skeleton.COLOURS[side], thick, cv2.LINE_AA)
+            cv2.line(picture, _pixel(begin), _pixel(end), skeleton.COLOURS[side], thick, cv2.LINE_AA)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
-        if pose.valid[row, pose.index(f"{side}_wrist")] and known.any():
+        if pose.valid[row, pose.index(f"{side}_wrist")] and known[0]:
             cv2.circle(picture, _pixel(wrist[0]), 2 * thick, skeleton.COLOURS[side], -1, cv2.LINE_AA)
 
 
@@ -197,25 +197,27 @@ def _pixel(point: FloatArray) -> tuple[int, int]:
 def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float) -> None:
     """Write time, phase and toe error into a picture of the robot."""
     phase = PHASES[log.phase[tick]]
+    white: skeleton.Colour = (240, 243, 246)
+    words: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
     if phase == "track":
         error = 100 * np.linalg.norm(log.p_BE[tick] - log.p_BE_des[tick], axis=-1)
-        words = [(f"{moment:.1f} s", None), *((f"{e:.1f} cm", side) for e, side in zip(error, SIDES, strict=True))]
+        words.append(("toe error", white))
+        words += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
     else:
-        words = [(f"{moment:.1f} s", None), (_PHASE_TITLES[phase], None)]
+        words.append((_PHASE_TITLES[phase], white))
     _write(picture, words)
 
 
-def _write(picture: np.ndarray, words: list[tuple[str, Any]]) -> None:
+def _write(picture: np.ndarray, words: list[tuple[str, skeleton.Colour]]) -> None:
+    """Write words in their colours on a dark bar along the bottom of a picture."""
     import cv2
 
-    height, width = picture.shape[:2]
+    height = picture.shape[0]
     scale, line = height / 900, max(1, round(height / 480))
     edge = round(height * 0.03)
     x, y = edge, height - edge
     bar = picture[height - 2 * edge - round(22 * scale) :]
     bar[:] = (0.35 * bar + 0.65 * np.array([30, 34, 40])).astype(np.uint8)
-    for text, side in words:
-        colour = (240, 243, 246) if side is None else skeleton.COLOURS[side]
+    for text, colour in words:
         cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, scale, colour, line, cv2.LINE_AA)
         x += cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, scale, line)[0][0] + edge
-    del width

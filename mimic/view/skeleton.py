@@ -9,6 +9,9 @@ import numpy as np
 from mimic.frames import R_CT
 from mimic.types import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
 
+Colour = tuple[int, int, int]
+"""Red, green, blue, 0 to 255."""
+
 LEFT = (32, 190, 170)
 """Colour of the person's and the robot's left, sRGB; neither the robot nor its orange toes have it."""
 RIGHT = (232, 84, 150)
@@ -48,6 +51,12 @@ class Segments:
     """Both ends of every seen bone of all frames (S, 2, D)."""
     counts: IntArray
     """How many of them belong to each frame (T,)."""
+
+
+def soft(colour: Colour) -> Colour:
+    """Return the paler colour of what is wanted, beside what is reached."""
+    red, green, blue = ((c + 255) // 2 for c in colour)
+    return red, green, blue
 
 
 def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
@@ -99,5 +108,6 @@ def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:
     ears = [pose.names.index(name) for name in ("left_ear", "right_ear") if name in pose.names]
     if len(ears) < 2:
         return np.full((len(points), 3), np.nan), np.zeros(len(points), dtype=np.bool_)
-    known = pose.valid[:, ears].any(axis=1) & np.isfinite(points[:, ears]).all(axis=(1, 2))
-    return points[:, ears].mean(axis=1), known
+    middle = points[:, ears].mean(axis=1)
+    seen = np.stack([*pose.valid[:, ears].T, *np.isfinite(middle).T])
+    return middle, np.all([seen[:2].any(axis=0), *seen[2:]], axis=0)

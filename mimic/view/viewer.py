@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mimic.errors import AssetError, MimicError
+from mimic.store import written_whole
 from mimic.view.layout import TIMELINE
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ log = logging.getLogger(__name__)
 
 _SETTLE = 3.0
 """The viewer loads and decodes in the background; it gets this long before its picture is taken [s]."""
+_MENU = 37
+"""Height of the viewer's own menu, which is cut off [px]."""
 _START = 30.0
 """A viewer that does not answer by then will not [s]."""
 
@@ -56,7 +59,7 @@ def open_viewer(path: Path) -> bool:
 
 
 def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, int] = (1600, 900)) -> None:
-    """Write a PNG of the whole viewer at a moment of the scene; needs no display.
+    """Write a PNG of the viewer without its menu at a moment of the scene; needs no display.
 
     Args:
         scene: A scene file.
@@ -68,9 +71,19 @@ def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, in
         AssetError: If there is no such scene.
         MimicError: If the viewer finds no Vulkan driver, or does not answer.
     """
+    import cv2
+
     _check(scene)
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    with _headless(size) as viewer:
+    with written_whole(picture) as part:
+        _take(scene, part, time_s, size)
+        image = cv2.imread(str(part))
+        if image is None:
+            raise MimicError(f"the Rerun viewer wrote no picture of {scene}")
+        cv2.imwrite(str(part), image[_MENU:])
+
+
+def _take(scene: Path, picture: Path, time_s: float, size: tuple[int, int]) -> None:
+    with _headless((size[0], size[1] + _MENU)) as viewer:
         try:
             viewer.open(str(scene.resolve()))
             for _ in range(2):  # the first time wakes the views up, so that video and plots load
@@ -79,8 +92,6 @@ def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, in
             viewer.save_screenshot(str(picture.resolve()))
         except (RuntimeError, OSError) as error:
             raise MimicError(f"the Rerun viewer could not take a picture of {scene}: {error}") from error
-    if not picture.is_file():
-        raise MimicError(f"the Rerun viewer wrote no picture to {picture}")
 
 
 @contextmanager
