@@ -25,10 +25,10 @@ _SIDEWAYS = np.radians(22.0)
 
 
 def time_column(t: FloatArray) -> rr.TimeColumn:
-    """Return shared times [s] as Rerun's index."""
+    """Return shared times [s] as Rerun's index, in whole microseconds."""
     import rerun as rr
 
-    return rr.TimeColumn(TIMELINE, duration=t)
+    return rr.TimeColumn(TIMELINE, duration=np.round(1e6 * t).astype("timedelta64[us]").astype("timedelta64[ns]"))
 
 
 def camera_at(

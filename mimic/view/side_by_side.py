@@ -27,6 +27,8 @@ _WANTED_RADIUS = 0.03
 """Of the ball where a toe should be [m]."""
 _CLAMPED = 0.005
 """What was asked for is drawn where clamping moved it farther than this [m]."""
+_EARLY = 1e-3
+"""A video frame may be shown this much before its time, so that rounding delays none by a frame of the film [s]."""
 
 _PHASE_TITLES = {"lie": "lying", "stand_up": "standing up", "blend": "to the first target", "hold": "holding"}
 
@@ -161,7 +163,7 @@ def save_video(
 def _people(video: Path, pose: PoseTrack | None, moments: FloatArray, height: int) -> Iterator[np.ndarray]:
     """Yield the video frame that is on at each moment [s], with the skeleton drawn over it."""
     t = frame_times(footage.frame_stamps(video), pose)
-    on = np.clip(np.searchsorted(t, moments, side="right") - 1, 0, len(t) - 1)
+    on = np.clip(np.searchsorted(t, moments + _EARLY, side="right") - 1, 0, len(t) - 1)
     frames = footage.read_frames(video, height=height)
     at, picture = -1, None
     for row in on:

@@ -1,0 +1,105 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.robot.description import RobotDescription
+from mimic.types import PoseTrack, RunLog, TargetTrack
+from mimic.view.footage import read_frames
+from mimic.view.offscreen import NoOffscreenGL
+from mimic.view.side_by_side import render_frame, save_video
+from mimic.view.timing import shared_time
+
+HEIGHT, FPS = 64, 10
+
+
+@pytest.fixture(scope="module")
+def still(log: RunLog, description: RobotDescription) -> np.ndarray:
+    """Return a picture of the robot standing, or skip where nothing can be drawn."""
+    try:
+        return render_frame(log, description, 60, width=160, height=120)
+    except NoOffscreenGL as error:
+        pytest.skip(str(error))
+
+
+def test_picture_shows_the_robot_and_the_colours_of_its_sides(still: np.ndarray) -> None:
+    assert still.shape == (120, 160, 3)
+    dark = (still.max(axis=2) < 90).sum()
+    assert 0.02 < dark / (120 * 160) < 0.5
+    red, green, blue = np.moveaxis(still.astype(int), -1, 0)
+    x = np.arange(160)[None, :] * np.ones((120, 1))
+    left, right = (green > red + 60) & (blue > red + 40), (red > green + 60) & (blue > green + 20)
+    assert left.any()
+    assert right.any()
+    assert x[left].mean() > x[right].mean(), "the robot faces the camera: its left is on the right of the picture"
+
+
+def test_film_shows_the_person_waiting_and_then_in_step(
+    still: np.ndarray,
+    log: RunLog,
+    description: RobotDescription,
+    targets: TargetTrack,
+    pose: PoseTrack,
+    video: Path,
+    tmp_path: Path,
+) -> None:
+    done: list[tuple[int, int | None]] = []
+    path = tmp_path / "film.mp4"
+    save_video(
+        path,
+        log=log,
+        description=description,
+        targets=targets,
+        pose=pose,
+        video=video,
+        fps=FPS,
+        height=HEIGHT,
+        progress=lambda *step: done.append(step),
+    )
+    frames = list(read_frames(path))
+    clock = shared_time(log)
+    assert len(frames) == len(done) == done[-1][1] == round((clock[-1] - clock[0]) * FPS)
+    assert frames[0][1].shape == (HEIGHT, 96 + HEIGHT, 3)
+    stamps = np.array([stamp for stamp, _ in frames])
+    np.testing.assert_allclose(np.diff(stamps), 1 / FPS, atol=1e-3)
+    grey = np.array([rgb[:6, :10].mean() for _, rgb in frames])
+    moments = clock[0] + np.arange(len(frames)) / FPS
+    shown = np.searchsorted(pose.t, moments + 1e-3, side="right") - 1
+    np.testing.assert_allclose(grey, 10 + 10 * np.maximum(shown, 0), atol=4)
+
+
+def test_film_is_h264_that_every_browser_plays(
+    still: np.ndarray, log: RunLog, description: RobotDescription, tmp_path: Path
+) -> None:
+    import av
+
+    path = tmp_path / "robot.mp4"
+    save_video(path, log=log, description=description, fps=FPS, height=HEIGHT + 1)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.width, stream.height) == (HEIGHT, HEIGHT)
+
+
+def test_nothing_is_left_of_a_film_that_fails(
+    still: np.ndarray, log: RunLog, description: RobotDescription, tmp_path: Path
+) -> None:
+    def stop(done: int, total: int | None) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_video(tmp_path / "film.mp4", log=log, description=description, height=HEIGHT, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_error_names_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch, log: RunLog, description: RobotDescription
+) -> None:
+    monkeypatch.setattr("mimic.view.offscreen._backends", lambda: ["none"])
+    monkeypatch.setattr("mimic.view.offscreen._context_of", _fails)
+    with pytest.raises(NoOffscreenGL, match=r"none: no driver.*apt-get"):
+        render_frame(log, description, 0, width=32, height=32)
+
+
+def _fails(backend: str, width: int, height: int) -> None:
+    raise OSError("no driver\nand a long explanation")

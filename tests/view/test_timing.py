@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+
+from mimic.types import PHASES, PoseTrack, RunLog
+from mimic.view.timing import followed, frame_times, from_start, nearest, shared_time
+
+
+def test_zero_is_the_first_tick_of_tracking(log: RunLog) -> None:
+    clock = shared_time(log)
+    first = np.flatnonzero(log.phase == PHASES.index("track"))[0]
+    assert clock[first] == 0.0
+    assert clock[0] == pytest.approx(-first * 0.02)
+    np.testing.assert_allclose(np.diff(clock), np.diff(log.t))
+
+
+def test_times_of_the_track_are_preferred_to_stamps_of_the_file(pose: PoseTrack) -> None:
+    np.testing.assert_array_equal(frame_times(np.arange(len(pose.t)) / 20, pose), pose.t)
+
+
+def test_stamps_start_at_zero_and_never_run_back_when_the_track_is_of_something_else(pose: PoseTrack) -> None:
+    np.testing.assert_allclose(frame_times(np.array([0.5, 0.6, 0.55, 0.8]), pose), [0.0, 0.1, 0.1, 0.3])
+
+
+def test_nearest_row_of_each_time() -> None:
+    t = np.array([0.0, 1.0, 3.0])
+    np.testing.assert_array_equal(nearest(t, np.array([-5.0, 0.4, 0.6, 1.9, 2.1, 9.0])), [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(nearest(t[:1], np.array([-1.0, 1.0])), [0, 0])
+
+
+def test_first_row_is_repeated_at_an_earlier_start_only() -> None:
+    t, rows = from_start(np.array([0.0, 0.1]), -2.0)
+    np.testing.assert_array_equal(t, [-2.0, 0.0, 0.1])
+    np.testing.assert_array_equal(rows, [0, 0, 1])
+    np.testing.assert_array_equal(from_start(np.array([0.0, 0.1]), 0.0)[1], [0, 1])
+
+
+def test_camera_follows_steps_of_the_base_smoothly(log: RunLog) -> None:
+    path = followed(log, log.p_WB)
+    assert path.shape == (len(log.t), 2)
+    assert np.abs(np.diff(path[:, 0])).max() < np.abs(np.diff(log.p_WB[:, 0])).max()
+    assert log.p_WB[0, 0] <= path[0, 0] <= path[-1, 0] <= log.p_WB[-1, 0]

@@ -1,0 +1,52 @@
+import sys
+from pathlib import Path
+
+import pytest
+
+from mimic.errors import AssetError, MimicError
+from mimic.robot.description import RobotDescription
+from mimic.types import RunLog
+from mimic.view.scene import save_scene
+from mimic.view.viewer import display_available, open_viewer, screenshot
+
+
+def test_display_is_one_of_x11_or_wayland(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert not display_available()
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert display_available()
+
+
+def test_a_mac_has_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert display_available()
+
+
+def test_no_window_without_a_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("mimic.view.viewer.display_available", lambda: False)
+    (tmp_path / "scene.rrd").touch()
+    assert open_viewer(tmp_path / "scene.rrd") is False
+
+
+def test_a_missing_scene_is_named(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match=r"no\.rrd"):
+        open_viewer(tmp_path / "no.rrd")
+    with pytest.raises(AssetError, match=r"no\.rrd"):
+        screenshot(tmp_path / "no.rrd", tmp_path / "no.png", time_s=0.0)
+
+
+def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription, tmp_path: Path) -> None:
+    import cv2
+
+    scene, picture = tmp_path / "scene.rrd", tmp_path / "scene.png"
+    save_scene(scene, log=log, description=description)
+    try:
+        screenshot(scene, picture, time_s=0.5, size=(640, 400))
+    except MimicError as error:
+        pytest.skip(str(error))
+    image = cv2.imread(str(picture))
+    assert image is not None
+    assert image.shape == (400, 640, 3)
+    assert image.std() > 20
