@@ -478,4 +478,7 @@ class StandTrackEnv(VecEnv):
             torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
             w.features,
         ]
-        self._critic_obs.copy_(torch.cat([self._policy_obs, *extras], -1).clamp(-50, 50))
+        seen = torch.cat(
+            [self._policy_obs, *extras], -1
+        )  # shapes of a world that exploded are known again after a step
+        self._critic_obs.copy_(torch.nan_to_num(seen).clamp(-50, 50))

@@ -181,6 +181,10 @@ def train(
         runner.learn(learn.iterations)
     except _Enough:
         log.info("stopped after %.1f min", learn.minutes)
+    except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
+        if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):
+            raise
+        raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
     runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
     return export(runner, contract, folder / "policy.onnx")
 
