@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
+from mimic.robot.model import front_toes
+from mimic.run.simulation import SimulatedPlant
+from mimic.settings import NOMINAL, MdpSettings
+from mimic.types import JointCommand
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
+from mimic.train.environment import StandTrackEnv  # noqa: E402
+
+FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0)
+
+
+def make(description, seed: int = 3, **changes: object) -> StandTrackEnv:
+    return StandTrackEnv(description, dataclasses.replace(FEW, **changes), "cpu", seed)
+
+
+@pytest.fixture(scope="module")
+def env(description) -> StandTrackEnv:
+    return make(description)
+
+
+def actions(step: int, worlds: int = FEW.worlds) -> torch.Tensor:
+    return 0.3 * torch.randn(worlds, 12, generator=torch.Generator().manual_seed(step))
+
+
+def policy_observation(env: StandTrackEnv) -> np.ndarray:
+    return env.get_observations()["policy"].numpy().astype(np.float64)
+
+
+def test_training_and_running_build_the_same_observation(env):
+    """The commands are read from the environment's own buffers; all that is measured comes from its physics."""
+    env.episode_length_buf.zero_()
+    env._phase0.zero_()
+    builders = [ObservationBuilder(env.contract) for _ in range(env.num_envs)]
+    alive = np.ones(env.num_envs, dtype=bool)
+    compared = 0
+    for step in range(12):
+        measured = env.worlds.qpos.numpy().astype(np.float64)
+        running = np.array(
+            [
+                builder.observe(
+                    q=measured[i, 7:],
+                    quat_WB=measured[i, 3:7],
+                    v_des=env._v_des[i].numpy(),
+                    heading_des=float(env._heading_des[i]),
+                    p_BE_des=env._goal[i].numpy(),
+                )
+                for i, builder in enumerate(builders)
+            ]
+        )
+        if step >= env.settings.history:  # by then no frame is left from before the clock was set
+            assert np.abs(running - policy_observation(env))[alive].max() < 1e-5
+            compared += int(alive.sum())
+        action = actions(step) * (50.0 if step == 5 else 1.0)
+        for i, builder in enumerate(builders):
+            builder.acted(action[i].numpy().astype(np.float64))
+        _, _, done, _ = env.step(action)
+        alive &= done.numpy() == 0
+    assert compared > 20
+
+
+def test_the_critic_sees_what_the_policy_sees_and_more(env):
+    seen = env.get_observations()
+    width = env.settings.history * FRAME_SIZE
+    assert seen["policy"].shape == (env.num_envs, width)
+    assert seen["critic"].shape[1] > width
+    assert torch.equal(seen["critic"][:, :width], seen["policy"].clamp(-50, 50))
+
+
+def test_training_physics_is_that_of_the_simulation(description):
+    """From the same lying start, through the same actuators and delay, with the same actions, solved to the end."""
+    solved = {"solver_iterations": 100, "linesearch_iterations": 50}
+    env = make(description, worlds=1, upright_share=0.0, randomisation=NOMINAL, **solved)
+    plant = SimulatedPlant(description)
+    state = plant.start()
+    env.episode_length_buf.zero_()
+    env.worlds.qpos[0] = torch.as_tensor(np.concatenate([state.p_WB, state.quat_WB, state.q]))
+    env.worlds.qvel.zero_()
+    gains = np.full(12, description.kp), np.full(12, description.kd)
+    rng = np.random.default_rng(0)
+    moved = 0.0
+    for _ in range(15):
+        action = rng.normal(scale=0.5, size=12)
+        env.step(torch.as_tensor(action, dtype=torch.float32)[None])
+        q_des = joint_command(env.contract, action)
+        command = JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12))
+        before, state = state, plant.step(command).state
+        moved = max(moved, np.abs(state.q - before.q).max())
+        assert np.abs(env.worlds.qpos[0, 7:].numpy() - state.q).max() < 1e-4
+        assert np.abs(env.worlds.qpos[0, :3].numpy() - state.p_WB).max() < 1e-4
+        assert np.abs(env.worlds.actuator_force[0].numpy() - state.tau).max() < 1e-2
+    assert moved > 0.05
+
+
+def test_toes_are_those_of_the_robot(env, description):
+    q = env.worlds.qpos[:, 7:].numpy().astype(np.float64)
+    critic = env.get_observations()["critic"].numpy()
+    goal = env.get_observations()["policy"].numpy()[:, -8:-2].reshape(-1, 2, 3)
+    error = front_toes(q, description) - goal
+    found = [np.abs(critic[:, i : i + 6] - 5 * error.reshape(-1, 6)).max() for i in range(critic.shape[1] - 5)]
+    assert min(found) < 1e-4
+
+
+def test_an_environment_of_the_same_seed_goes_the_same_way(description):
+    def play(seed: int) -> torch.Tensor:
+        env = make(description, seed)
+        return torch.stack([env.step(actions(step))[0]["policy"] for step in range(5)])
+
+    first, second, third = play(3), play(3), play(4)
+    assert torch.equal(first, second)
+    assert not torch.equal(first, third)
+
+
+def test_every_world_is_another_robot(env):
+    robots = env.worlds.features.numpy()
+    assert len(np.unique(robots, axis=0)) == env.num_envs
+
+
+def test_every_episode_ends_and_begins_again(description):
+    env = make(description, episode_steps=100)
+    ended = torch.zeros(env.num_envs)
+    for step in range(100):
+        seen, reward, done, extras = env.step(actions(step))
+        assert torch.isfinite(seen["policy"]).all()
+        assert torch.isfinite(seen["critic"]).all()
+        assert torch.isfinite(reward).all()
+        assert torch.all(done[extras["time_outs"]] > 0)
+        assert torch.all(env.episode_length_buf[done > 0] == 0)
+        ended += done
+    assert torch.all(ended >= 1)
+
+
+def test_actions_that_are_not_finite_do_no_harm(env):
+    seen, reward, _, _ = env.step(torch.full((env.num_envs, 12), float("nan")))
+    assert torch.isfinite(seen["policy"]).all()
+    assert torch.isfinite(reward).all()
+
+
+def test_a_world_that_explodes_is_started_again(env):
+    env.worlds.qvel[2] = float("nan")
+    seen, reward, done, _ = env.step(torch.zeros(env.num_envs, 12))
+    assert done[2] == 1
+    assert reward[2] == 0.0
+    assert torch.isfinite(seen["critic"]).all()
+    for step in range(3):
+        seen, reward, done, _ = env.step(actions(step))
+        assert torch.isfinite(seen["critic"]).all()
+        assert torch.isfinite(reward).all()
+        assert done[2] == 0
+
+
+def test_noise_is_on_measured_terms_only(description):
+    quiet, noisy = make(description), make(description, noise_q=0.01, noise_axes=0.015)
+    difference = np.abs(policy_observation(noisy) - policy_observation(quiet)).reshape(-1, FRAME_SIZE)
+    assert 0.0 < difference[:, :12].max() <= 0.01 + 1e-6
+    assert 0.0 < difference[:, 12:18].max() <= 0.015 + 1e-6
+    assert difference[:, 18:].max() == 0.0
