@@ -168,7 +168,8 @@ def play_source(
 
     video = None if _is_targets(source) else source
     shown = {"log": result.log, "description": description, "targets": targets, "pose": track, "video": video}
-    from mimic.view.scene import display_available, open_viewer, save_scene
+    from mimic.view.scene import save_scene
+    from mimic.view.viewer import display_available, open_viewer
 
     with progress_bar("scene") as progress:
         save_scene(folder / SCENE, **shown, progress=progress)
@@ -202,7 +203,7 @@ def _metric_rows(m: dict[str, Any]) -> dict[str, str]:
 
 def view_run(run: Path) -> int:
     """Open the scene of a run."""
-    from mimic.view.scene import display_available, open_viewer
+    from mimic.view.viewer import display_available, open_viewer
 
     scene = run / SCENE if run.is_dir() else run
     if not scene.is_file():
