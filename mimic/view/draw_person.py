@@ -51,4 +51,5 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
         known.astype(int)
     )
     scene.send_columns(entity, indexes=[layout.time_column(t)], columns=heads)
-    draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)
+    if skeleton.feet_seen(pose):
+        draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

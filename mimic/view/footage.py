@@ -16,9 +16,6 @@ from mimic.types import FloatArray
 Progress = Callable[[int, int | None], None]
 """Called with the steps done and, where it is known, the number of all."""
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when first used
-os.environ.setdefault("SVT_LOG", "1")  # errors only; read by the AV1 encoder
-
 
 def frame_stamps(path: Path) -> FloatArray:
     """Return the time that the file gives each frame (F,) [s].
@@ -58,6 +55,7 @@ def read_frames(
 def _frames(
     path: Path, picture: Callable[[np.ndarray], np.ndarray | None]
 ) -> Iterator[tuple[float, np.ndarray | None]]:
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when first used
     import cv2
 
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -77,6 +75,7 @@ def _frames(
 
 def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:
     """Write pictures (H, W, 3), RGB, as AV1 that the Rerun viewer decodes by itself; the frame rate means nothing."""
+    os.environ.setdefault("SVT_LOG", "1")  # errors only
     _encode(frames, path, codec="libsvtav1", fps=Fraction(30), options={"preset": "10", "crf": "40", "g": "60"})
 
 

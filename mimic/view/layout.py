@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,6 +19,9 @@ VIDEO, BODY, ROBOT = "/video", "/person", "/robot"
 """Roots of the three pictures in the scene."""
 EYE = f"{ROBOT}/eye"
 """The point on the floor that moves with the robot and that the camera looks at."""
+
+PersonView = Literal["whole", "upper"]
+"""Whether the legs are in the picture."""
 
 _SIDEWAYS = np.radians(22.0)
 """How far a camera stands to the side of the one it looks at, so that depth is seen [rad]."""
@@ -47,7 +50,7 @@ def camera_at(
 
 
 def blueprint(
-    *, span: tuple[float, float], facing: float, video: tuple[int, int] | None, person: bool
+    *, span: tuple[float, float], facing: float, video: tuple[int, int] | None, person: PersonView | None
 ) -> rrb.Blueprint:
     """Return the layout.
 
@@ -55,7 +58,7 @@ def blueprint(
         span: First and last moment of the plots on the shared clock [s].
         facing: Direction that the robot faces when it begins [rad].
         video: Width and height of the video picture [px]; None leaves it out.
-        person: Show the person in three dimensions.
+        person: How much of the person is seen; None leaves the person in space out.
     """
     import rerun.blueprint as rrb
 
@@ -67,8 +70,9 @@ def blueprint(
         bounds = rrb.VisualBounds2D(x_range=[0, width], y_range=[0, tall])
         pictures.append(rrb.Spatial2DView(origin=VIDEO, name="video", visual_bounds=bounds))
         shares.append(float(np.clip(width / tall, 0.7, 1.5)))
-    if person:
-        eye, target = camera_at(0.0, distance=2.35, height=1.4, target=0.98)
+    if person is not None:
+        distance, target_height = (2.35, 0.98) if person == "whole" else (1.45, 1.32)
+        eye, target = camera_at(0.0, distance=distance, height=target_height + 0.42, target=target_height)
         pictures.append(
             rrb.Spatial3DView(
                 origin=BODY,
@@ -102,7 +106,7 @@ def blueprint(
                 _plot(plots.STANDING, span),
                 column_shares=[1.0, 1.4, 0.9, 0.9],
             ),
-            row_shares=[1.7, 1.0],
+            row_shares=[1.55, 1.0],
         ),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="playing", loop_mode="all"),
         collapse_panels=True,

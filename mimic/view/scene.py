@@ -16,6 +16,7 @@ from mimic.view import footage, layout, plots
 from mimic.view.draw_person import draw_person
 from mimic.view.draw_robot import draw_robot
 from mimic.view.footage import Progress
+from mimic.view.skeleton import feet_seen
 from mimic.view.timing import frame_times, from_start, front, shared_time
 
 VIDEO_WIDTH = 640
@@ -56,7 +57,8 @@ def save_scene(
         if video is not None:
             clip = Path(scratch) / "video.mp4"
             stamps, size = _encode(video, clip, pose, progress)
-        shown = layout.blueprint(span=(start, float(clock[-1])), facing=front(log), video=size, person=pose is not None)
+        seen: layout.PersonView | None = None if pose is None else "whole" if feet_seen(pose) else "upper"
+        shown = layout.blueprint(span=(start, float(clock[-1])), facing=front(log), video=size, person=seen)
         with rr.RecordingStream("mimic") as scene:
             scene.save(part, default_blueprint=shown)
             if clip is not None:

@@ -39,6 +39,8 @@ _CENTRE = (
 )
 _FEET = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_foot_index", "right_foot_index")
 
+_FEET_SHARE = 0.2
+"""Feet seen less than this do not tell where the floor is."""
 _HIP_HEIGHT = 0.9
 """Height of the hips where no foot is seen [m]."""
 
@@ -91,9 +93,14 @@ def standing_points(pose: PoseTrack) -> FloatArray:
     points = pose.landmarks @ R_CT
     feet = [pose.index(name) for name in _FEET if name in pose.names]
     heights = points[:, feet, 2][visible(pose.landmarks, pose.valid)[:, feet]]
-    enough = heights.size > 0.2 * len(feet) * len(points)
-    floor = float(np.quantile(heights, 0.1)) if enough else -_HIP_HEIGHT
+    floor = float(np.quantile(heights, 0.1)) if feet_seen(pose) else -_HIP_HEIGHT
     return points - [0.0, 0.0, floor]
+
+
+def feet_seen(pose: PoseTrack) -> bool:
+    """Return whether the feet are in the picture often enough to know where the floor is."""
+    feet = [pose.index(name) for name in _FEET if name in pose.names]
+    return bool(feet) and float(visible(pose.landmarks, pose.valid)[:, feet].mean()) > _FEET_SHARE
 
 
 def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
