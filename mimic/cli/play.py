@@ -85,6 +85,8 @@ def retarget_only(source: Path, out: Path, pose: PoseSettings, retarget: Retarge
 
 def _target_rows(targets: TargetTrack) -> dict[str, str]:
     report: dict[str, Any] = dict(targets.report)
+    if "targets" not in report:  # not made by mimic retarget
+        return {"targets": f"{targets.t[-1]:.1f} s in all"}
     rows = {
         "targets": f"{report['targets']} at {report['rate_s']:g} s, {targets.t[-1]:.1f} s in all",
         "clamped": f"{report['clamped_share']:.1%}, moved {report['moved_mean_cm']:.2f} cm on average, "

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.errors import ContractError
 from mimic.frames import heading_from_quat, up_cosine
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
@@ -99,9 +100,17 @@ def run_policy(
 
     Returns:
         The log of every tick up to the end or the fall.
+
+    Raises:
+        ContractError: If the track is empty or has another control step than the policy.
     """
     description, contract = plant.description, policy.contract
     dt = contract.dt
+    if not len(track.t):
+        raise ContractError("there are no commands to play; expected at least one row")
+    if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
+        given = float(np.median(np.diff(track.t)))
+        raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
     ticks = round((settings.stand_up + settings.blend + settings.hold) / dt) + len(track.t)
     neutral = np.array(contract.neutral_toes).reshape(2, 3)
     builder, rows = ObservationBuilder(contract), _Rows()
