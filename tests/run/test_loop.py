@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from mimic.errors import PlantError
+from mimic.errors import ContractError, PlantError
 from mimic.run.loop import run_policy
 from mimic.settings import RunSettings
 from mimic.types import PHASES, RunLog
@@ -106,6 +108,24 @@ def test_the_log_names_robot_policy_step_and_settings(memory_plant, told_policy,
     assert metadata["dt"] == 0.02
     assert metadata["settings"]["blend"] == SHORT.blend
     assert metadata["fell_at"] is None
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.1])
+def test_commands_at_another_rate_are_refused_before_the_robot_moves(dt, memory_plant, told_policy, track):
+    plant, commands = memory_plant(), track(20)
+    with pytest.raises(ContractError, match=f"every {dt} s; the policy needs one every 0.02 s"):
+        run_policy(plant, told_policy(), dataclasses.replace(commands, t=dt * np.arange(20)), SHORT)
+    assert not plant.sent
+
+
+def test_no_commands_at_all_are_refused(memory_plant, told_policy, track):
+    with pytest.raises(ContractError, match="no commands to play"):
+        run_policy(memory_plant(), told_policy(), track(0), SHORT)
+
+
+def test_a_single_command_is_played(memory_plant, told_policy, track):
+    log = run_policy(memory_plant(), told_policy(), track(1), SHORT).log
+    assert names(log).count("track") == 1
 
 
 def test_sink_and_progress_see_every_tick(memory_plant, told_policy, track):

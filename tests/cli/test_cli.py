@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic import __version__, store
+from mimic.cli import main
+from mimic.types import TargetTrack, WristTrack
+
+HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """An empty folder to work in, with a cache of its own."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    return folder
+
+
+@pytest.fixture
+def targets(here: Path, contract) -> Path:
+    """A file of targets that stand still."""
+    return write_targets(here / "targets.parquet", contract, 25)
+
+
+def write_targets(path: Path, contract, rows: int, dt: float = 0.02) -> Path:
+    toes = np.tile(np.array(contract.neutral_toes).reshape(2, 3), (rows, 1, 1))
+    yes, no = np.ones((rows, 2), dtype=bool), np.zeros((rows, 2), dtype=bool)
+    track = TargetTrack(
+        t=dt * np.arange(rows),
+        p_BE=toes,
+        heading=np.zeros(rows),
+        valid=yes,
+        moved=np.zeros((rows, 2)),
+        limited=no,
+        wanted=toes,
+    )
+    store.save(track, path, made_by=store.provenance())
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+# ---------------------------------------------------------------------- what needs no work
+
+
+def in_a_process(code: str) -> str:
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["train", "--help"], ["nowhere.mp4"]])
+def test_no_heavy_library_is_loaded_to_answer(arguments):
+    code = (
+        f"import sys\nfrom mimic.cli import main\nmain({arguments!r})\nprint([m for m in {HEAVY} if m in sys.modules])"
+    )
+    assert in_a_process(code) == "[]"
+
+
+@pytest.mark.parametrize("module", ["mimic", "mimic.cli"])
+def test_importing_it_loads_no_heavy_library(module):
+    assert in_a_process(f"import sys, {module}\nprint([m for m in {HEAVY} if m in sys.modules])") == "[]"
+
+
+def test_help_tells_the_commands_and_the_options(capsys):
+    assert main(["--help"]) == 0
+    told = capsys.readouterr().out
+    for word in ("evaluate", "retarget", "train", "view", "--sim", "--rate", "--mirror", "--video", "--seed"):
+        assert word in told, word
+
+
+@pytest.mark.parametrize("command", ["retarget", "evaluate", "train", "view"])
+def test_each_command_has_its_help(command, capsys):
+    assert main([command, "--help"]) == 0
+    assert command in capsys.readouterr().out
+
+
+def test_version_is_that_of_the_package(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == __version__
+
+
+def test_it_runs_as_a_module():
+    told = subprocess.run([sys.executable, "-m", "mimic", "--version"], check=True, capture_output=True, text=True)
+    assert told.stdout.strip() == __version__
+
+
+def test_a_process_ends_with_the_exit_status():
+    ended = subprocess.run([sys.executable, "-m", "mimic", "nowhere.mp4", "--sim"], capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert ended.stderr == "mimic: there is no file nowhere.mp4\n"
+
+
+# ---------------------------------------------------------------------- what the user has to mend
+
+
+def text_file(name: str) -> Callable[[Path], None]:
+    return lambda here: (here / name).write_text("this is not what you think\n") and None
+
+
+def nothing(here: Path) -> None:
+    """Leave the folder as it is."""
+
+
+def full_folder(here: Path) -> None:
+    (here / "full").mkdir()
+    (here / "full" / "thing").write_text("keep me")
+
+
+def wrists(here: Path) -> None:
+    track = WristTrack(t=np.zeros(1), p_SH=np.zeros((1, 2, 3)), heading=np.zeros(1), valid=np.ones((1, 2), dtype=bool))
+    store.save(track, here / "wrists.parquet", made_by=store.provenance())
+
+
+def folder(here: Path) -> None:
+    (here / "folder").mkdir()
+
+
+BAD = [
+    ("nowhere.mp4 --sim", nothing, "there is no file nowhere.mp4"),
+    ("nowhere.parquet --sim", nothing, "there is no file nowhere.parquet"),
+    ("targets.parquet", nothing, "add --sim"),
+    ("targets.parquet --sim --rate 5", nothing, "rate is 5 s; it must be from 0.05 to 1 s"),
+    ("targets.parquet --sim --rate quick", nothing, "quick"),
+    ("targets.parquet --sim --blend -1", nothing, "blend"),
+    ("targets.parquet --sim --moonwalk", nothing, "--moonwalk"),
+    ("targets.parquet --sim --policy nowhere.onnx", nothing, "there is no policy nowhere.onnx"),
+    ("targets.parquet --sim --policy text.onnx", text_file("text.onnx"), "text.onnx is not an ONNX model"),
+    ("targets.parquet --sim --video film.avi", nothing, "ends with .mp4"),
+    ("targets.parquet --sim -o full", full_folder, "full exists and is not empty"),
+    ("targets.parquet --sim -o text.txt", text_file("text.txt"), "text.txt exists"),
+    ("text.parquet --sim", text_file("text.parquet"), "text.parquet is not a record of mimic"),
+    ("wrists.parquet --sim", wrists, "holds a WristTrack; expected a TargetTrack"),
+    ("folder --sim", folder, "folder is a folder; expected a video file"),
+    ("folder.parquet --sim", lambda here: (here / "folder.parquet").mkdir(), "folder.parquet"),
+    ("text.mp4 --sim", text_file("text.mp4"), "text.mp4"),
+    ("retarget nowhere.mp4 -o a.parquet", nothing, "there is no file nowhere.mp4"),
+    ("retarget text.mp4 -o a.parquet", text_file("text.mp4"), "text.mp4"),
+    ("retarget nowhere.mp4", nothing, "--out"),
+    ("evaluate nowhere.onnx", nothing, "there is no policy nowhere.onnx"),
+    ("evaluate text.onnx", text_file("text.onnx"), "not an ONNX model"),
+    ("evaluate text.onnx --episodes 0", text_file("text.onnx"), "episodes is 0"),
+    ("evaluate text.onnx --seconds 0.5", text_file("text.onnx"), "seconds is 0.5"),
+    ("view nowhere", nothing, "nowhere"),
+    ("view folder", folder, "there is no scene.rrd in folder"),
+    ("dance", nothing, "add --sim"),
+]
+
+BAD_TRAINING = [
+    ("train new --worlds 0", "worlds is 0"),
+    ("train new --set colour=red", "there is no setting 'colour'"),
+    ("train new --set rewards.mood=1", "there is no setting 'rewards.mood'"),
+    ("train new --set worlds=many", "expected a whole number"),
+    ("train new --resume nowhere.pt", "there is no checkpoint nowhere.pt"),
+]
+
+
+def refused(line: str, told: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(here)
+    status = main(line.split())
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert err.startswith("mimic: ")
+    assert told in err
+    assert err.count("\n") == 1, err
+    assert "Traceback" not in out + err
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize(("line", "prepare", "told"), BAD, ids=[line for line, _, _ in BAD])
+@pytest.mark.usefixtures("targets")
+def test_bad_input_is_told_in_one_line_and_nothing_is_written(line, prepare, told, here, capsys):
+    prepare(here)
+    refused(line, told, here, capsys)
+
+
+@pytest.mark.parametrize(("line", "told"), BAD_TRAINING, ids=[line for line, _ in BAD_TRAINING])
+def test_bad_training_settings_are_told_in_one_line_and_nothing_is_written(line, told, here, capsys):
+    for library in ("torch", "mujoco_warp", "rsl_rl"):
+        pytest.importorskip(library, reason="training needs the extra 'train'")
+    refused(line, told, here, capsys)
+
+
+def test_targets_that_cannot_be_played_are_told(here, contract, capsys):
+    write_targets(here / "none.parquet", contract, 0)
+    refused("none.parquet --sim", "there are no commands to play", here, capsys)
+    write_targets(here / "slow.parquet", contract, 10, dt=0.1)
+    refused("slow.parquet --sim", "come every 0.1 s; the policy needs one every 0.02 s", here, capsys)
+
+
+def test_training_without_its_libraries_names_the_extra(here, capsys, monkeypatch):
+    for module in [name for name in sys.modules if name.startswith("mimic.train")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    refused("train new", "pip install 'mimic[train]'", here, capsys)
+
+
+def test_brackets_in_a_name_are_told_as_they_are(here, capsys):
+    refused("[red]nowhere[/red].mp4 --sim", "there is no file [red]nowhere[/red].mp4", here, capsys)
+
+
+# ---------------------------------------------------------------------- exit statuses
+
+
+def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
+    assert main([str(targets), "--sim", "--no-view", "-o", "out", "--hold", "0"]) == 0
+    assert "0.5 s in all" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_with_three(here, targets, capsys, monkeypatch):
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimic.cli.play.play_source", interrupted)
+    assert main([str(targets), "--sim"]) == 3
+    assert capsys.readouterr().err == "mimic: interrupted\n"
+
+
+def test_a_bug_is_not_hidden(here, targets, monkeypatch):
+    def wrong(*arguments: object, **options: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("mimic.cli.play.play_source", wrong)
+    with pytest.raises(ZeroDivisionError):
+        main([str(targets), "--sim"])
+
+
+def test_a_run_that_falls_is_stopped_for_safety_and_kept(here, targets, constant_onnx, capsys):
+    policy = constant_onnx(here / "useless.onnx")
+    status = main([str(targets), "--sim", "--no-view", "-o", "out", "--policy", str(policy)])
+    assert status == 3
+    assert "tipped over" in capsys.readouterr().out
+    metrics = json.loads((here / "out" / "metrics.json").read_text())
+    assert metrics["falls"] == 1
+    assert (here / "out" / "log.parquet").is_file()
+
+
+def test_a_policy_is_judged_and_written_with_the_hash_of_what_was_judged(here, constant_onnx, capsys):
+    policy = constant_onnx(here / "useless.onnx")
+    assert main(["evaluate", str(policy), "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
+    told = json.loads((here / "evaluation-useless.json").read_text())
+    assert told["summary"]["stood_up_and_kept"] == 0.0
+    assert told["provenance"]["inputs"]["policy"] == store.sha256_of(policy)
+    assert told["provenance"]["settings"]["episodes"] == 1
+    assert "useless.onnx" in capsys.readouterr().out

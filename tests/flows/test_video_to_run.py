@@ -1,0 +1,151 @@
+"""The whole way through the command line, on something small."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic import __version__, store
+from mimic.cli import main
+from mimic.retarget.targets import target_track
+from mimic.robot.reach import Reach
+from mimic.settings import RetargetSettings, RunSettings
+from mimic.shipped import shipped
+from mimic.types import PHASES, JointSamples, PoseTrack, RunLog, TargetTrack, WristTrack
+
+WAVING = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"
+FILES = {"targets.parquet", "log.parquet", "joints.parquet", "metrics.json", "scene.rrd"}
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    """A folder of the module's own, with its own cache and without a display."""
+    folder = tmp_path_factory.mktemp("flow")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        patch.delenv("DISPLAY", raising=False)
+        patch.delenv("WAYLAND_DISPLAY", raising=False)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def targets(workplace) -> Path:
+    """Targets of a person who moves both arms for almost a second."""
+    t = np.arange(0.0, 0.95, 1 / 30)
+    left = np.stack([0.6 + 0.2 * np.sin(4 * t), 0.1 + 0 * t, 0.3 * np.cos(4 * t)], -1)
+    arms = np.stack([left, left * [1, -1, 1]], 1)
+    wrists = WristTrack(t=t, p_SH=arms, heading=0 * t, valid=np.ones((len(t), 2), dtype=bool))
+    path = workplace / "targets.parquet"
+    store.save(target_track(wrists, Reach(), RetargetSettings()), path, made_by=store.provenance())
+    return path
+
+
+@pytest.fixture(scope="module")
+def played(targets, workplace) -> tuple[int, Path]:
+    """Exit status and run folder of these targets."""
+    command = [str(targets), "--sim", "--no-view", "-o", str(workplace / "run"), "--seed", "4", "--hold", "0.5"]
+    return main(command), workplace / "run"
+
+
+def test_a_run_ends_well_and_leaves_its_files(played):
+    status, run = played
+    assert status == 0
+    assert {path.name for path in run.iterdir()} == FILES
+    assert all(path.stat().st_size for path in run.iterdir())
+
+
+def test_every_file_names_version_settings_and_inputs(played, targets):
+    _, run = played
+    inputs = {"source": store.sha256_of(targets), "policy": store.sha256_of(shipped("policies", "stand_track.onnx"))}
+    heads = [store.header(run / name)["provenance"] for name in sorted(FILES) if name.endswith(".parquet")]
+    heads.append(json.loads((run / "metrics.json").read_text())["provenance"])
+    for head in heads:
+        assert head["version"] == __version__
+        assert head["inputs"] == inputs
+        assert head["settings"]["run"] == store.plain(RunSettings(seed=4, hold=0.5))
+        assert set(head["settings"]) == {"pose", "retarget", "run"}
+
+
+def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_200_hz(played, targets):
+    _, run = played
+    log, joints = store.load(run / "log.parquet", RunLog), store.load(run / "joints.parquet", JointSamples)
+    wanted = store.load(targets, TargetTrack)
+    settings = RunSettings(hold=0.5)
+    assert len(log.t) == len(wanted.t) + round((settings.stand_up + settings.blend + settings.hold) / 0.02)
+    assert np.allclose(np.diff(log.t), 0.02)
+    assert np.allclose(np.diff(joints.t), 0.005)
+    assert len(joints.t) == 4 * len(log.t)
+    assert np.isfinite(log.observation).all()
+
+
+def test_the_toes_that_were_asked_for_are_the_targets(played, targets):
+    log = store.load(played[1] / "log.parquet", RunLog)
+    rows = log.phase == PHASES.index("track")
+    assert np.array_equal(log.p_BE_des[rows], store.load(targets, TargetTrack).p_BE)
+
+
+def test_the_targets_in_the_run_folder_are_those_that_were_played(played, targets):
+    one, other = (store.load(path, TargetTrack) for path in (played[1] / "targets.parquet", targets))
+    assert np.array_equal(one.p_BE, other.p_BE)
+    assert one.report == other.report
+
+
+def test_figures_tell_that_the_robot_stood(played):
+    metrics = json.loads((played[1] / "metrics.json").read_text())
+    assert metrics["falls"] == 0
+    assert metrics["standing_share"] > 0.9
+    assert metrics["toe_error_cm"]["mean"] > 0
+    assert metrics["interrupted"] is False
+
+
+def test_the_same_seed_plays_the_same_run(played, targets, workplace):
+    again = workplace / "again"
+    assert main([str(targets), "--sim", "--no-view", "-o", str(again), "--seed", "4", "--hold", "0.5"]) == 0
+    one, other = (store.load(run / "log.parquet", RunLog) for run in (played[1], again))
+    assert np.array_equal(one.q, other.q)
+    assert np.array_equal(one.action, other.action)
+
+
+def test_a_run_folder_is_not_written_over(played, targets, capsys):
+    before = (played[1] / "log.parquet").read_bytes()
+    assert main([str(targets), "--sim", "--no-view", "-o", str(played[1])]) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert (played[1] / "log.parquet").read_bytes() == before
+
+
+def test_runs_without_a_name_are_numbered(targets, workplace):
+    copy = workplace / "arms.parquet"
+    copy.write_bytes(targets.read_bytes())
+    for _ in range(2):
+        assert main([str(copy), "--sim", "--no-view", "--hold", "0"]) == 0
+    assert sorted(path.name for path in (workplace / "runs").iterdir()) == ["arms", "arms-2"]
+
+
+def test_the_targets_of_a_run_can_be_played_again(played, workplace):
+    again = workplace / "replayed"
+    assert main([str(played[1] / "targets.parquet"), "--sim", "--no-view", "-o", str(again)]) == 0
+    assert (again / "log.parquet").is_file()
+
+
+def test_a_video_becomes_targets_and_then_a_run_and_its_pose_is_found_once(workplace, capsys):
+    if not WAVING.is_file():
+        pytest.skip("examples/videos/waving.mp4 is not here")
+    assert main(["retarget", str(WAVING), "-o", "waving.parquet", "--rate", "0.1"]) == 0
+    assert "reused" not in capsys.readouterr().out
+    targets = store.load(workplace / "waving.parquet", TargetTrack)
+    assert np.ptp(targets.p_BE[..., 0], axis=0).max() > 0.03
+    head = store.header(workplace / "waving.parquet")["provenance"]
+    assert head["inputs"] == {"video": store.sha256_of(WAVING)}
+
+    status = main([str(WAVING), "--sim", "--no-view", "-o", "waving"])
+    assert "reused" in capsys.readouterr().out
+    assert status in (0, 3)
+    names = {path.name for path in (workplace / "waving").iterdir()}
+    assert FILES | {"pose.parquet"} == names
+    assert np.array_equal(store.load(workplace / "waving" / "targets.parquet", TargetTrack).p_BE, targets.p_BE)
+    pose = store.load(workplace / "waving" / "pose.parquet", PoseTrack)
+    assert pose.t[-1] == pytest.approx(targets.t[-1], abs=0.05)
