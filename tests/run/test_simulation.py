@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mimic.errors import PlantError
 from mimic.frames import heading_from_quat
@@ -143,6 +145,30 @@ def test_a_command_that_is_not_finite_is_refused(bad, description):
     q[3] = bad
     with pytest.raises(PlantError, match="not finite"):
         plant.step(command(description, q))
+
+
+def test_speeds_are_those_of_the_motion(description):
+    """Angular velocity in base axes, the others in world axes; on a robot that does not face along world x."""
+    plant = SimulatedPlant(description, ranges=dataclasses.replace(NOMINAL, heading=(1.5, 1.5)))
+    states = [plant.start()]
+    for tick in range(100):
+        sway = 0.3 * np.sin(0.12 * tick + np.arange(12) // 3)
+        states.append(plant.step(command(description, description.poses["four"] + sway)).state)
+    states = states[40:]
+    turns = [Rotation.from_quat(state.quat_WB, scalar_first=True) for state in states]
+
+    def measured(name: str) -> np.ndarray:
+        values = np.array([getattr(state, name) for state in states])
+        return (values[1:] + values[:-1]) / 2
+
+    turned = np.array([(a.inv() * b).as_rotvec() for a, b in pairwise(turns)])
+    for seen, moved in (
+        (measured("omega_B"), turned),
+        (measured("v_WB"), np.diff([state.p_WB for state in states], axis=0)),
+        (measured("dq"), np.diff([state.q for state in states], axis=0)),
+    ):
+        wrong = np.abs(seen - moved / description.dt).mean()
+        assert wrong < 0.25 * np.abs(seen).mean()
 
 
 def test_a_drawn_start_turns_the_robot_and_moves_its_joints(description):
