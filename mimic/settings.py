@@ -199,11 +199,11 @@ class RewardWeights:
 
     height: float = 0.6
     upright: float = 1.0
-    velocity: float = 1.0
+    velocity: float = 1.4
     heading: float = 0.4
-    toes: float = 1.0
+    toes: float = 1.4
     toes_fine: float = 0.6
-    gait: float = 0.8
+    gait: float = 1.2
     slip: float = -0.4
     flight: float = -0.5
     low: float = -0.3
@@ -216,7 +216,7 @@ class RewardWeights:
     fall: float = -2.0
 
 
-REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration", "slip")
+REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 """Reward terms that grow during training, once the robot stands."""
 
 
@@ -230,6 +230,8 @@ class MdpSettings:
     """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
     stand_up_steps: int = 50
     """Control steps until goals and terminations begin; paper: 50."""
+    rise_seconds: float = 0.7
+    """Time that standing up should take [s]; faster and slower both cost."""
     upright_share: float = 0.25
     """Share of episodes that start upright."""
     command_seconds: tuple[float, float] = (3.0, 10.0)
@@ -242,7 +244,7 @@ class MdpSettings:
     """Share of goals that take 3 s on a straight line, as in the paper."""
     hold_share: float = 0.15
     """Share of goals that stay where they are."""
-    goal_speed: float = 2.5
+    goal_speed: float = 2.0
     """Fastest mean speed of a toe goal [m/s]."""
     goals_anywhere: float = 0.35
     """Share of goals drawn over the whole reachable set instead of the paper's boxes."""
@@ -268,7 +270,7 @@ class MdpSettings:
     """Most constraint rows of a world."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     rewards: RewardWeights = field(default_factory=RewardWeights)
-    regularisation: float = 3.0
+    regularisation: float = 2.0
     """Factor on the weights of REGULARISERS at the end of the ramp."""
     ramp_steps: int = 12_000
     """Control steps of a world over which they grow."""
@@ -296,7 +298,7 @@ class LearnSettings:
     minibatches: int = 4
     learning_rate: float = 1e-3
     desired_kl: float = 0.01
-    entropy: float = 0.003
+    entropy: float = 0.004
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2

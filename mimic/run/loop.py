@@ -70,7 +70,7 @@ def desired_at(
     stand, blend = round(settings.stand_up / dt), round(settings.blend / dt)
     still = np.zeros(2)
     if tick < stand:
-        return STAND_UP, still, neutral, float(track.heading[0])
+        return STAND_UP, still, neutral, 0.0  # first stand, then turn
     if tick < stand + blend:
         share = (tick - stand + 1) / blend
         smooth = share * share * (3 - 2 * share)

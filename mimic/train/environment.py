@@ -217,6 +217,9 @@ class StandTrackEnv(VecEnv):
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > self.settings.stand_up_steps)
 
+    def _rising(self) -> torch.Tensor:
+        return torch.clamp(self.episode_length_buf * self.contract.dt / self.settings.rise_seconds, max=1.0)
+
     def _after_physics(self) -> None:
         w = self.worlds
         finite = torch.isfinite(w.qpos).all(-1) & torch.isfinite(w.qvel).all(-1) & (w.qvel.abs().amax(-1) < 300.0)
@@ -274,6 +277,7 @@ class StandTrackEnv(VecEnv):
             mean_velocity_error=self._mean_velocity - self._v_des,
             moving=(self._v_des.abs().sum(-1) > 0.05) | (error.abs() > 0.3),
             heading_error=error,
+            rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes() - self._goal,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
@@ -408,7 +412,7 @@ class StandTrackEnv(VecEnv):
         self._heading_des.copy_(torch.where(mask, yaw, self._heading_des))
         self._v_des.copy_(torch.where(keep, torch.zeros_like(self._v_des), self._v_des))
         self._mean_velocity.copy_(torch.where(keep, torch.zeros_like(self._mean_velocity), self._mean_velocity))
-        self._command_left.copy_(torch.where(mask, self._uniform(1.0, s.command_seconds[1]), self._command_left))
+        self._command_left.copy_(torch.where(mask, self._uniform(1.04, s.command_seconds[1]), self._command_left))
         self.episode_length_buf.copy_(
             torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf)
         )

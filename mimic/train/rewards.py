@@ -29,6 +29,8 @@ class Facts:
     """True where walking or turning is asked for (N,)."""
     heading_error: torch.Tensor
     """Wrapped (N,) [rad]."""
+    rising: torch.Tensor
+    """How far the stand-up should be, 0 lying to 1 upright (N,)."""
     toe_error: torch.Tensor
     """Measured - desired base -> front toe (N, 2, 3) [m]."""
     tracking: torch.Tensor
@@ -57,9 +59,15 @@ class Facts:
     """True where the episode ends in a fall (N,)."""
 
 
-SWING_HEIGHT = 0.05
+SWING_HEIGHT = 0.04
 """Wanted height of a swinging hind toe at mid-swing [m]."""
 
+
+LYING_HEIGHT, UPRIGHT_HEIGHT = 0.14, 0.42
+"""Base height before and after standing up [m]."""
+
+LYING_ANGLE = 1.373
+"""Angle between base x and the upright direction while lying: 90 degrees less the lean of 11.3 [rad]."""
 
 FAST = 10.0
 """Joint speed from which on it costs [rad/s]; the motors give full torque up to 11.5."""
@@ -67,24 +75,30 @@ FAST = 10.0
 
 def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
-    upright = (1 + f.up) / 2
-    standing = torch.clamp((f.height - 0.15) / 0.25, 0, 1) * torch.clamp(f.up, 0, 1)
+    angle = torch.acos(torch.clamp(f.up, -1.0, 1.0))
+    smooth = f.rising * f.rising * (3 - 2 * f.rising)
+    over = f.height - (LYING_HEIGHT + (UPRIGHT_HEIGHT - LYING_HEIGHT) * smooth)
+    over = torch.where((f.rising >= 1) & (over > 0), torch.zeros_like(over), over)
+    lean = angle - LYING_ANGLE * (1 - smooth)
+    level = torch.where(f.rising >= 1, ((1 + f.up) / 2).square(), torch.exp(-((lean / 0.4) ** 2)))
+    standing = torch.clamp((f.height - 0.15) / 0.25, 0, 1) * torch.clamp(f.up, 0, 1) * f.rising
     toes = f.toe_error.square().sum((-1, -2))
     sine = torch.sin(f.phase)
     swing = torch.stack([sine, -sine], -1)
     wanted = SWING_HEIGHT * torch.clamp(swing, min=0.0)
     planted = f.contact.float()
-    stepping = torch.where(swing > 0, torch.exp(-(((f.clearance - wanted) / 0.02) ** 2)), planted)
+    lifted = torch.exp(-(((f.clearance - wanted) / 0.025) ** 2)) * (1 - planted)
+    stepping = torch.where(swing > 0, lifted, planted)
     stepping = torch.where(f.moving[:, None], stepping, planted)
     speed = 0.5 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     speed = speed + 0.5 * torch.exp(-f.mean_velocity_error.square().sum(-1) / 0.02)
     turning = 0.5 * torch.exp(-f.heading_error.square() / 0.5) + 0.5 * torch.exp(-f.heading_error.square() / 0.03)
     return {
-        "height": torch.exp(-((torch.clamp(0.42 - f.height, min=0.0) / 0.1) ** 2)),
-        "upright": upright.square(),
+        "height": torch.exp(-((over / 0.1) ** 2)),
+        "upright": level,
         "velocity": speed * standing,
         "heading": turning * standing,
-        "toes": torch.exp(-toes / 0.01) * standing * f.tracking,
+        "toes": 0.5 * (torch.exp(-toes / 0.04) + torch.exp(-toes / 0.01)) * standing * f.tracking,
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
         "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
