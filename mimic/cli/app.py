@@ -25,6 +25,7 @@ app = App(
     help="A person in a video moves, and a CyberDog 2 standing on its hind legs moves the same way.",
     default_parameter=Parameter(show_env_var=False),
     result_action="return_value",
+    help_format="plaintext",  # markdown would take another 40 ms to load
     suppress_keyboard_interrupt=False,  # run() turns it into an exit status
 )
 

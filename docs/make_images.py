@@ -1,0 +1,62 @@
+"""Make the pictures of the documentation from the shipped clips and policy.
+
+    python docs/make_images.py        # needs an off-screen GL and, for the viewer, Debian's mesa-vulkan-drivers
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from mimic import store
+from mimic.cli import main as mimic
+from mimic.robot.description import load_description
+from mimic.types import RunLog
+from mimic.view.side_by_side import RobotFilm
+from mimic.view.viewer import screenshot
+
+HERE = Path(__file__).resolve().parent
+CLIPS = HERE.parent / "examples" / "videos"
+MOMENTS = {"boxing": 8.9, "ballet": 6.0, "waving": 4.0}
+"""Time in each clip that the picture shows [s]."""
+STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
+"""Times of the stand-up that its strip shows [s]."""
+
+
+def strip(log: RunLog, path: Path) -> None:
+    """Write the stand-up as a row of pictures."""
+    ticks = [int(np.argmin(np.abs(log.t - t))) for t in STAND_UP]
+    with RobotFilm(log, load_description(), width=260, height=320) as film:
+        pictures = [film.picture(tick) for tick in ticks]
+    cv2.imwrite(str(path), cv2.cvtColor(np.hstack(pictures), cv2.COLOR_RGB2BGR))
+
+
+def small(path: Path, width: int = 1200) -> None:
+    """Shrink a picture and store it as JPEG beside the PNG, which is removed."""
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    scale = width / picture.shape[1]
+    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(path.with_suffix(".jpg")), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    path.unlink()
+
+
+def main() -> None:
+    images = HERE / "images"
+    images.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, moment in MOMENTS.items():
+            run = Path(folder) / name
+            status = mimic([str(CLIPS / f"{name}.mp4"), "--rate", "0.1", "--sim", "--no-view", "-o", str(run)])
+            assert status == 0, f"{name} ended with exit status {status}"
+            screenshot(run / "scene.rrd", images / f"{name}.png", time_s=moment)
+            small(images / f"{name}.png")
+        strip(store.load(Path(folder) / "boxing" / "log.parquet", RunLog), images / "stand_up.png")
+        small(images / "stand_up.png", width=1600)
+
+
+if __name__ == "__main__":
+    main()
