@@ -80,6 +80,13 @@ def test_headings_are_relative_to_the_start(memory_plant, told_policy, track):
     assert np.allclose(turned.heading_des, -2.0)
 
 
+def test_it_stands_up_before_it_turns(memory_plant, told_policy, track):
+    log = run_policy(memory_plant(heading=0.7), told_policy(), track(turn=0.3), SHORT).log
+    up = log.phase == PHASES.index("stand_up")
+    assert np.allclose(log.heading_des[up], 0.7)
+    assert np.allclose(log.heading_des[~up], 1.0)
+
+
 def test_what_was_commanded_and_what_went_out_are_logged_apart(memory_plant, told_policy, track):
     plant = memory_plant(limit=1.0)
     log = run_policy(plant, told_policy(), track(), SHORT).log
