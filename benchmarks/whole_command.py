@@ -1,6 +1,6 @@
 """Time and memory of what a user runs: start-up, the whole command, and the simulated run alone.
 
-    python benchmarks/whole_command.py [VIDEO]        # by default examples/videos/boxing.mp4
+python benchmarks/whole_command.py [VIDEO]        # by default examples/videos/boxing.mp4
 """
 
 from __future__ import annotations

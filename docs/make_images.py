@@ -1,6 +1,6 @@
 """Make the pictures of the documentation from the shipped clips and policy.
 
-    python docs/make_images.py        # needs an off-screen GL and, for the viewer, Debian's mesa-vulkan-drivers
+python docs/make_images.py        # needs an off-screen GL and, for the viewer, Debian's mesa-vulkan-drivers
 """
 
 from __future__ import annotations

@@ -260,8 +260,9 @@ class MdpSettings:
     """Half width of the noise on joint positions [rad]."""
     noise_axes: float = 0.015
     """Half width of the noise on the two world axes."""
-    solver_iterations: int = 5
-    """Newton iterations of the training physics; the judge uses MuJoCo's 100."""
+    solver_iterations: int = 10
+    """Newton iterations of the training physics; the judge uses MuJoCo's 100. With 5, standing up differs from MuJoCo by
+    up to 0.17 rad after 0.3 s; with 10, by less than 5e-6."""
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     contacts: int = 20

@@ -169,7 +169,14 @@ def play_source(
     store.save_json(everything, folder / METRICS)
 
     video = None if _is_targets(source) else source
-    shown = {"log": result.log, "description": description, "targets": targets, "pose": track, "video": video}
+    shown: dict[str, Any] = {
+        "made_by": made_by,
+        "log": result.log,
+        "description": description,
+        "targets": targets,
+        "pose": track,
+        "video": video,
+    }
     from mimic.view.scene import save_scene
     from mimic.view.viewer import display_available, open_viewer
 

@@ -79,16 +79,20 @@ def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:
     _encode(frames, path, codec="libsvtav1", fps=Fraction(30), options={"preset": "10", "crf": "40", "g": "60"})
 
 
-def encode_h264(frames: Iterable[np.ndarray], path: Path, *, fps: Fraction) -> None:
+def encode_h264(frames: Iterable[np.ndarray], path: Path, *, fps: Fraction, comment: str = "") -> None:
     """Write pictures (H, W, 3), RGB, as an H.264 film that every browser plays."""
-    _encode(frames, path, codec="libx264", fps=fps, options={"preset": "veryfast", "crf": "20"})
+    _encode(frames, path, codec="libx264", fps=fps, options={"preset": "veryfast", "crf": "20"}, comment=comment)
 
 
-def _encode(frames: Iterable[np.ndarray], path: Path, *, codec: str, fps: Fraction, options: dict[str, str]) -> None:
+def _encode(
+    frames: Iterable[np.ndarray], path: Path, *, codec: str, fps: Fraction, options: dict[str, str], comment: str = ""
+) -> None:
     import av
     from av.video.stream import VideoStream
 
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        if comment:
+            container.metadata["comment"] = comment
         stream: VideoStream | None = None
         for index, rgb in enumerate(frames):
             if stream is None:

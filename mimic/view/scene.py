@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 import rerun as rr
 
 from mimic.robot.description import RobotDescription
-from mimic.store import written_whole
-from mimic.types import FloatArray, PoseTrack, RunLog, TargetTrack
+from mimic.store import plain, written_whole
+from mimic.types import FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
 from mimic.view import footage, layout, plots
 from mimic.view.draw_person import draw_person
 from mimic.view.draw_robot import draw_robot
@@ -31,6 +32,7 @@ def save_scene(
     targets: TargetTrack | None = None,
     pose: PoseTrack | None = None,
     video: Path | None = None,
+    made_by: Provenance | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write a scene that the Rerun viewer opens with everything in view; complete or not at all.
@@ -44,6 +46,7 @@ def save_scene(
         targets: Also shows what clamping moved.
         pose: The person that was followed; drawn over the video and in three dimensions.
         video: The video that ``pose`` was made from.
+        made_by: Stored as the recording's property ``provenance``.
         progress: Called after each video frame, the slow part, with the frames done and their number if it is known.
 
     Raises:
@@ -61,6 +64,8 @@ def save_scene(
         shown = layout.blueprint(span=(start, float(clock[-1])), facing=front(log), video=size, person=seen)
         with rr.RecordingStream("mimic") as scene:
             scene.save(part, default_blueprint=shown)
+            if made_by is not None:
+                scene.send_property("provenance", rr.AnyValues(json=json.dumps(plain(made_by))))
             if clip is not None:
                 _video(scene, clip, frame_times(stamps, pose), start)
             if pose is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import load_model
-from mimic.store import written_whole
-from mimic.types import PHASES, SIDES, FloatArray, PoseTrack, RunLog, TargetTrack
+from mimic.store import plain, written_whole
+from mimic.types import PHASES, SIDES, FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
 from mimic.view import footage, skeleton
 from mimic.view.footage import Progress
 from mimic.view.offscreen import Offscreen
@@ -121,6 +122,7 @@ def save_video(
     video: Path | None = None,
     fps: int = 30,
     height: int = 480,
+    made_by: Provenance | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write an H.264 film (.mp4) of the whole run, complete or not at all.
@@ -135,6 +137,7 @@ def save_video(
         video: The video that ``pose`` was made from; without it, the robot is alone.
         fps: Frames per second of the film.
         height: Of the film [px].
+        made_by: Stored as JSON in the film's comment.
         progress: Called after each frame with the frames done and their number.
 
     Raises:
@@ -157,7 +160,7 @@ def save_video(
                     progress(done, len(ticks))
 
     with written_whole(path) as part:
-        footage.encode_h264(frames(), part, fps=Fraction(fps))
+        footage.encode_h264(frames(), part, fps=Fraction(fps), comment=json.dumps(plain(made_by)) if made_by else "")
 
 
 def _people(video: Path, pose: PoseTrack | None, moments: FloatArray, height: int) -> Iterator[np.ndarray]:

@@ -15,7 +15,8 @@ def test_targets_come_every_step_and_end_with_the_track():
     t = np.arange(0.0, 2.03, 0.033)
     times = target_times(t, np.zeros((len(t), 3)), 0.1, True)
     assert np.allclose(np.diff(times)[:-1], 0.1)
-    assert times[0] == t[0] and times[-1] == t[-1]
+    assert times[0] == t[0]
+    assert times[-1] == t[-1]
 
 
 def test_peaks_are_kept_at_any_phase():
@@ -58,5 +59,6 @@ def test_gaps_at_the_ends_start_and_finish_at_neutral():
     t = np.arange(0.0, 6.0, 0.02)
     valid = (t > 2.5) & (t < 3.5)
     filled = fill_gaps(t, np.where(valid[:, None], 0.3, np.nan) * np.ones(3), valid, NEUTRAL)
-    assert np.allclose(filled[0], NEUTRAL) and np.allclose(filled[-1], NEUTRAL)
+    assert np.allclose(filled[0], NEUTRAL)
+    assert np.allclose(filled[-1], NEUTRAL)
     assert np.array_equal(fill_gaps(t, filled, np.zeros(len(t), bool), NEUTRAL)[7], NEUTRAL)

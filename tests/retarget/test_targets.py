@@ -66,9 +66,11 @@ def test_motors_can_follow():
 def test_rows_come_at_the_control_rate_whatever_the_target_rate(rate):
     targets = target_track(track(T, *boxing(T)), REACH, RetargetSettings(rate=rate))
     assert np.allclose(np.diff(targets.t), 0.02)
-    assert targets.t[0] == 0.0 and T[-1] - 0.02 < targets.t[-1] <= T[-1]
+    assert targets.t[0] == 0.0
+    assert T[-1] - 0.02 < targets.t[-1] <= T[-1]
     assert targets.report["targets"] == round(T[-1] / rate) + 1
-    assert np.isfinite(targets.p_BE).all() and targets.valid.all()
+    assert np.isfinite(targets.p_BE).all()
+    assert targets.valid.all()
 
 
 def test_slow_targets_keep_a_punch():
@@ -104,7 +106,8 @@ def test_mirror_swaps_sides_and_turns_the_other_way():
     mirrored = target_track(track(T, left, right), REACH, RetargetSettings(mirror=True))
     assert np.abs(mirrored.p_BE[:, ::-1] * MIRROR - plain.p_BE).max() < 2e-3
     assert np.allclose(mirrored.heading, -plain.heading)
-    assert plain.heading[0] == 0.0 and plain.heading[-1] > 0.2
+    assert plain.heading[0] == 0.0
+    assert plain.heading[-1] > 0.2
 
 
 def test_gaps_are_filled_and_stay_marked():
@@ -112,7 +115,8 @@ def test_gaps_are_filled_and_stay_marked():
     valid[60:120, 0] = False
     targets = target_track(track(T, *boxing(T), valid=valid), REACH, RetargetSettings())
     unseen = (targets.t > T[60]) & (targets.t < T[119])
-    assert not targets.valid[unseen, 0].any() and targets.valid[:, 1].all()
+    assert not targets.valid[unseen, 0].any()
+    assert targets.valid[:, 1].all()
     assert np.isfinite(targets.p_BE).all()
     assert 0.1 < targets.report["filled_share"] < 0.2
 
@@ -130,7 +134,8 @@ def test_commands_stand_still_and_turn_with_the_track():
     targets = target_track(track(T, *boxing(T)), REACH, RetargetSettings())
     commands = command_track(targets)
     assert not commands.v.any()
-    assert np.array_equal(commands.p_BE, targets.p_BE) and np.array_equal(commands.heading, targets.heading)
+    assert np.array_equal(commands.p_BE, targets.p_BE)
+    assert np.array_equal(commands.heading, targets.heading)
 
 
 @pytest.mark.skipif(not RENDERED.is_dir(), reason="the rendered clips with truth are not beside this checkout")

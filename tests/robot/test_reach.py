@@ -56,7 +56,8 @@ def test_bounds_keep_five_degrees_to_the_joint_limits():
 @given(p=points)
 def test_closest_point_keeps_limits_and_gaps(p):
     found = REACH.closest(p)
-    assert np.all(found.q >= REACH.q_min - 1e-8) and np.all(found.q <= REACH.q_max + 1e-8)
+    assert np.all(found.q >= REACH.q_min - 1e-8)
+    assert np.all(found.q <= REACH.q_max + 1e-8)
     assert REACH.gap(found.q) >= 0.01 - 2e-6
     assert np.abs(REACH.toes(found.q) - found.p_BE).max() < 1e-7
     assert np.allclose(found.moved, np.linalg.norm(found.p_BE - p, axis=1))
