@@ -1,0 +1,126 @@
+"""Light, camera and rendering."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from clips import Clip, camera_axes
+from mannequin import face_geoms, skin_file, skins
+from scipy.spatial.transform import Rotation
+from skeleton import Frames, Motion, pose, rest_frames
+from surface import Array
+
+WIDTH, HEIGHT = 640, 480
+
+
+def build_model(clip: Clip) -> mujoco.MjModel:
+    """Return the scene: one free-floating body per bone, the skins on them, the room turned toward the camera."""
+    files = dict(clip.room.files)
+    parts = skins(clip.look, clip.build)
+    materials = skin_tags = ""
+    for part in parts:
+        files[f"{part.name}.skn"] = skin_file(part, clip.build)
+        materials += (
+            f'<material name="m_{part.name}" rgba="{_text(part.colour)} 1" specular="{0.6 * part.shine}" '
+            f'shininess="{part.shine}"/>'
+        )
+        skin_tags += f'<skin name="{part.name}" file="{part.name}.skn" material="m_{part.name}"/>'
+    bodies = ""
+    for name in rest_frames(clip.build):
+        inside = "\n".join(face_geoms(clip.look)) if name == "head" else ""
+        bodies += f'<body name="{name}" mocap="true">{inside}</body>'
+    right, down, _ = camera_axes(clip, room=True)
+    eye = np.array([clip.distance, 0.0, clip.height])
+    key = clip.room.key
+    warm = np.array(clip.room.warmth)
+    turn = np.rad2deg(clip.camera_yaw)
+    xml = f"""
+    <mujoco>
+      <compiler angle="degree"/>
+      <statistic center="0 0 1" extent="2.6"/>
+      <visual>
+        <global offwidth="{WIDTH}" offheight="{HEIGHT}"/>
+        <quality shadowsize="3072" offsamples="0" numslices="64" numquads="4"/>
+        <map znear="0.1" zfar="20" shadowclip="0.56"/>
+        <headlight ambient="0.27 0.27 0.285" diffuse="0.10 0.10 0.10" specular="0 0 0"/>
+      </visual>
+      <asset>
+        <texture name="sky_" type="skybox" builtin="flat" rgb1="0.7 0.66 0.62" width="64" height="64"/>
+        {clip.room.assets}{materials}
+      </asset>
+      <default><geom contype="0" conaffinity="0"/></default>
+      <worldbody>
+        <body name="room" euler="0 0 {turn:.6f}">
+          <light name="key" directional="true" castshadow="true" pos="{_text(np.array([0, 0, 0.9]) - 3 * np.array(key))}"
+            dir="{_text(key)}" diffuse="{_text(0.56 * warm)}" specular="0.25 0.25 0.22" ambient="0 0 0"/>
+          <light name="fill" directional="true" castshadow="false" pos="3 {-4 * key[1]:.3f} 2"
+            dir="-0.8 {-key[1]:.3f} -0.25" diffuse="0.17 0.18 0.20" specular="0 0 0"/>
+          <light name="rim" directional="true" castshadow="false" pos="-2 {3 * key[1]:.3f} 3"
+            dir="0.75 {-1.4 * key[1]:.3f} -0.55" diffuse="0.20 0.19 0.18" specular="0.1 0.1 0.1"/>
+          <camera name="film" pos="{_text(eye)}" xyaxes="{_text(right)} {_text(-down)}" fovy="{clip.fovy}"/>
+          {clip.room.geoms}
+        </body>
+        {bodies}
+      </worldbody>
+      <deformable>{skin_tags}</deformable>
+    </mujoco>"""
+    return mujoco.MjModel.from_xml_string(xml, files)
+
+
+class Film:
+    """Renders frames of one clip."""
+
+    width, height = WIDTH, HEIGHT
+
+    def __init__(self, motion: Motion, clip: Clip, passes: int) -> None:
+        """Prepare the scene; `passes` pictures with shifted light and pixels are averaged to one soft frame."""
+        self._model = build_model(clip)
+        self._data = mujoco.MjData(self._model)
+        self._bones: dict[str, Frames] = pose(motion, clip.build)[0]
+        self._mocap = {name: int(self._model.body(name).mocapid[0]) for name in self._bones}
+        self._passes = passes
+        self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
+        y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+        away = np.hypot((x - WIDTH / 2) / WIDTH, (y - 0.55 * HEIGHT) / HEIGHT)
+        self._vignette = (1.0 - 0.42 * np.clip(away - 0.25, 0, None) ** 1.5)[:, :, None]
+
+    def frame(self, index: int) -> np.ndarray:
+        """Return frame `index` as (height, width, 3) RGB bytes."""
+        for name, bone in self._bones.items():
+            i = self._mocap[name]
+            self._data.mocap_pos[i] = bone.p[index]
+            self._data.mocap_quat[i] = np.roll(Rotation.from_matrix(bone.R[index]).as_quat(), 1)
+        mujoco.mj_forward(self._model, self._data)
+        self._renderer.update_scene(self._data, "film")
+        scene = self._renderer.scene
+        total = np.zeros((HEIGHT, WIDTH, 3))
+        number = next(i for i in range(scene.nlight) if scene.lights[i].castshadow)
+        aim = np.array(scene.lights[number].dir)
+        camera = [(np.array(c.frustum_center), float(c.frustum_bottom), float(c.frustum_top)) for c in scene.camera]
+        for k in range(self._passes):
+            angle, radius = 2.399963 * k, 0.045 * np.sqrt((k + 0.5) / self._passes)
+            shifted = aim + radius * (np.cos(angle) * _across(aim)[0] + np.sin(angle) * _across(aim)[1])
+            scene.lights[number].dir = shifted / np.linalg.norm(shifted)
+            for c, (_, bottom, top) in zip(scene.camera, camera, strict=True):
+                pixel = (top - bottom) / HEIGHT
+                dx, dy = (k + 0.5) / self._passes - 0.5, (0.618034 * k) % 1.0 - 0.5
+                c.frustum_center = dx * pixel
+                c.frustum_bottom, c.frustum_top = bottom + dy * pixel, top + dy * pixel
+            total += self._renderer.render()
+        return self._graded(total / (255.0 * self._passes))
+
+    def _graded(self, rgb: np.ndarray) -> np.ndarray:
+        """A gentle contrast curve, slightly warmer lights, darker corners."""
+        curve = rgb + 0.16 * rgb * (1 - rgb) * (2 * rgb - 0.72)
+        graded = curve * self._vignette * np.array([1.02, 1.0, 0.975])
+        return (255.0 * np.clip(graded, 0, 1) + 0.5).astype(np.uint8)
+
+
+def _across(direction: Array) -> tuple[Array, Array]:
+    side = np.cross(direction, [0.0, 0.0, 1.0])
+    side = side / np.linalg.norm(side)
+    return side, np.cross(direction, side)
+
+
+def _text(values: Array | list[float] | tuple[float, ...]) -> str:
+    return " ".join(f"{v:.7g}" for v in values)
