@@ -5,11 +5,18 @@ Exit status: 0 done, 1 a bug (with its traceback), 2 something for the user to m
 
 from __future__ import annotations
 
+import shlex
 import sys
+from contextvars import ContextVar
+
+COMMAND: ContextVar[str] = ContextVar("command", default="mimic")
+"""The command line that runs, for the provenance of what it writes."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the ``mimic`` command and return its exit status."""
     from mimic.cli.app import run
 
-    return run(sys.argv[1:] if arguments is None else arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    COMMAND.set(shlex.join(["mimic", *words]))
+    return run(words)

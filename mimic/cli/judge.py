@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from mimic import store
+from mimic.cli import COMMAND
 from mimic.cli.app import DONE
 from mimic.cli.console import console, note, progress_bar, table
 from mimic.errors import AssetError, MissingExtra
@@ -20,7 +20,7 @@ def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
         raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
     with progress_bar("episodes") as progress:
         result = evaluate(policy, settings, progress=progress)
-    made_by = store.provenance(command=" ".join(["mimic", *sys.argv[1:]]), settings=settings, inputs={"policy": policy})
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
     store.save_json({**result, "provenance": made_by}, out)
     s = result["summary"]
     walk = ", ".join(f"{v:+.2f} at {k}" for k, v in s["walk_m_s"].items())

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
 from mimic import store
+from mimic.cli import COMMAND
 from mimic.cli.app import DONE, STOPPED
 from mimic.cli.console import note, progress_bar, table, warn
 from mimic.errors import AssetError, ConfigError, SourceError
@@ -24,10 +24,6 @@ SCENE, LOG, JOINTS, TARGETS, POSE, METRICS = (
     "metrics.json",
 )
 """Files of a run folder."""
-
-
-def _command() -> str:
-    return " ".join(["mimic", *sys.argv[1:]])
 
 
 def _pose_cache() -> Path:
@@ -50,7 +46,7 @@ def pose_of(video: Path, settings: PoseSettings) -> PoseTrack:
         return track
     with progress_bar("pose") as progress:
         track = track_video(video, settings, progress=progress)
-    made_by = store.provenance(command=_command(), settings=settings, inputs={"video": video})
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"video": video})
     store.save(track, cached, made_by=made_by)
     return track
 
@@ -76,7 +72,7 @@ def retarget_only(source: Path, out: Path, pose: PoseSettings, retarget: Retarge
     """Write the targets of a video, and print what retargeting did."""
     _, targets = targets_of(source, pose, retarget)
     made_by = store.provenance(
-        command=_command(), settings={"pose": pose, "retarget": retarget}, inputs={"video": source}
+        command=COMMAND.get(), settings={"pose": pose, "retarget": retarget}, inputs={"video": source}
     )
     store.save(targets, out, made_by=made_by)
     table("Targets", _target_rows(targets) | {"written": str(out)})
@@ -157,7 +153,7 @@ def play_source(
 
     settings = {"pose": pose, "retarget": retarget, "run": run}
     inputs = {"source": source, "policy": policy.path}
-    made_by = store.provenance(command=_command(), settings=settings, inputs=inputs)
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     if track is not None:
         store.save(track, folder / POSE, made_by=made_by)
     store.save(targets, folder / TARGETS, made_by=made_by)

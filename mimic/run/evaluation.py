@@ -181,7 +181,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "stood_up_and_kept": float((stood & kept).mean()),
         "stood_up": float(stood.mean()),
         "stand_up_median_s": float(np.median(stand_up)),
-        "stand_up_p95_s": float(np.quantile(stand_up, 0.95)),
+        "stand_up_p95_s": float(np.quantile(stand_up, 0.95, method="nearest")),
         "randomised_toe_error_cm": mean("randomised", "toe_error_cm", "mean"),
         "nominal_toe_error_cm": mean("toes", "toe_error_cm", "mean"),
         "nominal_drift_m": mean("toes", "drift_m"),

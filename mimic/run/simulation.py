@@ -97,10 +97,12 @@ class SimulatedPlant:
         """Send a command and let one control step pass.
 
         Raises:
-            PlantError: If the command or the simulation is not finite.
+            PlantError: If the command or the simulation is not finite, or the command asks for more than positions.
         """
         if not np.all(np.isfinite(command.q_des)):
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
+        if np.any(command.dq_des) or np.any(command.tau_ff):
+            raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
         self._set_gains(command)
         self._push()
         model, data, decimation = self.model, self.data, self._description.decimation

@@ -134,6 +134,10 @@ class StandTrackEnv(VecEnv):
         self._weights = torch.tensor(start, device=device)
         self._log: dict[str, torch.Tensor] = {}
 
+    def resume_at(self, steps: int) -> None:
+        """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
+        self._calls = 240 * (steps // 240)
+
     # ------------------------------------------------------------------ the interface of rsl_rl
 
     def get_observations(self) -> TensorDict:

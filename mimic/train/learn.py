@@ -175,6 +175,7 @@ def train(
     runner.logger.attach(report, deadline)  # type: ignore[attr-defined]
     if resume is not None:
         runner.load(str(resume), map_location=device)
+        env.resume_at(runner.current_learning_iteration * learn.steps)
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     contract = make_contract(description, mdp, settings_hash(mdp, learn))
     try:
