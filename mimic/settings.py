@@ -202,7 +202,7 @@ class RewardWeights:
     velocity: float = 1.4
     heading: float = 0.4
     toes: float = 1.4
-    toes_fine: float = 0.6
+    toes_fine: float = 1.0
     gait: float = 1.2
     slip: float = -0.4
     flight: float = -0.5
@@ -300,6 +300,9 @@ class LearnSettings:
     learning_rate: float = 1e-3
     desired_kl: float = 0.01
     entropy: float = 0.004
+    """Weight of the entropy bonus at the beginning."""
+    entropy_end: float = 0.0003
+    """… and at the end; in between it falls geometrically, so that the spread of the actions narrows late."""
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2

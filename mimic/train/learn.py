@@ -43,8 +43,9 @@ class _Enough(Exception):
 class _Logger(Logger):
     """rsl_rl's logger without its console table and without waiting for the device at each step."""
 
-    def attach(self, report: Report | None, deadline: float) -> None:
+    def attach(self, report: Report | None, deadline: float, progressed: Callable[[float], None]) -> None:
         self._report, self._deadline, self._begin = report, deadline, time.monotonic()
+        self._progressed = progressed
         self._ended = torch.zeros(3, device=self.device)
 
     def process_env_step(self, rewards: Any, dones: Any, extras: Any, intrinsic_rewards: Any = None) -> None:
@@ -87,6 +88,8 @@ class _Logger(Logger):
             "steps": self.tot_timesteps,
             "elapsed_s": time.monotonic() - self._begin,
         }
+        done, span = it + 1 - figures["start_it"], figures["total_it"] - figures["start_it"]
+        self._progressed(max(done / span, row["elapsed_s"] / max(self._deadline - self._begin, 1e-9)))
         if self._report is not None:
             self._report(it, row)
         if time.monotonic() > self._deadline:
@@ -172,7 +175,11 @@ def train(
     runner.logger.__class__ = _Logger
     runner.logger.git_status_repos.clear()
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
-    runner.logger.attach(report, deadline)  # type: ignore[attr-defined]
+
+    def progressed(share: float) -> None:
+        runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
+
+    runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
