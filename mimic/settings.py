@@ -170,6 +170,29 @@ class EvaluateSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TableSettings:
+    """How a policy is judged in the figures of the paper's Table III."""
+
+    episodes: int = 50
+    """Episodes of each evaluation seed; paper: 50."""
+    seeds: int = 3
+    """Evaluation seeds. The paper's three are training seeds."""
+    seconds: float = 20.0
+    """Length of an episode [s]; paper: 1000 control steps."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+
+    def __post_init__(self) -> None:
+        _check_range("episodes", self.episodes, 1, 100_000)
+        _check_range("seeds", self.seeds, 1, 1000)
+        _check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        _check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ViewSettings:
     """What is shown of a run."""
 

@@ -5,14 +5,22 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError
 
 from mimic import __version__
 from mimic.errors import ConfigError, MimicError
-from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, PoseSettings, RetargetSettings, RunSettings
+from mimic.settings import (
+    EvaluateSettings,
+    LearnSettings,
+    MdpSettings,
+    PoseSettings,
+    RetargetSettings,
+    RunSettings,
+    TableSettings,
+)
 
 DONE, BUG, USER, STOPPED = 0, 1, 2, 3
 """Exit statuses."""
@@ -101,9 +109,10 @@ def evaluate(
     policy: Path,
     /,
     *,
+    table: Annotated[bool, Parameter(negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-    episodes: int = EvaluateSettings().episodes,
-    seconds: float = EvaluateSettings().seconds,
+    episodes: int | None = None,
+    seconds: float | None = None,
     seed: int = EvaluateSettings().seed,
     workers: int = 0,
 ) -> int:
@@ -113,21 +122,26 @@ def evaluate(
     ----------
     policy
         ONNX file with its contract inside, such as policies/stand_track.onnx.
+    table
+        Instead, the columns of the paper's Table III, beside the paper's.
     out
-        JSON file for all figures; by default evaluation-NAME.json in the current folder.
+        JSON file for all figures; by default evaluation-NAME.json or table-NAME.json in the current folder.
     episodes
-        Randomised episodes from the lying start.
+        Randomised episodes: 200; with --table 50 for each of three seeds.
     seconds
-        Length of a randomised episode [s].
+        Length of a randomised episode: 20 s.
     seed
         Seed of the first episode.
     workers
         Processes; 0 takes one for each core.
     """
-    from mimic.cli.judge import evaluate_policy
+    from mimic.cli.judge import evaluate_policy, evaluate_table
 
-    settings = EvaluateSettings(episodes=episodes, seconds=seconds, seed=seed, workers=workers)
-    return evaluate_policy(policy, out or Path(f"evaluation-{policy.stem}.json"), settings)
+    given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers}
+    options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if table:
+        return evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))
+    return evaluate_policy(policy, out or Path(f"evaluation-{policy.stem}.json"), EvaluateSettings(**options))
 
 
 @app.command

@@ -46,3 +46,15 @@ def table(title: str, rows: Mapping[str, str]) -> None:
     for name, value in rows.items():
         grid.add_row(escape(name), escape(value))
     console.print(grid)
+
+
+def matrix(title: str, rows: Mapping[str, Mapping[str, str]]) -> None:
+    """Print rows of figures under common headings, which are the keys of the first row."""
+    grid = Table(title=title, title_justify="left", title_style="bold")
+    grid.add_column(style="cyan")
+    headings = tuple(next(iter(rows.values())))
+    for heading in headings:
+        grid.add_column(escape(heading.replace("_", " ")), justify="right")
+    for name, values in rows.items():
+        grid.add_row(escape(name), *(escape(values[heading]) for heading in headings))
+    console.print(grid)

@@ -7,17 +7,21 @@ from pathlib import Path
 from mimic import store
 from mimic.cli import COMMAND
 from mimic.cli.app import DONE
-from mimic.cli.console import console, note, progress_bar, table
+from mimic.cli.console import console, matrix, note, progress_bar, table
 from mimic.errors import AssetError, MissingExtra
-from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings
+from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, TableSettings
+
+
+def _require(policy: Path) -> None:
+    if not policy.is_file():
+        raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
 
 
 def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
     """Judge a policy, print the figures that decide, and write all of them."""
     from mimic.run.evaluation import evaluate
 
-    if not policy.is_file():
-        raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
+    _require(policy)
     with progress_bar("episodes") as progress:
         result = evaluate(policy, settings, progress=progress)
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
@@ -42,6 +46,42 @@ def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
         },
     )
     return DONE
+
+
+def evaluate_table(policy: Path, out: Path, settings: TableSettings) -> int:
+    """Judge a policy in the paper's figures, print them beside the paper's, and write all of them."""
+    from mimic.run import paper_evaluation
+
+    _require(policy)
+    with progress_bar("episodes") as progress:
+        result = paper_evaluation.evaluate_table(policy, settings, progress=progress)
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
+    store.save_json({**result, "provenance": made_by}, out)
+    rows = {"paper": figures(result["paper"])}
+    rows |= {name: figures(row["columns"]) for name, row in result["table"].items()}
+    count = f"{settings.episodes} episodes x {settings.seeds} seeds"
+    matrix(f"{policy.name}: the paper's Table III, {count} of {settings.seconds:g} s", rows)
+    last = result["table"]["contacts"]["unweighted"]
+    table(
+        "Unweighted means after the 50th step, ended by contacts",
+        {
+            "toe error": f"{last['toe_error_cm']['mean']:.2f} cm",
+            "velocity error": f"{last['velocity_error_m_s']['mean']:.3f} m/s",
+            "heading error": f"{last['heading_error_rad']['mean']:.3f} rad",
+        }
+        | {
+            f"how they ended, {name}": ", ".join(f"{n} {kind}" for kind, n in row["ended_by"].items())
+            for name, row in result["table"].items()
+        }
+        | {"written": str(out)},
+    )
+    return DONE
+
+
+def figures(columns: dict[str, dict[str, float]]) -> dict[str, str]:
+    """Return mean±standard deviation of each column as text; the episode's sums with one decimal."""
+    digits = {name: 1 if name in ("episode_reward", "steps") else 3 for name in columns}
+    return {name: f"{v['mean']:.{digits[name]}f}±{v['std']:.{digits[name]}f}" for name, v in columns.items()}
 
 
 def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnSettings, overrides: list[str]) -> int:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +16,7 @@ from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription, load_description
 from mimic.robot.goals import draw_goals
 from mimic.run.loop import RunResult, run_policy
+from mimic.run.pool import loaded_policy, play_all
 from mimic.run.simulation import SimulatedPlant
 from mimic.settings import NOMINAL, EvaluateSettings, Randomisation, RunSettings
 from mimic.types import CommandTrack, FloatArray
@@ -54,6 +52,7 @@ def command_script(
     *,
     speed: float | None = None,
     turn: float | None = None,
+    first: FloatArray | None = None,
 ) -> CommandTrack:
     """Return random reachable goals every 3 s; velocity and heading as in the paper where none is given.
 
@@ -61,10 +60,13 @@ def command_script(
         seconds: Length of the track [s].
         speed: Forward speed throughout [m/s].
         turn: Heading throughout, relative to the start [rad].
+        first: Toes (2, 3) from which the way to the first goal begins [m]; by default at another goal.
     """
     dt = description.dt
     ticks = round(seconds / dt)
     goals = draw_goals(description, int(seconds / GOAL_SECONDS) + 3, rng)
+    if first is not None:
+        goals = np.concatenate([first[None], goals])
     blocks = np.arange(ticks) * dt // COMMAND_SECONDS
     count = int(blocks[-1]) + 1
     speeds = rng.integers(-3, 4, count) * 0.1 if speed is None else np.full(count, speed)
@@ -94,7 +96,7 @@ def _play(job: _Job, policy: Policy, description: RobotDescription) -> RunResult
 
 def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     description = load_description()
-    policy = _policy(policy_path)
+    policy = loaded_policy(policy_path)
     result = _play(job, policy, description)
     log = result.log
     figures = run_metrics(log, description) | {"kind": job.kind, "seed": job.seed}
@@ -114,15 +116,6 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
         figures["turn_error_rad"] = float(error[within].mean()) if within.any() else float("inf")
         figures["commanded_rad"] = job.turn
     return figures
-
-
-_loaded: dict[str, Policy] = {}
-
-
-def _policy(path: str) -> Policy:
-    if path not in _loaded:
-        _loaded[path] = Policy(Path(path), load_description())
-    return _loaded[path]
 
 
 def _jobs(settings: EvaluateSettings) -> Iterator[_Job]:
@@ -148,13 +141,8 @@ def evaluate(
     """
     Policy(policy_path, load_description())
     jobs = list(_jobs(settings))
-    workers = settings.workers or len(os.sched_getaffinity(0))
-    rows: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(partial(_figures, policy_path=str(policy_path)), jobs, chunksize=2):
-            rows.append(row)
-            if progress is not None:
-                progress(len(rows), len(jobs))
+    play = partial(_figures, policy_path=str(policy_path))
+    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 

@@ -1,0 +1,53 @@
+"""Independent episodes in parallel over the cores, in the order they were asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+from mimic.policy.runtime import Policy
+from mimic.robot.description import load_description
+
+Job = TypeVar("Job")
+Row = TypeVar("Row")
+
+Progress = Callable[[int, int], None]
+"""Called with the episodes done and in all."""
+
+_loaded: dict[str, Policy] = {}
+
+
+def loaded_policy(path: str) -> Policy:
+    """Return the policy of a file, read once in each process.
+
+    Raises:
+        AssetError, ContractError: If it cannot be run on this robot.
+    """
+    if path not in _loaded:
+        _loaded[path] = Policy(Path(path), load_description())
+    return _loaded[path]
+
+
+def play_all(
+    play: Callable[[Job], Row], jobs: Sequence[Job], *, workers: int = 0, progress: Progress | None = None
+) -> list[Row]:
+    """Return what ``play`` makes of each job, in the order of the jobs.
+
+    Args:
+        play: A function that other processes can import.
+        jobs: One for each episode.
+        workers: Processes; 0 takes one for each core.
+        progress: Called after each episode.
+    """
+    rows: list[Row] = []
+    count = workers or len(os.sched_getaffinity(0))
+    with ProcessPoolExecutor(max_workers=count, mp_context=get_context("spawn")) as pool:
+        for row in pool.map(play, jobs, chunksize=2):
+            rows.append(row)
+            if progress is not None:
+                progress(len(rows), len(jobs))
+    return rows
