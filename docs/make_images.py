@@ -20,7 +20,7 @@ from mimic.view.viewer import screenshot
 
 HERE = Path(__file__).resolve().parent
 CLIPS = HERE.parent / "examples" / "videos"
-MOMENTS = {"boxing": 8.9, "ballet": 6.0, "waving": 4.0}
+MOMENTS = {"boxing": 8.9, "ballet": 8.0, "waving": 4.0}
 """Time in each clip that the picture shows [s]."""
 STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
 """Times of the stand-up that its strip shows [s]."""
