@@ -193,6 +193,78 @@ class TableSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Disturbance:
+    """What happens to a simulated robot besides its variation; the default is nothing."""
+
+    toe: Literal["left", "right"] = "left"
+    """Front toe that carries and is dragged."""
+    toe_payload: float = 0.0
+    """Mass at that toe [kg]."""
+    drag: float = 0.0
+    """Horizontal force on that toe, in a direction drawn for each start [N]."""
+    drag_from: float = 4.0
+    """When the force begins [s]."""
+    drag_seconds: float = 3.0
+    """How long it lasts [s]."""
+    slope: float = 0.0
+    """Inclination of the ground, falling in a direction drawn for each start [deg]."""
+    imu_tilt: float = 0.0
+    """Mounting error of the IMU, about an axis drawn for each start [deg]."""
+    noise_q: float = 0.0
+    """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
+    noise_imu: float = 0.0
+    """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
+    lost_share: float = 0.0
+    """Probability that a command does not arrive; the one before stays in effect."""
+
+    def __post_init__(self) -> None:
+        _check_range("toe-payload", self.toe_payload, 0.0, 5.0, "kg")
+        _check_range("drag", self.drag, 0.0, 100.0, "N")
+        _check_range("slope", self.slope, 0.0, 30.0, "deg")
+        _check_range("imu-tilt", self.imu_tilt, 0.0, 30.0, "deg")
+        _check_range("noise-q", self.noise_q, 0.0, 1.0, "rad")
+        _check_range("noise-imu", self.noise_imu, 0.0, 1.0, "rad")
+        _check_range("lost-share", self.lost_share, 0.0, 1.0)
+
+
+CALM = Disturbance()
+"""Nothing happens."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solver:
+    """How the physics is integrated; the default is that of the robot description."""
+
+    timestep: float = 0.005
+    """Physics step [s]; the control step must be a multiple of it."""
+    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    """Shape of the friction cones."""
+
+    def __post_init__(self) -> None:
+        _check_range("timestep", self.timestep, 1e-4, 0.02, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobustnessSettings:
+    """How far a policy can be disturbed."""
+
+    episodes: int = 40
+    """Episodes at each point; the same starts and commands at every point."""
+    seconds: float = 10.0
+    """Length of an episode [s]."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+
+    def __post_init__(self) -> None:
+        _check_range("episodes", self.episodes, 1, 100_000)
+        _check_range("seconds", self.seconds, 2.5, 600.0, "s")
+        _check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ViewSettings:
     """What is shown of a run."""
 

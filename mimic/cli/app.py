@@ -18,6 +18,7 @@ from mimic.settings import (
     MdpSettings,
     PoseSettings,
     RetargetSettings,
+    RobustnessSettings,
     RunSettings,
     TableSettings,
 )
@@ -110,6 +111,7 @@ def evaluate(
     /,
     *,
     table: Annotated[bool, Parameter(negative="")] = False,
+    robustness: Annotated[bool, Parameter(negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     episodes: int | None = None,
     seconds: float | None = None,
@@ -124,23 +126,31 @@ def evaluate(
         ONNX file with its contract inside, such as policies/stand_track.onnx.
     table
         Instead, the columns of the paper's Table III, beside the paper's.
+    robustness
+        Instead, the share of survived episodes along each disturbance, with a heat map.
     out
-        JSON file for all figures; by default evaluation-NAME.json or table-NAME.json in the current folder.
+        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json or robustness-NAME.json in the
+        current folder. The heat map goes beside it.
     episodes
-        Randomised episodes: 200; with --table 50 for each of three seeds.
+        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point.
     seconds
-        Length of a randomised episode: 20 s.
+        Length of a randomised episode: 20 s; with --robustness 10 s.
     seed
         Seed of the first episode.
     workers
         Processes; 0 takes one for each core.
     """
-    from mimic.cli.judge import evaluate_policy, evaluate_table
+    from mimic.cli.judge import evaluate_policy, evaluate_robustness, evaluate_table
 
+    if table and robustness:
+        raise ConfigError("--table and --robustness are two ways of judging; give one of them")
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if table:
         return evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))
+    if robustness:
+        settings = RobustnessSettings(**options)
+        return evaluate_robustness(policy, out or Path(f"robustness-{policy.stem}.json"), settings)
     return evaluate_policy(policy, out or Path(f"evaluation-{policy.stem}.json"), EvaluateSettings(**options))
 
 

@@ -9,7 +9,7 @@ from mimic.cli import COMMAND
 from mimic.cli.app import DONE
 from mimic.cli.console import console, matrix, note, progress_bar, table
 from mimic.errors import AssetError, MissingExtra
-from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, TableSettings
+from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, RobustnessSettings, TableSettings
 
 
 def _require(policy: Path) -> None:
@@ -75,6 +75,37 @@ def evaluate_table(policy: Path, out: Path, settings: TableSettings) -> int:
         }
         | {"written": str(out)},
     )
+    return DONE
+
+
+def evaluate_robustness(policy: Path, out: Path, settings: RobustnessSettings) -> int:
+    """Disturb a policy along each axis, print where it breaks, write all shares and draw them."""
+    from mimic.run import robustness
+    from mimic.view.heat_map import draw_heat_map
+
+    _require(policy)
+    with progress_bar("episodes") as progress:
+        result = robustness.evaluate_robustness(policy, settings, progress=progress)
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
+    store.save_json({**result, "provenance": made_by}, out)
+    picture = out.with_suffix(".png")
+    draw_heat_map(result, picture)
+    rows = {}
+    for name, axis in result["axes"].items():
+        low, high = axis["asked"]
+        inside = [p["survived"] for p in axis["points"] if low <= p["value"] <= high]
+        trained = "-" if axis["trained"] is None else f"{axis['trained'][0]:g} … {axis['trained'][1]:g}"
+        rows[f"{name.replace('_', ' ')} [{axis['unit']}]" if axis["unit"] else name.replace("_", " ")] = {
+            "trained": trained,
+            "asked": f"{low:g} … {high:g}",
+            "survived, worst in it": f"{min(inside):.0%}",
+            "95 % hold": "nowhere" if axis["holds"] is None else f"{axis['holds'][0]:g} … {axis['holds'][1]:g}",
+        }
+    matrix(f"{policy.name}: {settings.episodes} episodes of {settings.seconds:g} s at each point", rows)
+    shares = {f"all at once, {float(s):.0%} of the ranges": f"{v:.0%}" for s, v in result["together"].items()}
+    shares |= {name: f"{v:.0%}" for name, v in result["randomised"].items()}
+    shares |= {f"solver: {name}": f"{v:.0%}" for name, v in result["solvers"].items()}
+    table("Survived", shares | {"written": f"{out}, {picture}"})
     return DONE
 
 

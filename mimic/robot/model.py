@@ -11,6 +11,7 @@ A command takes effect after a delay that varies from robot to robot. It is appl
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -28,13 +29,20 @@ TOES = tuple(f"{leg}_toe" for leg in LEGS)
 """Site of each toe; the first two are the front toes, left and right."""
 
 
-def load_model(description: RobotDescription, *, floor: bool = True, visuals: bool = True) -> mujoco.MjModel:
+def load_model(
+    description: RobotDescription,
+    *,
+    floor: bool = True,
+    visuals: bool = True,
+    payloads: Mapping[str, float] | None = None,
+) -> mujoco.MjModel:
     """Compile the robot.
 
     Args:
         description: The robot.
         floor: Put it on a floor.
         visuals: Keep the shapes that are only looked at.
+        payloads: Mass [kg] that the toe of a leg carries, as a ball of the toe's size.
     """
     spec = mujoco.MjSpec.from_file(str(description.scene if floor else description.mjcf))
     for actuator in spec.actuators:
@@ -44,6 +52,10 @@ def load_model(description: RobotDescription, *, floor: bool = True, visuals: bo
         for geom in list(spec.geoms):
             if geom.classname is not None and geom.classname.name == "visual":
                 spec.delete(geom)
+    for leg, mass in (payloads or {}).items():
+        inertia = 0.4 * mass * description.toe_radius**2
+        load = spec.body(f"{leg}_knee").add_body(pos=description.raw["toe"]["position"], explicitinertial=True)
+        load.mass, load.ipos, load.inertia = mass, [0.0, 0.0, 0.0], [inertia] * 3
     model = spec.compile()
     names = tuple(model.joint(i).name for i in range(1, model.njnt))
     assert names == JOINTS, f"the joints of the MJCF are {names}"
@@ -153,21 +165,33 @@ def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variat
 
 
 def command_in_effect(
-    substep: int, decimation: int, delay_steps: Any, newest: Any, before: Any, before_that: Any, where: Any
+    substep: int,
+    decimation: int,
+    delay_steps: Any,
+    newest: Any,
+    before: Any,
+    before_that: Any,
+    where: Any,
+    older: Sequence[Any] = (),
 ) -> Any:
     """Return the command that acts during a physics step.
 
     Args:
         substep: Index of the physics step within the control step, from 0.
         decimation: Physics steps in a control step.
-        delay_steps: Physics steps from a command to its effect; less than two control steps. Broadcasts with commands.
+        delay_steps: Physics steps from a command to its effect; no more than one control step less than there are
+            commands, two with the first three. Broadcasts with commands.
         newest: Command of this control step.
         before: Command of the control step before.
         before_that: And of the one before that.
         where: ``np.where`` or ``torch.where``.
+        older: Those before, newest first.
     """
-    late = where(delay_steps - decimation <= substep, before, before_that)
-    return where(delay_steps <= substep, newest, late)
+    commands = (newest, before, before_that, *older)
+    acting = commands[-1]
+    for age in reversed(range(len(commands) - 1)):
+        acting = where(delay_steps - age * decimation <= substep, commands[age], acting)
+    return acting
 
 
 def toe_positions(q: Any, raw: dict[str, Any], cos: Any, sin: Any, stack: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -94,14 +94,28 @@ def _play(job: _Job, policy: Policy, description: RobotDescription) -> RunResult
     return run_policy(plant, policy, track, TIMING)
 
 
+def stands_at_end(result: RunResult, description: RobotDescription, *, ground: FloatArray | float = 0.0) -> bool:
+    """Return whether a robot has not fallen and stands for most of its last second.
+
+    Args:
+        result: Of the run.
+        description: The robot.
+        ground: Height of the ground under the base at each tick [m].
+    """
+    p_WB = result.log.p_WB.copy()
+    p_WB[:, 2] -= ground
+    log = replace(result.log, p_WB=p_WB)
+    last = standing(log, description)[-round(1.0 / description.dt) :]
+    return bool(result.fell_at is None and last.mean() > 0.5 and p_WB[-1, 2] > 0.3)
+
+
 def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     description = load_description()
     policy = loaded_policy(policy_path)
     result = _play(job, policy, description)
     log = result.log
     figures = run_metrics(log, description) | {"kind": job.kind, "seed": job.seed}
-    last = standing(log, description)[-round(1.0 / description.dt) :]
-    figures["stands_at_end"] = bool(result.fell_at is None and last.mean() > 0.5 and log.p_WB[-1, 2] > 0.3)
+    figures["stands_at_end"] = stands_at_end(result, description)
     heading = heading_from_quat(log.quat_WB)
     if job.kind == "walk":
         rows = log.t > 2.0

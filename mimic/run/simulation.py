@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 
-from mimic.errors import PlantError
+from mimic.errors import ConfigError, PlantError
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import GAIN_KD, GAIN_KP, Variation, command_in_effect, draw_variation, load_model, vary_model
-from mimic.settings import NOMINAL, Randomisation
+from mimic.run.disturbances import Disturber, payloads
+from mimic.settings import CALM, NOMINAL, Disturbance, Randomisation, Solver
 from mimic.types import FloatArray, JointCommand, JointSamples, RobotState, Tick
+
+
+def with_timestep(description: RobotDescription, timestep: float) -> RobotDescription:
+    """Return the robot with another physics step [s] at the same control step.
+
+    Raises:
+        ConfigError: If the control step is no multiple of it.
+    """
+    decimation = round(description.dt / timestep)
+    if not np.isclose(decimation * timestep, description.dt, rtol=1e-9):
+        raise ConfigError(
+            f"the timestep is {timestep:g} s; the control step of {description.dt:g} s must be a multiple"
+        )
+    return dataclasses.replace(description, timestep=timestep, decimation=decimation)
 
 
 class SimulatedPlant:
@@ -25,6 +42,8 @@ class SimulatedPlant:
         ranges: Randomisation = NOMINAL,
         seed: int = 0,
         samples: bool = True,
+        disturbance: Disturbance = CALM,
+        solver: Solver | None = None,
     ) -> None:
         """Make a robot.
 
@@ -32,10 +51,21 @@ class SimulatedPlant:
             ranges: What varies; the default is the robot as described.
             seed: Draws the variation, the start and the pushes.
             samples: Also record the joints at each physics step.
+            disturbance: What happens to the robot besides.
+            solver: How the physics is integrated; by default as the description says.
+
+        Raises:
+            ConfigError: If the control step is no multiple of the solver's step.
         """
-        self._description = description
-        self._nominal = load_model(description, visuals=False)
-        self.model = load_model(description, visuals=False)
+        self._description = description if solver is None else with_timestep(description, solver.timestep)
+        self._disturbance = disturbance
+        self._nominal = load_model(description, visuals=False, payloads=payloads(disturbance))
+        self.model = load_model(description, visuals=False, payloads=payloads(disturbance))
+        if solver is not None:
+            option = self.model.opt
+            option.timestep = solver.timestep
+            option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{solver.integrator.upper()}")
+            option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
         self.data = mujoco.MjData(self.model)
         self._samples = samples
         self._ranges = ranges
@@ -53,6 +83,7 @@ class SimulatedPlant:
         vary_model(self.model, self._nominal, self.variation)
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
         self._gains_kp, self._gains_kd = self._description.kp, self._description.kd
+        self.disturber = Disturber(self._disturbance, self.model, seed)
 
     def start(self) -> RobotState:
         """Put the robot on the ground, lying on its folded legs, and return its state."""
@@ -62,14 +93,16 @@ class SimulatedPlant:
         data.qpos[:3] = 0.0, 0.0, d.pose_height["lie"] + 0.005 + v.start_height
         data.qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
         data.qpos[7:] = q
+        self.disturber.place(data.qpos)
         mujoco.mj_forward(self.model, data)
-        self._commands = [q, q, q]
+        reach = -(-self.variation.delay_steps // d.decimation)
+        self._commands = [q] * max(reach + 1, 3)
         self._next_push = self._ranges.push_interval
         return self._state()
 
     def _state(self) -> RobotState:
         data = self.data
-        return RobotState(
+        state = RobotState(
             t=data.time,
             q=data.qpos[7:].copy(),
             dq=data.qvel[6:].copy(),
@@ -79,6 +112,7 @@ class SimulatedPlant:
             p_WB=data.qpos[:3].copy(),
             v_WB=data.qvel[:3].copy(),
         )
+        return self.disturber.sensed(state)
 
     def _set_gains(self, command: JointCommand) -> None:
         if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
@@ -103,16 +137,19 @@ class SimulatedPlant:
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
         if np.any(command.dq_des) or np.any(command.tau_ff):
             raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
+        if self.disturber.command_lost():
+            command = dataclasses.replace(command, q_des=self._commands[0])
         self._set_gains(command)
         self._push()
         model, data, decimation = self.model, self.data, self._description.decimation
-        newest, before, oldest = command.q_des, *self._commands[:2]
-        self._commands = [newest, before, oldest]
+        self._commands = [command.q_des, *self._commands[:-1]]
+        newest, before, before_that, *older = self._commands
         rows: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for k in range(decimation):
             data.ctrl[:] = command_in_effect(
-                k, decimation, self.variation.delay_steps, newest, before, oldest, np.where
+                k, decimation, self.variation.delay_steps, newest, before, before_that, np.where, older
             )
+            self.disturber.pull(data)
             mujoco.mj_step(model, data)
             if self._samples:
                 force = data.actuator_force.copy()

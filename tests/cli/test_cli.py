@@ -256,3 +256,26 @@ def test_a_policy_is_judged_and_written_with_the_hash_of_what_was_judged(here, c
     assert told["provenance"]["inputs"]["policy"] == store.sha256_of(policy)
     assert told["provenance"]["settings"]["episodes"] == 1
     assert "useless.onnx" in capsys.readouterr().out
+
+
+def test_ways_of_judging_exclude_each_other(here, capsys):
+    assert main(["evaluate", "a.onnx", "--table", "--robustness"]) == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("way", ["--table", "--robustness"])
+def test_ways_of_judging_refuse_what_is_not_there(way, here, capsys):
+    assert main(["evaluate", "nowhere.onnx", way]) == 2
+    assert capsys.readouterr().err.startswith("mimic: there is no policy nowhere.onnx")
+    assert contents(here) == {}
+
+
+def test_the_table_is_printed_beside_the_paper_s_and_written(here, capsys, constant_onnx):
+    policy = constant_onnx(here / "still.onnx")
+    assert main(["evaluate", str(policy), "--table", "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
+    told = capsys.readouterr().out
+    for word in ("paper", "contacts", "826.7", "toe error"):
+        assert word in told, word
+    written = json.loads((here / "table-still.json").read_text())
+    assert written["provenance"]["settings"]["episodes"] == 1
+    assert set(written["paper"]) == set(written["table"]["contacts"]["columns"])

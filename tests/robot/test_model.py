@@ -277,3 +277,14 @@ def test_each_command_acts_for_one_control_step_after_its_delay(delay):
     ]
     expected = [(8 + step - delay) // 4 for step in range(32)]
     assert acting == expected
+
+
+@pytest.mark.parametrize("delay", range(17))
+def test_longer_delays_reach_further_back(delay):
+    commands = list(range(12))
+    acting = [
+        int(command_in_effect(k, 4, delay, *commands[i : i - 3 : -1], np.where, commands[i - 3 : i - 5 : -1]))
+        for i in range(5, 12)
+        for k in range(4)
+    ]
+    assert acting == [(20 + step - delay) // 4 for step in range(28)]

@@ -69,7 +69,7 @@ def test_recording_the_joints_does_not_change_the_motion(description):
     assert same(play(SimulatedPlant(description, samples=True)), play(SimulatedPlant(description, samples=False)))
 
 
-@pytest.mark.parametrize("steps", range(8))
+@pytest.mark.parametrize("steps", range(14))
 def test_a_command_takes_effect_after_exactly_its_delay(steps, description):
     seconds = steps * description.timestep
     ranges = dataclasses.replace(NOMINAL, delay=(seconds, seconds))
@@ -79,7 +79,7 @@ def test_a_command_takes_effect_after_exactly_its_delay(steps, description):
         plant = SimulatedPlant(description, ranges=ranges)
         plant.start()
         before = [plant.step(command(description, lie)) for _ in range(5)]
-        after = [plant.step(command(description, then)) for _ in range(3)]
+        after = [plant.step(command(description, then)) for _ in range(5)]
         assert len(before) == 5
         return np.concatenate([tick.samples.tau for tick in after])
 

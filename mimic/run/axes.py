@@ -1,0 +1,114 @@
+"""Ways to disturb a robot by a number, and the values that are tried."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mimic.settings import CALM, NOMINAL, TRAINING_RANDOMISATION, Disturbance, Randomisation
+
+START = dataclasses.replace(
+    NOMINAL,
+    start_q=Randomisation().start_q,
+    start_height=Randomisation().start_height,
+    heading=Randomisation().heading,
+)
+"""The robot as described, at the paper's random starts."""
+
+PUSH_INTERVAL = TRAINING_RANDOMISATION.push_interval
+"""Time between two pushes [s]."""
+
+World = tuple[Randomisation, Disturbance]
+"""What a robot is drawn from, and what happens to it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """One way to disturb a robot, by a number."""
+
+    unit: str
+    nominal: float
+    points: tuple[float, ...]
+    """Values that are tried; some lie outside the range that is asked for, to find where it breaks."""
+    asked: tuple[float, float]
+    """Range that is asked for."""
+    trained: tuple[float, float] | None
+    """Range that training sees by default; None where it sees none."""
+    apply: Callable[[World, float], World]
+
+
+def _range(*names: str, scale: float = 1.0) -> Callable[[World, float], World]:
+    def apply(world: World, value: float) -> World:
+        ranges: dict[str, Any] = {name: (value * scale, value * scale) for name in names}
+        return dataclasses.replace(world[0], **ranges), world[1]
+
+    return apply
+
+
+def _disturb(**scales: float) -> Callable[[World, float], World]:
+    def apply(world: World, value: float) -> World:
+        values: dict[str, Any] = {name: scale * value for name, scale in scales.items()}
+        return world[0], dataclasses.replace(world[1], **values)
+
+    return apply
+
+
+def _push(world: World, value: float) -> World:
+    return dataclasses.replace(world[0], push=(value, value), push_interval=PUSH_INTERVAL), world[1]
+
+
+def _axes() -> dict[str, Axis]:
+    t = TRAINING_RANDOMISATION
+    gains = (0.6, 0.7, 0.75, 0.85, 1.0, 1.25, 1.3, 1.5)
+    delay = (1e3 * t.delay[0], 1e3 * t.delay[1])
+
+    def axis(
+        unit: str,
+        nominal: float,
+        points: tuple[float, ...],
+        asked: tuple[float, float],
+        trained: tuple[float, float] | None,
+        apply: Callable[[World, float], World],
+    ) -> Axis:
+        return Axis(unit=unit, nominal=nominal, points=points, asked=asked, trained=trained, apply=apply)
+
+    friction = (0.2, 0.3, 0.4, 0.5, 0.6, 1.0, 2.0, 3.0)
+    delays = (0.0, 5.0, 15.0, 25.0, 35.0, 40.0, 50.0, 60.0)
+    masses = (-2.0, -1.5, -1.0, 0.0, 1.0, 1.5, 2.0, 3.0)
+    dry = (0.0, 0.05, 0.12, 0.2, 0.25, 0.3, 0.4, 0.5)
+    payload = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
+    noise = _disturb(noise_q=0.01, noise_imu=0.015)  # the default noise of training
+    return {
+        "ground_friction": axis("", 1.0, friction, (0.4, 3.0), t.ground_friction, _range("ground_friction")),
+        "delay": axis("ms", 15.0, delays, (0.0, 40.0), delay, _range("delay", scale=1e-3)),
+        "base_mass": axis("kg", 0.0, masses, (-1.5, 1.5), t.base_mass, _range("base_mass")),
+        "kp": axis("x", 1.0, gains, (0.7, 1.3), t.kp, _range("kp")),
+        "kd": axis("x", 1.0, gains, (0.7, 1.3), t.kd, _range("kd")),
+        "joint_friction": axis("N m", 0.05, dry, (0.0, 0.3), t.joint_friction, _range("joint_friction")),
+        "toe_payload": axis("kg", 0.0, payload, (0.0, 0.3), t.toe_mass, _disturb(toe_payload=1.0)),
+        "push": axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
+        "noise": axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),
+        "imu_tilt": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 3.0), None, _disturb(imu_tilt=1)),
+        "slope": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), None, _disturb(slope=1.0)),
+        "lost_commands": axis(
+            "%", 0.0, (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0), (0.0, 5.0), None, _disturb(lost_share=0.01)
+        ),
+        "toe_drag": axis("N", 0.0, (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0), (0.0, 15.0), None, _disturb(drag=1.0)),
+    }
+
+
+AXES = _axes()
+
+
+def all_at_once(share: float, seed: int) -> World:
+    """Return a world in which every axis is drawn between its nominal value and a share of its asked range."""
+    rng = np.random.default_rng([seed, 11])
+    world: World = (START, CALM)
+    for axis in AXES.values():
+        low, high = (axis.nominal + share * (end - axis.nominal) for end in axis.asked)
+        world = axis.apply(world, float(rng.uniform(low, high)))
+    return world

@@ -1,0 +1,97 @@
+"""What happens to a simulated robot besides its variation; each part does nothing unless it is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import mujoco
+import numpy as np
+
+from mimic.robot.model import TOES
+from mimic.settings import Disturbance
+from mimic.types import LEGS, SIDES, FloatArray, RobotState
+
+
+def _quat_about(axis: FloatArray, angle: float) -> FloatArray:
+    quat = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(quat, axis / np.linalg.norm(axis), angle)
+    return quat
+
+
+def _multiply(one: FloatArray, other: FloatArray) -> FloatArray:
+    product = np.zeros(4)
+    mujoco.mju_mulQuat(product, one, other)
+    return product
+
+
+class Disturber:
+    """Applies one disturbance to one simulated robot; its directions and noise are those of its seed."""
+
+    def __init__(self, disturbance: Disturbance, model: mujoco.MjModel, seed: int) -> None:
+        """Draw the directions and tilt the floor of ``model``.
+
+        Args:
+            disturbance: What happens.
+            model: Of the robot on its floor.
+            seed: Draws the directions and the noise; the robot's own seed may be the same.
+        """
+        self._what, self._model = disturbance, model
+        self._rng = rng = np.random.default_rng([seed, 7])
+        slope, drag = rng.uniform(-np.pi, np.pi, 2)
+        mount = rng.normal(size=3)
+        self._site = model.site(TOES[SIDES.index(disturbance.toe)]).id
+        self._body = model.site_bodyid[self._site]
+        self._force = disturbance.drag * np.array([np.cos(drag), np.sin(drag), 0.0])
+        self.slope_quat = _quat_about(np.array([np.cos(slope), np.sin(slope), 0.0]), np.deg2rad(disturbance.slope))
+        """Rotation from level to inclined ground, wxyz."""
+        self._mount = _quat_about(mount, np.deg2rad(disturbance.imu_tilt))
+        floor = model.geom("floor").id
+        model.geom_quat[floor] = self.slope_quat
+        model.geom_sameframe[floor] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # or its quaternion would not be read
+
+    def place(self, qpos: FloatArray) -> None:
+        """Put a robot that lies on level ground onto the inclined one; changes qpos in place."""
+        if self._what.slope:
+            position = np.zeros(3)
+            mujoco.mju_rotVecQuat(position, qpos[:3].copy(), self.slope_quat)
+            qpos[:3], qpos[3:7] = position, _multiply(self.slope_quat, qpos[3:7].copy())
+
+    def ground_height(self, p_W: FloatArray) -> FloatArray:
+        """Return the height of the ground (...,) [m] under positions (..., 3)."""
+        normal = np.zeros(3)
+        mujoco.mju_rotVecQuat(normal, np.array([0.0, 0.0, 1.0]), self.slope_quat)
+        return -(p_W[..., 0] * normal[0] + p_W[..., 1] * normal[1]) / normal[2]
+
+    def command_lost(self) -> bool:
+        """Return whether the command of this control step does not arrive."""
+        return self._what.lost_share > 0 and bool(self._rng.uniform() < self._what.lost_share)
+
+    def pull(self, data: mujoco.MjData) -> None:
+        """Drag the toe during one physics step, or let go of it."""
+        if not self._what.drag:
+            return
+        data.qfrc_applied[:] = 0.0
+        if 0.0 <= data.time - self._what.drag_from < self._what.drag_seconds:
+            point, none = data.site_xpos[self._site], np.zeros(3)
+            mujoco.mj_applyFT(self._model, data, self._force, none, point, self._body, data.qfrc_applied)
+
+    def sensed(self, state: RobotState) -> RobotState:
+        """Return the state as the robot's sensors show it."""
+        d, quat, q = self._what, state.quat_WB, state.q
+        if d.imu_tilt:
+            quat = _multiply(quat, self._mount)
+        if d.noise_imu:
+            turn = self._rng.uniform(-d.noise_imu, d.noise_imu, 3)
+            quat = _multiply(quat, _quat_about(turn, float(np.linalg.norm(turn))))
+        if d.noise_q:
+            q = q + self._rng.uniform(-d.noise_q, d.noise_q, len(q))
+        if quat is state.quat_WB and q is state.q:
+            return state
+        values = {f.name: getattr(state, f.name) for f in fields(RobotState)}
+        return RobotState(**(values | {"q": q, "quat_WB": quat}))
+
+
+def payloads(disturbance: Disturbance) -> dict[str, float]:
+    """Return the mass that each leg's toe carries [kg]."""
+    carried = {LEGS[SIDES.index(disturbance.toe)]: disturbance.toe_payload}
+    return carried if disturbance.toe_payload else {}

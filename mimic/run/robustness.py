@@ -1,0 +1,154 @@
+"""How far a policy can be disturbed before it falls: one axis at a time, all together, and under other solvers.
+
+An episode begins lying, with start pose, heading, goals and commands drawn as in the paper, and is survived when the
+robot has not fallen and stands in its last second. Along an axis everything else is nominal, and each point sees the
+same starts and commands.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import PlantError
+from mimic.robot.description import load_description
+from mimic.run.axes import AXES, START, World, all_at_once
+from mimic.run.evaluation import TIMING, command_script, stands_at_end
+from mimic.run.loop import run_policy
+from mimic.run.pool import Progress, loaded_policy, play_all
+from mimic.run.simulation import SimulatedPlant
+from mimic.settings import CALM, TRAINING_RANDOMISATION, Randomisation, RobustnessSettings, Solver
+from mimic.types import SIDES
+
+KEPT = 0.95
+"""Share of survived episodes that counts as holding."""
+
+TOGETHER = (0.25, 0.5, 0.75, 1.0)
+"""Shares of every asked range, from nominal to its end, in which all axes are drawn at once."""
+
+FRICTION_1 = dataclasses.replace(Randomisation(), ground_friction=(1.0, 1.0))
+"""With pyramidal cones the feet sink into the ground where friction is high."""
+
+SOLVERS: dict[str, tuple[Solver, Randomisation]] = {
+    "5 ms implicitfast elliptic": (Solver(), Randomisation()),
+    "1 ms implicitfast elliptic": (Solver(timestep=0.001), Randomisation()),
+    "5 ms implicit elliptic": (Solver(integrator="implicit"), Randomisation()),
+    "5 ms Euler elliptic": (Solver(integrator="Euler"), Randomisation()),
+    "1 ms Euler elliptic": (Solver(timestep=0.001, integrator="Euler"), Randomisation()),
+    "5 ms implicitfast pyramidal": (Solver(cone="pyramidal"), Randomisation()),
+    "1 ms implicitfast pyramidal": (Solver(timestep=0.001, cone="pyramidal"), Randomisation()),
+    "5 ms implicitfast elliptic, friction 1": (Solver(), FRICTION_1),
+    "5 ms implicitfast pyramidal, friction 1": (Solver(cone="pyramidal"), FRICTION_1),
+}
+"""Ways to integrate the same physics, on the paper's random robots; the first is the one of training."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    key: tuple[str, str]
+    seed: int
+    seconds: float
+    world: World
+    solver: Solver | None = None
+
+
+def _jobs(settings: RobustnessSettings) -> list[_Job]:
+    jobs: list[_Job] = []
+
+    def add(kind: str, name: str, world: Callable[[int], World], solver: Solver | None = None) -> None:
+        for seed in range(settings.seed, settings.seed + settings.episodes):
+            ranges, disturbance = world(seed)
+            sided = dataclasses.replace(disturbance, toe=SIDES[seed % 2])
+            job = _Job(key=(kind, name), seed=seed, seconds=settings.seconds, world=(ranges, sided), solver=solver)
+            jobs.append(job)
+
+    def fixed(world: World) -> Callable[[int], World]:
+        return lambda seed: world
+
+    for name, axis in AXES.items():
+        for value in axis.points:
+            add(name, f"{value:g}", fixed(axis.apply((START, CALM), value)))
+    for share in TOGETHER:
+        add("together", f"{share:g}", partial(all_at_once, share))
+    add("randomised", "the paper's Table II", fixed((Randomisation(), CALM)))
+    add("randomised", "training's ranges", fixed((TRAINING_RANDOMISATION, CALM)))
+    for name, (solver, ranges) in SOLVERS.items():
+        add("solver", name, fixed((ranges, CALM)), solver)
+    return jobs
+
+
+def _survives(job: _Job, policy_path: str) -> bool:
+    description, policy = load_description(), loaded_policy(policy_path)
+    seconds = job.seconds - TIMING.stand_up - TIMING.blend
+    track = command_script(description, seconds, np.random.default_rng([job.seed, 5]))
+    ranges, disturbance = job.world
+    plant = SimulatedPlant(
+        description, ranges=ranges, seed=job.seed, samples=False, disturbance=disturbance, solver=job.solver
+    )
+    try:
+        result = run_policy(plant, policy, track, TIMING)
+    except PlantError:  # the simulation exploded
+        return False
+    return stands_at_end(result, description, ground=plant.disturber.ground_height(result.log.p_WB))
+
+
+def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | None:
+    """Return the widest range of values around the nominal one over which at least KEPT survive; None if it is empty.
+
+    Args:
+        shares: Survived share at each value.
+        nominal: Value without disturbance; the tried value next to it is where the range begins.
+    """
+    values = sorted(shares)
+    begin = min(range(len(values)), key=lambda i: abs(values[i] - nominal))
+    if shares[values[begin]] < KEPT:
+        return None
+    low = high = begin
+    while low > 0 and shares[values[low - 1]] >= KEPT:
+        low -= 1
+    while high + 1 < len(values) and shares[values[high + 1]] >= KEPT:
+        high += 1
+    return values[low], values[high]
+
+
+def evaluate_robustness(
+    policy_path: Path, settings: RobustnessSettings, *, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Return the survived share along each axis, with all axes at once, and under other solvers.
+
+    Raises:
+        AssetError, ContractError: If the policy cannot be run on this robot.
+    """
+    loaded_policy(str(policy_path))
+    jobs = _jobs(settings)
+    play = partial(_survives, policy_path=str(policy_path))
+    survived: dict[tuple[str, str], list[bool]] = {}
+    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
+    for job, ok in zip(jobs, rows, strict=True):
+        survived.setdefault(job.key, []).append(ok)
+    share = {key: float(np.mean(values)) for key, values in survived.items()}
+    axes = {}
+    for name, axis in AXES.items():
+        shares = {value: share[name, f"{value:g}"] for value in axis.points}
+        axes[name] = {
+            "unit": axis.unit,
+            "nominal": axis.nominal,
+            "asked": axis.asked,
+            "trained": axis.trained,
+            "holds": holds(shares, axis.nominal),
+            "points": [{"value": value, "survived": ok} for value, ok in shares.items()],
+        }
+    return {
+        "policy": policy_path.name,
+        "episodes_per_point": settings.episodes,
+        "axes": axes,
+        "together": {f"{s:g}": share["together", f"{s:g}"] for s in TOGETHER},
+        "randomised": {name: ok for (kind, name), ok in share.items() if kind == "randomised"},
+        "solvers": {name: share["solver", name] for name in SOLVERS},
+    }

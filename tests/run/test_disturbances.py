@@ -1,0 +1,212 @@
+"""What happens to a robot besides its variation, on the plant."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimic.errors import ConfigError
+from mimic.robot.model import load_model
+from mimic.run.simulation import SimulatedPlant, with_timestep
+from mimic.settings import NOMINAL, Disturbance, Solver
+from mimic.types import JointCommand, RobotState, Tick
+
+
+def command(description, q: np.ndarray) -> JointCommand:
+    zeros = np.zeros(12)
+    gains = np.full(12, description.kp), np.full(12, description.kd)
+    return JointCommand(q_des=q, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
+
+
+def play(plant: SimulatedPlant, ticks: int = 30) -> list[Tick]:
+    """Sway, the same each time."""
+    d = plant.description
+    plant.start()
+    return [plant.step(command(d, d.poses["lie"] + 0.2 * np.sin(0.3 * i + np.arange(12)))) for i in range(ticks)]
+
+
+def same(one: RobotState, other: RobotState) -> bool:
+    names = [f.name for f in dataclasses.fields(RobotState)]
+    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in names)
+
+
+def level(description) -> list[Tick]:
+    return play(SimulatedPlant(description))
+
+
+def between(one: RobotState, quat: np.ndarray) -> float:
+    turned = Rotation.from_quat(one.quat_WB, scalar_first=True).inv() * Rotation.from_quat(quat, scalar_first=True)
+    return float(turned.magnitude())
+
+
+EACH = [
+    Disturbance(toe_payload=0.2),
+    Disturbance(drag=10.0, drag_from=0.1),
+    Disturbance(slope=5.0),
+    Disturbance(imu_tilt=3.0),
+    Disturbance(noise_q=0.01),
+    Disturbance(noise_imu=0.01),
+    Disturbance(lost_share=0.3),
+]
+
+
+@pytest.mark.parametrize("disturbance", EACH, ids=lambda d: str(d).split("(")[1][:24])
+def test_a_disturbance_does_something_and_is_that_of_its_seed(disturbance, description):
+    first, second, other = (play(SimulatedPlant(description, seed=seed, disturbance=disturbance)) for seed in (1, 1, 2))
+    assert same(first[-1].state, second[-1].state)
+    assert not same(first[-1].state, level(description)[-1].state)
+    if not disturbance.toe_payload:  # which has no direction
+        assert not same(first[-1].state, other[-1].state)
+
+
+@pytest.mark.parametrize(("toe", "leg"), [("left", "FL"), ("right", "FR")])
+def test_a_payload_weighs_at_its_toe(toe, leg, description):
+    loaded = SimulatedPlant(description, disturbance=Disturbance(toe=toe, toe_payload=0.3)).model
+    bare = SimulatedPlant(description).model
+    body = bare.body(f"{leg}_knee").id
+    data = [mujoco.MjData(model) for model in (bare, loaded)]
+    for model, d in zip((bare, loaded), data, strict=True):
+        mujoco.mj_forward(model, d)
+    assert loaded.body_mass.sum() == pytest.approx(bare.body_mass.sum() + 0.3)
+    mass, toe_at = bare.body_mass[body], data[0].site(f"{leg}_toe").xpos
+    expected = (mass * data[0].xipos[body] + 0.3 * toe_at) / (mass + 0.3)
+    assert data[1].xipos[body] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_varied_robot_carries_its_payload_too(description):
+    ranges = dataclasses.replace(NOMINAL, base_mass=(1.0, 1.0))
+    plant = SimulatedPlant(description, ranges=ranges, disturbance=Disturbance(toe_payload=0.3))
+    nominal = load_model(description, visuals=False).body_mass.sum()
+    assert plant.model.body_mass.sum() == pytest.approx(nominal + 1.3)
+
+
+def test_a_drag_is_a_horizontal_force_for_its_time(description):
+    """On a robot in free fall, whose momentum nothing else changes sideways."""
+    plant = SimulatedPlant(description, seed=3, disturbance=Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.2))
+    start = plant.start()
+    plant.data.qpos[2] = 100.0
+    base = plant.model.body("base").id
+    speeds = []
+    for _ in range(25):
+        plant.step(command(description, start.q))
+        mujoco.mj_forward(plant.model, plant.data)
+        mujoco.mj_subtreeVel(plant.model, plant.data)
+        speeds.append(plant.data.subtree_linvel[base].copy())
+    sideways = np.linalg.norm(np.array(speeds)[:, :2], axis=-1)
+    assert np.abs(sideways[:5]).max() < 1e-9
+    expected = 10.0 * 0.2 / plant.model.body_subtreemass[base]
+    assert sideways[15:] == pytest.approx(expected, rel=1e-3)
+    assert speeds[-1][2] == pytest.approx(-9.81 * 0.5, rel=1e-3)
+
+
+def test_a_robot_lies_on_a_slope_as_on_the_level(description):
+    plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=10.0))
+    plant.start()
+    flat = SimulatedPlant(description, seed=4)
+    flat.start()
+    normal = Rotation.from_quat(plant.disturber.slope_quat, scalar_first=True).apply([0.0, 0.0, 1.0])
+    assert np.arccos(normal[2]) == pytest.approx(np.deg2rad(10.0))
+    assert plant.data.site_xpos @ normal == pytest.approx(flat.data.site_xpos[:, 2])
+    assert plant.data.ncon == flat.data.ncon
+
+
+def test_the_ground_of_a_slope_is_under_a_robot_that_rests_on_it(description):
+    plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=5.0))
+    plant.start()
+    for _ in range(50):
+        plant.step(command(description, description.poses["lie"]))
+    touching = [contact.pos for contact in plant.data.contact]
+    assert len(touching) >= 3
+    for point in touching:
+        assert plant.disturber.ground_height(point) == pytest.approx(point[2], abs=2e-3)
+    assert SimulatedPlant(description).disturber.ground_height(np.ones((7, 3))) == pytest.approx(np.zeros(7))
+
+
+def test_a_slope_without_friction_carries_a_robot_down(description):
+    ice = dataclasses.replace(NOMINAL, ground_friction=(0.02, 0.02))
+    plant = SimulatedPlant(description, ranges=ice, seed=5, disturbance=Disturbance(slope=10.0))
+    begin = plant.start()
+    for _ in range(50):
+        state = plant.step(command(description, description.poses["lie"])).state
+    assert plant.disturber.ground_height(state.p_WB) < plant.disturber.ground_height(begin.p_WB) - 0.05
+
+
+def test_a_tilted_imu_shows_the_same_error_all_the_time(description):
+    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=3.0))
+    true = level(description)
+    for tick, truth in zip(play(plant), true, strict=True):
+        assert between(tick.state, truth.state.quat_WB) == pytest.approx(np.deg2rad(3.0))
+        assert np.array_equal(tick.state.q, truth.state.q)
+
+
+def test_noise_is_on_what_is_measured_and_not_on_the_motion(description):
+    plant = SimulatedPlant(description, disturbance=Disturbance(noise_q=0.02, noise_imu=0.03))
+    errors = []
+    for tick, truth in zip(play(plant), level(description), strict=True):
+        errors.append(tick.state.q - truth.state.q)
+        assert between(tick.state, truth.state.quat_WB) <= 0.03 * np.sqrt(3)
+        assert np.array_equal(tick.state.p_WB, truth.state.p_WB)
+        assert np.array_equal(tick.samples.q, truth.samples.q)
+    assert 0.018 < np.abs(errors).max() <= 0.02
+
+
+def test_a_robot_that_hears_nothing_stays_as_it_was(description):
+    deaf = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=1.0)))
+    plant = SimulatedPlant(description)
+    start = plant.start()
+    told = [plant.step(command(description, start.q)) for _ in range(30)]
+    assert same(deaf[-1].state, told[-1].state)
+    assert np.array_equal(deaf[-1].sent.q_des, start.q)
+
+
+def test_some_commands_are_lost_and_the_rest_arrive(description):
+    ticks = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=0.3)), 300)
+    repeated = [np.array_equal(a.sent.q_des, b.sent.q_des) for a, b in pairwise(ticks)]
+    assert 0.2 < np.mean(repeated) < 0.4
+
+
+# ---------------------------------------------------------------------- solvers
+
+
+def test_the_usual_solver_is_the_one_of_the_description(description):
+    usual = play(SimulatedPlant(description, solver=Solver()))
+    assert same(usual[-1].state, level(description)[-1].state)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [Solver(timestep=0.001), Solver(integrator="implicit"), Solver(timestep=0.001, integrator="Euler")],
+    ids=str,
+)
+def test_other_solvers_move_the_robot_nearly_the_same_way(solver, description):
+    ticks = play(SimulatedPlant(description, solver=solver))
+    usual = level(description)
+    assert ticks[-1].state.t == pytest.approx(usual[-1].state.t)
+    assert len(ticks[0].samples.t) == round(description.dt / solver.timestep)
+    assert np.abs(ticks[-1].state.q - usual[-1].state.q).max() < 0.05
+    assert not same(ticks[-1].state, usual[-1].state)
+
+
+def test_friction_cones_can_be_chosen(description):
+    models = [SimulatedPlant(description, solver=Solver(cone=cone)).model for cone in ("elliptic", "pyramidal")]
+    assert [model.opt.cone for model in models] == [mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.mjtCone.mjCONE_PYRAMIDAL]
+
+
+def test_a_control_step_is_a_whole_number_of_physics_steps(description):
+    assert with_timestep(description, 0.001).dt == pytest.approx(description.dt)
+    with pytest.raises(ConfigError, match="must be a multiple"):
+        SimulatedPlant(description, solver=Solver(timestep=0.003))
+
+
+def test_a_delay_is_the_same_time_at_any_timestep(description):
+    late = dataclasses.replace(NOMINAL, delay=(0.03, 0.03))
+    steps = [
+        SimulatedPlant(description, ranges=late, solver=Solver(timestep=h)).variation.delay_steps
+        for h in (0.005, 0.001)
+    ]
+    assert steps == [6, 30]
