@@ -17,11 +17,13 @@ from tensordict import TensorDict
 from mimic.frames import heading_sin_cos, up_cosine
 from mimic.policy.contract import FRAME_SIZE, TERMS, PolicyContract, observation_frame, push_frame
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import MARGIN, draw_goals
+from mimic.robot.goals import MARGIN
 from mimic.robot.model import command_in_effect, front_toes, toe_positions
 from mimic.settings import MdpSettings
 from mimic.store import plain
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
+from mimic.train.schedules import GoalSchedule, MoveSchedule
+from mimic.train.starts import Starts
 from mimic.train.worlds import Worlds
 from mimic.types import JOINTS
 
@@ -68,7 +70,10 @@ class StandTrackEnv(VecEnv):
         self.cfg: Any = plain(settings)
         torch.manual_seed(seed)
         self.worlds = Worlds(description, settings, device, seed)
-        self._constants(seed)
+        self.goals = GoalSchedule(description, self.contract, settings, device, seed)
+        self.moves = MoveSchedule(self.contract, settings, device)
+        self._starts = Starts(description, settings, device)
+        self._constants()
         self._buffers()
         self._graph: Any = None
         self._calls = 0
@@ -82,15 +87,11 @@ class StandTrackEnv(VecEnv):
     def _tensor(self, values: Any) -> torch.Tensor:
         return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self.device)
 
-    def _constants(self, seed: int) -> None:
+    def _constants(self) -> None:
         d, c = self.description, self.contract
-        rng = np.random.default_rng([seed, 29])
-        self._goal_pool = self._tensor(draw_goals(d, 20_000, rng, anywhere=self.settings.goals_anywhere))
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._soft_min, self._soft_max = self._q_min + MARGIN, self._q_max - MARGIN
-        self._lie_q, self._upright_q = self._tensor(d.poses["lie"]), self._tensor(d.poses["upright"])
-        self._neutral = self._tensor(c.neutral_toes).reshape(2, 3)
         ux, _, uz = d.upright_direction
         self._lean = (float(ux), float(uz))
         w = self.worlds
@@ -102,7 +103,6 @@ class StandTrackEnv(VecEnv):
         self._knees = w.geom_columns("RL_rubber", "RR_rubber")
         self._front_low = w.geom_columns("FL_toe", "FR_toe", "FL_rubber", "FR_rubber")
         self._hind_toes = w.geom_columns("RL_toe", "RR_toe")
-        self._is_front = torch.arange(12, device=self.device) < 6
         steps = self.settings.randomisation.delay
         self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
 
@@ -118,10 +118,7 @@ class StandTrackEnv(VecEnv):
         self._commands = [zeros(12) for _ in range(3)]
         self._delay = torch.zeros(n, 1, dtype=torch.long, device=device)
         self._history = zeros(self.settings.history, FRAME_SIZE)
-        self._phase0, self._heading_des, self._command_left = zeros(), zeros(), zeros()
-        self._v_des = zeros(2)
-        self._goal_from, self._goal_to, self._goal = zeros(2, 3), zeros(2, 3), zeros(2, 3)
-        self._goal_time, self._goal_length, self._goal_straight = zeros(), zeros() + 1.0, zeros()
+        self.phase_at_start = zeros()
         self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
         self._toes_before, self._dq_before = zeros(2, 3), zeros(12)
         self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
@@ -230,8 +227,9 @@ class StandTrackEnv(VecEnv):
         w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
         w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
         self.episode_length_buf.add_(1)
-        self._advance_goals()
-        self._advance_commands()
+        first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
+        self.goals.advance(self._tracking(), first, self._toes())
+        self.moves.advance()
         facts = self._facts(finite)
         terms = reward_terms(facts)
         reward = total(terms, self._weights)
@@ -264,7 +262,7 @@ class StandTrackEnv(VecEnv):
         vy = -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1]
         velocity = torch.stack([vx, vy], -1)
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
-        error = self._heading_des - heading
+        error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
         grounded = (low[:, self._front].amin(-1) < 0.002) | (low[:, self._trunk].amin(-1) < 0.002)
@@ -277,12 +275,12 @@ class StandTrackEnv(VecEnv):
         return Facts(
             height=height,
             up=up,
-            velocity_error=velocity - self._v_des,
-            mean_velocity_error=self._mean_velocity - self._v_des,
-            moving=(self._v_des.abs().sum(-1) > 0.05) | (error.abs() > 0.3),
+            velocity_error=velocity - self.moves.velocity,
+            mean_velocity_error=self._mean_velocity - self.moves.velocity,
+            moving=(self.moves.velocity.abs().sum(-1) > 0.05) | (error.abs() > 0.3),
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
-            toe_error=self._toes() - self._goal,
+            toe_error=self._toes() - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
             clearance=low[:, self._hind_toes],
@@ -320,56 +318,15 @@ class StandTrackEnv(VecEnv):
 
     def _phase(self) -> torch.Tensor:
         rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
-        return self._phase0 + rate * self.episode_length_buf
+        return self.phase_at_start + rate * self.episode_length_buf
 
-    # ------------------------------------------------------------------ commands and goals
+    # ------------------------------------------------------------------ chance and pushes
 
     def _rand(self, *shape: int) -> torch.Tensor:
         return torch.rand(self.num_envs, *shape, device=self.device)
 
     def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
         return low + (high - low) * self._rand(*shape)
-
-    def _advance_commands(self) -> None:
-        s = self.settings
-        self._command_left.sub_(self.contract.dt)
-        due = self._command_left <= 0
-        length = self._uniform(*s.command_seconds)
-        self._command_left.copy_(torch.where(due, length, self._command_left))
-        speed = (torch.randint(1, 4, (self.num_envs,), device=self.device)) * 0.1
-        speed = torch.where(self._rand() < 0.5, speed, -speed)
-        speed = torch.where(self._rand() < s.still_share, torch.zeros_like(speed), speed)
-        v = torch.stack([speed, torch.zeros_like(speed)], -1)
-        self._v_des.copy_(torch.where(due[:, None], v, self._v_des))
-        turn = self._uniform(-math.pi / 2, math.pi / 2)
-        turn = torch.where(self._rand() < s.still_share, torch.zeros_like(turn), turn)
-        self._heading_des.copy_(torch.where(due, self._heading_des + turn, self._heading_des))
-
-    def _advance_goals(self) -> None:
-        s = self.settings
-        self._goal_time.add_(self.contract.dt)
-        begins = (self.episode_length_buf == s.stand_up_steps + 1) & ~self._upright_start
-        waiting = ~self._tracking()
-        due = ((self._goal_time >= self._goal_length) | begins) & ~waiting
-        pool = self._goal_pool[torch.randint(0, len(self._goal_pool), (self.num_envs,), device=self.device)]
-        start = torch.where(begins[:, None, None], self._toes(), self._goal_to)
-        pool = torch.where((self._rand() < s.hold_share)[:, None, None], start, pool)
-        low, high = (math.log(v) for v in s.goal_seconds)
-        straight = self._rand() < s.paper_goal_share
-        length = torch.where(straight, torch.full_like(self._goal_time, 3.0), torch.exp(self._uniform(low, high)))
-        far = (pool - start).norm(dim=-1).amax(-1)
-        shrink = torch.clamp(s.goal_speed * length / far.clamp(min=1e-6), max=1.0)[:, None, None]
-        pool = start + (pool - start) * shrink
-        self._goal_from.copy_(torch.where(due[:, None, None], start, self._goal_from))
-        self._goal_to.copy_(torch.where(due[:, None, None], pool, self._goal_to))
-        self._goal_length.copy_(torch.where(due, length, self._goal_length))
-        self._goal_straight.copy_(torch.where(due, straight.float(), self._goal_straight))
-        self._goal_time.copy_(torch.where(due, torch.zeros_like(self._goal_time), self._goal_time))
-        share = torch.clamp(self._goal_time / self._goal_length, 0, 1)
-        smooth = share * share * (3 - 2 * share)
-        share = torch.where(self._goal_straight > 0, share, smooth)[:, None, None]
-        goal = self._goal_from + share * (self._goal_to - self._goal_from)
-        self._goal.copy_(torch.where(waiting[:, None, None], self._neutral.expand_as(goal), goal))
 
     def _push(self) -> None:
         r = self.settings.randomisation
@@ -382,66 +339,25 @@ class StandTrackEnv(VecEnv):
     # ------------------------------------------------------------------ resets and observations
 
     def _reset(self, mask: torch.Tensor) -> None:
-        s, r, w = self.settings, self.settings.randomisation, self.worlds
-        n = self.num_envs
-        upright = self._rand() < s.upright_share
-        yaw = self._uniform(*r.heading)
-        pitch = torch.where(upright, math.asin(self._lean[1]) + self._uniform(-0.12, 0.12), self._uniform(-0.05, 0.05))
-        roll = self._uniform(-0.05, 0.05)
-        quat = self._euler(roll, -pitch, yaw)
-        q = torch.where(upright[:, None], self._upright_q, self._lie_q) + self._uniform(*r.start_q, 12)
-        any_front = self._soft_min + (self._soft_max - self._soft_min) * self._rand(12)
-        q = torch.where(upright[:, None] & self._is_front, any_front, q)
-        q = torch.clamp(q, self._q_min + 0.01, self._q_max - 0.01)
-        heights = self.description.pose_height
-        height = torch.where(upright, heights["upright"] + 0.01, heights["lie"] + 0.012) + self._uniform(
-            *r.start_height
-        )
-        position = torch.stack([torch.zeros(n, device=self.device), torch.zeros(n, device=self.device), height], -1)
-        qpos = torch.cat([position, quat, q], -1)
-        qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
-        keep = mask[:, None]
-        w.qpos.copy_(torch.where(keep, qpos, w.qpos))
-        w.qvel.copy_(torch.where(keep, qvel, w.qvel))
-        w.warmstart.copy_(torch.where(keep, torch.zeros_like(w.warmstart), w.warmstart))
-        for command in self._commands:
-            command.copy_(torch.where(keep, q, command))
-        for buffer in (self._last_action, self._before_last):
-            buffer.copy_(torch.where(keep, torch.zeros_like(buffer), buffer))
-        low, high = self._delay_range
-        delay = torch.randint(low, high + 1, (n, 1), device=self.device)
-        self._delay.copy_(torch.where(keep, delay, self._delay))
-        self._upright_start.copy_(torch.where(mask, upright, self._upright_start))
-        self._phase0.copy_(torch.where(mask, self._uniform(-math.pi, math.pi), self._phase0))
-        self._heading_des.copy_(torch.where(mask, yaw, self._heading_des))
-        self._v_des.copy_(torch.where(keep, torch.zeros_like(self._v_des), self._v_des))
-        self._mean_velocity.copy_(torch.where(keep, torch.zeros_like(self._mean_velocity), self._mean_velocity))
-        self._command_left.copy_(torch.where(mask, self._uniform(1.04, s.command_seconds[1]), self._command_left))
-        self.episode_length_buf.copy_(
-            torch.where(mask, torch.zeros_like(self.episode_length_buf), self.episode_length_buf)
-        )
-        wide = mask[:, None, None]
-        toes = self._toes()
-        begin = torch.where(upright[:, None, None], toes, self._neutral.expand_as(toes))
-        for goal in (self._goal_from, self._goal_to, self._goal):
-            goal.copy_(torch.where(wide, begin, goal))
-        self._goal_time.copy_(torch.where(mask, torch.zeros_like(self._goal_time), self._goal_time))
-        self._goal_length.copy_(torch.where(mask, self._uniform(0.1, 0.5), self._goal_length))
+        w, start = self.worlds, self._starts.draw()
 
-    @staticmethod
-    def _euler(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-        cr, sr = torch.cos(roll / 2), torch.sin(roll / 2)
-        cp, sp = torch.cos(pitch / 2), torch.sin(pitch / 2)
-        cy, sy = torch.cos(yaw / 2), torch.sin(yaw / 2)
-        return torch.stack(
-            [
-                cr * cp * cy + sr * sp * sy,
-                sr * cp * cy - cr * sp * sy,
-                cr * sp * cy + sr * cp * sy,
-                cr * cp * sy - sr * sp * cy,
-            ],
-            -1,
-        )
+        def put(buffer: torch.Tensor, value: torch.Tensor) -> None:
+            where = mask.view(-1, *[1] * (buffer.dim() - 1))
+            buffer.copy_(torch.where(where, value, buffer))
+
+        put(w.qpos, start.qpos)
+        put(w.qvel, start.qvel)
+        for command in self._commands:
+            put(command, start.q)
+        for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity):
+            put(buffer, torch.zeros_like(buffer))
+        low, high = self._delay_range
+        put(self._delay, torch.randint_like(self._delay, low, high + 1))
+        put(self._upright_start, start.upright)
+        put(self.phase_at_start, self._uniform(-math.pi, math.pi))
+        put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
+        self.moves.reset(mask, start.heading)
+        self.goals.reset(mask, start.upright, self._toes())
 
     def _observe(self, fresh: torch.Tensor) -> None:
         s, w = self.settings, self.worlds
@@ -450,9 +366,9 @@ class StandTrackEnv(VecEnv):
             q_offset=w.qpos[:, 7:] - self._default_q,
             quat_WB=w.qpos[:, 3:7],
             last_action=self._last_action,
-            v_des=self._v_des,
-            heading_des=self._heading_des,
-            toes_des=self._goal.reshape(n, 6),
+            v_des=self.moves.velocity,
+            heading_des=self.moves.heading,
+            toes_des=self.goals.now.reshape(n, 6),
             phase=self._phase(),
             xp=torch,
         )
@@ -481,7 +397,7 @@ class StandTrackEnv(VecEnv):
             (self._delay.float() - 3.5) * 0.3,
             (low < 0.003).float(),
             low.clamp(max=0.2) * 10,
-            (self._toes() - self._goal).reshape(n, 6) * 5,
+            (self._toes() - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
             w.features,

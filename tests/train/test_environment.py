@@ -38,7 +38,7 @@ def policy_observation(env: StandTrackEnv) -> np.ndarray:
 def test_training_and_running_build_the_same_observation(env):
     """The commands are read from the environment's own buffers; all that is measured comes from its physics."""
     env.episode_length_buf.zero_()
-    env._phase0.zero_()
+    env.phase_at_start.zero_()
     builders = [ObservationBuilder(env.contract) for _ in range(env.num_envs)]
     alive = np.ones(env.num_envs, dtype=bool)
     compared = 0
@@ -49,9 +49,9 @@ def test_training_and_running_build_the_same_observation(env):
                 builder.observe(
                     q=measured[i, 7:],
                     quat_WB=measured[i, 3:7],
-                    v_des=env._v_des[i].numpy(),
-                    heading_des=float(env._heading_des[i]),
-                    p_BE_des=env._goal[i].numpy(),
+                    v_des=env.moves.velocity[i].numpy(),
+                    heading_des=float(env.moves.heading[i]),
+                    p_BE_des=env.goals.now[i].numpy(),
                 )
                 for i, builder in enumerate(builders)
             ]
