@@ -48,6 +48,9 @@ class _Logger(Logger):
         self._progressed = progressed
         self._ended = torch.zeros(3, device=self.device)
 
+    def _store_code_state(self) -> list[str]:
+        return []  # the settings and their hash are stored; a copy of the user's git state is not asked for
+
     def process_env_step(self, rewards: Any, dones: Any, extras: Any, intrinsic_rewards: Any = None) -> None:
         if self.writer is None:
             return
@@ -173,7 +176,6 @@ def train(
     with contextlib.redirect_stdout(io.StringIO()):
         runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = _Logger
-    runner.logger.git_status_repos.clear()
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
     def progressed(share: float) -> None:
