@@ -57,10 +57,11 @@ def evaluate_table(policy: Path, out: Path, settings: TableSettings) -> int:
         result = paper_evaluation.evaluate_table(policy, settings, progress=progress)
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
     store.save_json({**result, "provenance": made_by}, out)
-    rows = {"paper": figures(result["paper"])}
-    rows |= {name: figures(row["columns"]) for name, row in result["table"].items()}
+    found = {"paper": figures(result["paper"])}
+    found |= {name: figures(row["columns"]) for name, row in result["table"].items()}
+    rows = {name.replace("_", " "): {way: found[way][name] for way in found} for name in result["paper"]}
     count = f"{settings.episodes} episodes x {settings.seeds} seeds"
-    matrix(f"{policy.name}: the paper's Table III, {count} of {settings.seconds:g} s", rows)
+    matrix(f"{policy.name}: the paper's Table III, {count} of {settings.seconds:g} s, by what ends them", rows)
     last = result["table"]["contacts"]["unweighted"]
     table(
         "Unweighted means after the 50th step, ended by contacts",

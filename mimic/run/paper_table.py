@@ -8,7 +8,7 @@ Where the paper is ambiguous, and what is done here:
 
 * **The columns are sums over the episode divided by 1000 steps**, whether or not it lasted that long. The paper says
   mean per step; only this reading fits its figures: 0.389 for the height term of weight 0.5 over 826.68 steps would
-  else mean 78 % of the full height, and in three of the four rows height / steps is the same 94 %.
+  else mean 78 % of the full height, and in three of the four rows height / steps is 93 or 94 %.
 * **The episode reward is the sum of all weighted terms times the control step**, which is what the training library
   of the paper logs; the five columns alone would give 26.8 for the 30.53 of the paper. Here it holds the five columns,
   ``upright`` and the penalties in WEIGHTS, but not foot clearance (-300), which belongs to the paper's own gait clock.
