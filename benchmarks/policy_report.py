@@ -1,0 +1,137 @@
+"""The tables of docs/policy.md for a policy, as markdown: the paper's Table III and the robustness matrix.
+
+python benchmarks/policy_report.py [POLICY]                        # measure and print, about 12 minutes on 2 cores
+python benchmarks/policy_report.py [POLICY] --write docs/policy.md # … and put it there, with the heat map
+python benchmarks/policy_report.py [POLICY] --table a.json --robustness b.json   # print what was measured before
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from mimic.robot.description import load_description
+from mimic.run.paper_evaluation import evaluate_table
+from mimic.run.pool import loaded_policy
+from mimic.run.robustness import evaluate_robustness
+from mimic.settings import RobustnessSettings, TableSettings
+from mimic.store import sha256_of
+from mimic.view.heat_map import draw_heat_map
+
+BEGIN, END = "<!-- measured: benchmarks/policy_report.py -->", "<!-- end of measured -->"
+
+
+def row(*cells: str) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def rows(head: tuple[str, ...], body: list[tuple[str, ...]]) -> str:
+    return "\n".join([row(*head), "|---" * len(head) + "|", *(row(*cells) for cells in body)])
+
+
+def paper_table(result: dict[str, Any]) -> str:
+    def cells(columns: dict[str, Any]) -> list[str]:
+        digits = {name: 1 if name in ("episode_reward", "steps") else 3 for name in columns}
+        return [f"{v['mean']:.{digits[n]}f} ± {v['std']:.{digits[n]}f}" for n, v in columns.items()]
+
+    head = ("", *(name.replace("_", " ") for name in result["paper"]))
+    body = [("paper", *cells(result["paper"]))]
+    body += [(name, *cells(found["columns"])) for name, found in result["table"].items()]
+    ends = [
+        (name, ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in found["ended_by"].items()))
+        for name, found in result["table"].items()
+    ]
+    loose = result["table"]["contacts"]
+    near = sorted(loose["near_limit_share"].items(), key=lambda pair: -pair[1])[:4]
+    error = loose["unweighted"]
+    spread = {name: f"{value['mean']:.3f} ± {value['std']:.3f}" for name, value in error.items()}
+    return "\n\n".join(
+        [
+            rows(head, body),
+            rows(("ended by", "how the episodes ended"), ends),
+            f"Unweighted, after the 50th step, ended by contacts: toes {spread['toe_error_cm']} cm, velocity "
+            f"{spread['velocity_error_m_s']} m/s, heading {spread['heading_error_rad']} rad.",
+            "Nearest to their limits (share of steps within 5°): "
+            + ", ".join(f"{name} {100 * share:.0f} %" for name, share in near)
+            + ".",
+        ]
+    )
+
+
+def robustness_table(result: dict[str, Any]) -> str:
+    def span(pair: tuple[float, float] | None, none: str) -> str:
+        return none if pair is None else f"{pair[0]:g} … {pair[1]:g}"
+
+    body = []
+    for name, axis in result["axes"].items():
+        unit = f" [{axis['unit']}]" if axis["unit"] else ""
+        shares = " · ".join(f"{p['value']:g}: {100 * p['survived']:.0f}" for p in axis["points"])
+        title = name.replace("_", " ") + unit
+        body.append(
+            (title, span(axis["trained"], "–"), span(axis["asked"], "–"), span(axis["holds"], "nowhere"), shares)
+        )
+    head = ("axis", "trained", "asked", "95 % hold", "survived [%] at each value")
+    whole = [(f"all at once, {100 * float(s):.0f} % of the asked ranges", v) for s, v in result["together"].items()]
+    whole += [(f"drawn from {name}", value) for name, value in result["randomised"].items()]
+    solvers = list(result["solvers"].items())
+    return "\n\n".join(
+        [
+            rows(head, body),
+            rows(("everything drawn at once", "survived"), [(n, f"{100 * v:.1f} %") for n, v in whole]),
+            rows(("solver, on the paper's random robots", "survived"), [(n, f"{100 * v:.1f} %") for n, v in solvers]),
+        ]
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("policy", nargs="?", type=Path, default=Path("policies/stand_track.onnx"))
+    parser.add_argument("--table", type=Path, help="JSON of mimic evaluate --table")
+    parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
+    parser.add_argument("--write", type=Path, help="markdown file whose measured part is replaced")
+    given = parser.parse_args()
+    loaded_policy(str(given.policy))
+    report(given, load_description().name)
+
+
+def report(given: argparse.Namespace, robot: str) -> None:
+    digest = sha256_of(given.policy)
+
+    def stored(path: Path) -> dict[str, Any]:
+        result = json.loads(path.read_text())
+        if digest not in json.dumps(result["provenance"]):
+            sys.exit(f"{path} was not measured on {given.policy} ({digest[:12]})")
+        return result
+
+    table = stored(given.table) if given.table else evaluate_table(given.policy, TableSettings())
+    robust = stored(given.robustness) if given.robustness else evaluate_robustness(given.policy, RobustnessSettings())
+    episodes, points = len(table["episodes"]["contacts"]), robust["episodes_per_point"]
+    text = "\n\n".join(
+        [
+            f"Policy `{given.policy.name}`, SHA-256 `{digest[:12]}…`, on {robot}.",
+            "### The paper's Table III",
+            f"`mimic evaluate {given.policy} --table`, {episodes} episodes.",
+            paper_table(table),
+            "### Robustness",
+            f"`mimic evaluate {given.policy} --robustness`, {points} episodes at each point.",
+            robustness_table(robust),
+        ]
+    )
+    if given.write is None:
+        print(text)
+        return
+    page = given.write.read_text()
+    if BEGIN not in page or END not in page:
+        sys.exit(f"{given.write} lacks the lines {BEGIN} and {END}")
+    before, after = page.split(BEGIN)[0], page.split(END)[1]
+    given.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
+    images = given.write.parent / "images"
+    images.mkdir(exist_ok=True)
+    draw_heat_map(robust, images / "robustness.png")
+
+
+if __name__ == "__main__":
+    main()
