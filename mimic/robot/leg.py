@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
+from mimic.robot.description import RobotDescription
 from mimic.types import FloatArray
 
 ROUNDING = 1e-10
@@ -25,14 +28,26 @@ class Leg:
     toe: FloatArray
     """Knee axis -> toe, knee axes (3,), y is zero [m]."""
 
-    def forward(self, q: FloatArray) -> FloatArray:
-        """Return base -> toe (..., 3) [m] for abad, hip and knee (..., 3) [rad]."""
-        abad, hip, knee = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-        bend = hip + knee
-        x = -self.thigh * np.sin(hip) + self.toe[0] * np.cos(bend) + self.toe[2] * np.sin(bend)
-        z = -self.thigh * np.cos(hip) - self.toe[0] * np.sin(bend) + self.toe[2] * np.cos(bend)
-        y = self.offset * np.cos(abad) - z * np.sin(abad)
-        return self.origin + np.stack([x, y, self.offset * np.sin(abad) + z * np.cos(abad)], axis=-1)
+    def forward(self, q: Any, xp: Any = np) -> Any:
+        """Return base -> toe (..., 3) [m] for abad, hip and knee (..., 3) [rad].
+
+        ``xp`` is ``numpy`` or ``torch``, whichever ``q`` is from; training and running share this formula.
+        """
+        hip, bend = q[..., 1], q[..., 1] + q[..., 2]
+        toe_x, toe_z = float(self.toe[0]), float(self.toe[2])
+        x = -self.thigh * xp.sin(hip) + toe_x * xp.cos(bend) + toe_z * xp.sin(bend)
+        z = -self.thigh * xp.cos(hip) - toe_x * xp.sin(bend) + toe_z * xp.cos(bend)
+        return self._out_of_plane(q[..., 0], x, z, xp)
+
+    def knee(self, q: Any, xp: Any = np) -> Any:
+        """Return base -> knee axis (..., 3) [m] for abad, hip and knee (..., 3) [rad]."""
+        return self._out_of_plane(q[..., 0], -self.thigh * xp.sin(q[..., 1]), -self.thigh * xp.cos(q[..., 1]), xp)
+
+    def _out_of_plane(self, abad: Any, x: Any, z: Any, xp: Any) -> Any:
+        """Return base -> point (..., 3) of a point at x, z in the plane of hip and knee, turned by abad."""
+        ox, oy, oz = (float(v) for v in self.origin)
+        y = self.offset * xp.cos(abad) - z * xp.sin(abad)
+        return xp.stack([ox + x, oy + y, oz + self.offset * xp.sin(abad) + z * xp.cos(abad)], -1)
 
     def inverse(self, p_BE: FloatArray) -> FloatArray:
         """Return both postures with a backward knee that put the toe at p_BE.
@@ -64,3 +79,25 @@ class Leg:
 
 def _wrapped(angle: FloatArray) -> FloatArray:
     return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+@cache
+def front_legs(description: RobotDescription) -> tuple[Leg, Leg]:
+    """Return the left and the right front leg."""
+    raw = description.raw
+    x, y, z = raw["abad"]["origin"]
+    left, right = (
+        Leg(
+            origin=np.array([x, side * y, z]),
+            offset=side * raw["hip"]["origin"][1],
+            thigh=raw["hip"]["length"],
+            toe=np.array(raw["toe"]["position"]),
+        )
+        for side in (1.0, -1.0)
+    )
+    return left, right
+
+
+def front_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
+    """Return base -> front toe (..., 2, 3) [m], base axes, from joint positions (..., 12) [rad], NumPy or PyTorch."""
+    return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(front_legs(description))], -2)

@@ -20,7 +20,7 @@ import numpy as np
 
 from mimic.robot.description import RobotDescription
 from mimic.settings import Randomisation
-from mimic.types import JOINTS, LEGS, SIDES, FloatArray
+from mimic.types import JOINTS, LEGS, FloatArray
 
 GAIN_KP, GAIN_KD = 4, 6
 """Where the gains stand in the gain parameters of a dcmotor."""
@@ -192,45 +192,3 @@ def command_in_effect(
     for age in reversed(range(len(commands) - 1)):
         acting = where(delay_steps - age * decimation <= substep, commands[age], acting)
     return acting
-
-
-def toe_positions(q: Any, raw: dict[str, Any], cos: Any, sin: Any, stack: Any) -> Any:
-    """Return base -> front toe (..., 2, 3) [m] by the closed form of a leg, from joint positions q (..., 12) [rad].
-
-    The same function serves training (PyTorch) and running (NumPy): ``cos``, ``sin`` and ``stack(list, axis)`` are
-    the library's own.
-    """
-    toes = []
-    for index, side in enumerate((1.0, -1.0)):
-        abad, hip, knee = (q[..., 3 * index + j] for j in range(3))
-        ax, ay, az = raw["abad"]["origin"]
-        hy = side * raw["hip"]["origin"][1]
-        length = raw["hip"]["length"]
-        tx, _, tz = raw["toe"]["position"]
-        x = -length * sin(hip) + tx * cos(hip + knee) + tz * sin(hip + knee)
-        z = -length * cos(hip) - tx * sin(hip + knee) + tz * cos(hip + knee)
-        toes.append(
-            stack([ax + x, side * ay + hy * cos(abad) - z * sin(abad), az + hy * sin(abad) + z * cos(abad)], -1)
-        )
-    return stack(toes, -2)
-
-
-def front_toes(q: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return base -> front toe (..., 2, 3) [m], base axes, from joint positions (..., 12) [rad]."""
-    return toe_positions(np.asarray(q), description.raw, np.cos, np.sin, np.stack)
-
-
-__all__ = [
-    "GAIN_KD",
-    "GAIN_KP",
-    "SIDES",
-    "TOES",
-    "Variation",
-    "command_in_effect",
-    "draw_variation",
-    "front_toes",
-    "load_model",
-    "restitution_damping",
-    "toe_positions",
-    "vary_model",
-]

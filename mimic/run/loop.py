@@ -13,7 +13,7 @@ from mimic.errors import ContractError
 from mimic.frames import heading_from_quat, up_cosine
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
-from mimic.robot.model import front_toes
+from mimic.robot.leg import front_toes
 from mimic.run.plant import Plant
 from mimic.settings import RunSettings
 from mimic.store import plain

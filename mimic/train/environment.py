@@ -18,7 +18,8 @@ from mimic.frames import heading_sin_cos, up_cosine
 from mimic.policy.contract import FRAME_SIZE, TERMS, PolicyContract, observation_frame, push_frame
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
-from mimic.robot.model import command_in_effect, front_toes, toe_positions
+from mimic.robot.leg import front_toes
+from mimic.robot.model import command_in_effect
 from mimic.settings import MdpSettings
 from mimic.store import plain
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
@@ -213,7 +214,7 @@ class StandTrackEnv(VecEnv):
         return self._lean[0] * ahead + self._lean[1] * up_cosine(w, x, y, z)
 
     def _toes(self) -> torch.Tensor:
-        return toe_positions(self.worlds.qpos[:, 7:], self.description.raw, torch.cos, torch.sin, torch.stack)
+        return front_toes(self.worlds.qpos[:, 7:], self.description, torch)
 
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > self.settings.stand_up_steps)

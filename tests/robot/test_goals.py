@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimic.robot.goals import CLEARANCE, MARGIN, clear_of_body, draw_goals, leg_joints
-from mimic.robot.model import front_toes
+from mimic.robot.leg import front_toes
 
 
 def draw(description, count: int = 200, seed: int = 0, **options: float) -> np.ndarray:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from mimic.frames import rotation_from_quat
+from mimic.robot.leg import front_toes
 from mimic.robot.model import (
     TOES,
     command_in_effect,
     draw_variation,
-    front_toes,
     load_model,
     restitution_damping,
     vary_model,

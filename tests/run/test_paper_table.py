@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.errors import AssetError
 from mimic.robot.ground import PARTS, GroundFacts, ground_facts
-from mimic.robot.model import front_toes
+from mimic.robot.leg import front_toes
 from mimic.run.paper_evaluation import Episode, evaluate_table, judge, over_seeds
 from mimic.run.paper_table import COLUMNS, PAPER, RULES, STAND_STEPS, WEIGHTS, endings, terms
 from mimic.settings import TableSettings

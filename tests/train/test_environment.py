@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
-from mimic.robot.model import front_toes
+from mimic.robot.leg import front_toes
 from mimic.run.simulation import SimulatedPlant
 from mimic.settings import NOMINAL, MdpSettings
 from mimic.types import JointCommand

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.model import front_toes
+from mimic.robot.leg import front_toes
 from mimic.types import LANDMARKS, PHASES, PoseTrack, RunLog, TargetTrack
 from mimic.view.footage import encode_h264
 
