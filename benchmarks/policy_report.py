@@ -100,14 +100,20 @@ def main() -> None:
 def report(given: argparse.Namespace, robot: str) -> None:
     digest = sha256_of(given.policy)
 
-    def stored(path: Path) -> dict[str, Any]:
+    def stored(path: Path, key: str) -> dict[str, Any]:
         result = json.loads(path.read_text())
+        if key not in result:
+            sys.exit(f"{path} has no {key!r}; expected what mimic evaluate wrote with that mode")
         if digest not in json.dumps(result["provenance"]):
             sys.exit(f"{path} was not measured on {given.policy} ({digest[:12]})")
         return result
 
-    table = stored(given.table) if given.table else evaluate_table(given.policy, TableSettings())
-    robust = stored(given.robustness) if given.robustness else evaluate_robustness(given.policy, RobustnessSettings())
+    table = stored(given.table, "episodes") if given.table else evaluate_table(given.policy, TableSettings())
+    robust = (
+        stored(given.robustness, "episodes_per_point")
+        if given.robustness
+        else evaluate_robustness(given.policy, RobustnessSettings())
+    )
     episodes, points = len(table["episodes"]["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [

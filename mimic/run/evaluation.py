@@ -160,6 +160,12 @@ def evaluate(
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 
+def _mean_minutes(minutes: list[float]) -> float:
+    """Return the minutes to the motor limit at the mean heating of all episodes; infinite where none heats."""
+    heating = float(np.mean([1.0 / m for m in minutes]))
+    return 1.0 / heating if heating > 0 else float("inf")
+
+
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the figures that decide, from the rows of all episodes."""
     kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("randomised", "toes", "walk", "turn")}
@@ -188,7 +194,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "nominal_toe_error_cm": mean("toes", "toe_error_cm", "mean"),
         "nominal_drift_m": mean("toes", "drift_m"),
         "nominal_knee_torque_rms_nm": mean("toes", "torque_nm", "knee_rms"),
-        "nominal_minutes_to_limit": mean("toes", "minutes_to_limit"),
+        "nominal_minutes_to_limit": _mean_minutes([r["minutes_to_limit"] for r in kinds["toes"]]),
         "walk_m_s": {
             f"{speed:+.1f}": float(np.mean([r["forward_m_s"] for r in kinds["walk"] if r["commanded_m_s"] == speed]))
             for speed in (-0.3, 0.3)
