@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -70,6 +69,7 @@ def targets_of(video: Path, pose: PoseSettings, retarget: RetargetSettings) -> t
 
 def retarget_only(source: Path, out: Path, pose: PoseSettings, retarget: RetargetSettings) -> int:
     """Write the targets of a video, and print what retargeting did."""
+    _keep_source(source, out)
     _, targets = targets_of(source, pose, retarget)
     made_by = store.provenance(
         command=COMMAND.get(), settings={"pose": pose, "retarget": retarget}, inputs={"video": source}
@@ -111,6 +111,11 @@ def _run_folder(source: Path, out: Path | None) -> Path:
     return folder
 
 
+def _keep_source(source: Path, written: Path | None) -> None:
+    if written is not None and written.exists() and source.exists() and written.samefile(source):
+        raise ConfigError(f"{written} is the source itself and would be overwritten; name another file")
+
+
 def _is_targets(source: Path) -> bool:
     return source.suffix == ".parquet"
 
@@ -137,6 +142,7 @@ def play_source(
         raise SourceError(f"there is no file {source}")
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
+    _keep_source(source, film)
     folder = _run_folder(source, out)
     description = load_description()
     policy = load_policy(run.policy, description)
@@ -217,8 +223,3 @@ def view_run(run: Path) -> int:
         raise ConfigError(f"there is no display here; copy {scene} to a computer with one and run: rerun {scene.name}")
     open_viewer(scene)
     return DONE
-
-
-def read_metrics(run: Path) -> dict[str, Any]:
-    """Return the figures of a run folder."""
-    return json.loads((run / METRICS).read_text(encoding="utf-8"))

@@ -208,6 +208,14 @@ def test_training_without_its_libraries_names_the_extra(here, capsys, monkeypatc
     refused("train new", "pip install 'mimic[train]'", here, capsys)
 
 
+@pytest.mark.parametrize("line", ["film.mp4 --sim --video film.mp4", "retarget film.mp4 -o film.mp4"])
+def test_the_source_is_never_overwritten(line, here, capsys):
+    (here / "film.mp4").write_bytes(b"a film that exists once")
+    assert main(line.split()) == 2
+    assert "would be overwritten" in capsys.readouterr().err
+    assert (here / "film.mp4").read_bytes() == b"a film that exists once"
+
+
 def test_brackets_in_a_name_are_told_as_they_are(here, capsys):
     refused("[red]nowhere[/red].mp4 --sim", "there is no file [red]nowhere[/red].mp4", here, capsys)
 
