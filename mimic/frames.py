@@ -73,6 +73,20 @@ def wrap_angle(angle: Any) -> Any:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
+def upright_cosine(w: Any, x: Any, y: Any, z: Any, heading: Any, direction: Any, xp: Any) -> Any:
+    """Return the cosine between base x and a direction given in the heading frame.
+
+    Args:
+        w, x, y, z: Parts of quat_WB.
+        heading: Of the base [rad].
+        direction: Unit vector (3,) in the plane of forward and up, such as the upright direction of a robot.
+        xp: ``numpy`` or ``torch``.
+    """
+    forward_x, forward_y = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
+    ahead = forward_x * xp.cos(heading) + forward_y * xp.sin(heading)
+    return float(direction[0]) * ahead + float(direction[2]) * up_cosine(w, x, y, z)
+
+
 def up_cosine(w: Any, x: Any, y: Any, z: Any) -> Any:
     """Return the cosine between base x and world up: 0 on four feet, 1 standing upright."""
     return 2 * (x * z - w * y)

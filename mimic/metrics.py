@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, wrap_angle
+from mimic.frames import heading_from_quat, upright_cosine, wrap_angle
 from mimic.robot.description import RobotDescription
 from mimic.types import JOINTS, PHASES, FloatArray, RunLog
 
@@ -22,11 +22,8 @@ HEAT_WINDOW = 10.0
 
 def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArray:
     """Return the cosine between base x and the wanted upright direction (...,), the direction turned to the heading."""
-    w, x, y, z = np.moveaxis(np.asarray(quat_WB), -1, 0)
-    heading = heading_from_quat(quat_WB)
-    forward = (1 - 2 * (y * y + z * z)) * np.cos(heading) + 2 * (x * y + w * z) * np.sin(heading)
-    ux, _, uz = description.upright_direction
-    return ux * forward + uz * 2 * (x * z - w * y)
+    parts = np.moveaxis(np.asarray(quat_WB), -1, 0)
+    return upright_cosine(*parts, heading=heading_from_quat(quat_WB), direction=description.upright_direction, xp=np)
 
 
 def standing(log: RunLog, description: RobotDescription) -> np.ndarray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from mimic import store
 from mimic.cli import COMMAND
@@ -12,20 +14,22 @@ from mimic.errors import AssetError, MissingExtra
 from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, RobustnessSettings, TableSettings
 
 
-def _require(policy: Path) -> None:
+def _judged(judge: Callable[..., dict[str, Any]], policy: Path, out: Path, settings: Any) -> dict[str, Any]:
+    """Return what a way of judging finds, shown as it goes and written with its provenance."""
     if not policy.is_file():
         raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
+    with progress_bar("episodes") as progress:
+        result = judge(policy, settings, progress=progress)
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
+    store.save_json({**result, "provenance": made_by}, out)
+    return result
 
 
 def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
     """Judge a policy, print the figures that decide, and write all of them."""
     from mimic.run.evaluation import evaluate
 
-    _require(policy)
-    with progress_bar("episodes") as progress:
-        result = evaluate(policy, settings, progress=progress)
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
-    store.save_json({**result, "provenance": made_by}, out)
+    result = _judged(evaluate, policy, out, settings)
     s = result["summary"]
     walk = ", ".join(f"{v:+.2f} at {k}" for k, v in s["walk_m_s"].items())
     turn = ", ".join(f"{v:.2f} at {k} deg" for k, v in s["turn_error_rad"].items())
@@ -52,11 +56,7 @@ def evaluate_table(policy: Path, out: Path, settings: TableSettings) -> int:
     """Judge a policy in the paper's figures, print them beside the paper's, and write all of them."""
     from mimic.run import paper_evaluation
 
-    _require(policy)
-    with progress_bar("episodes") as progress:
-        result = paper_evaluation.evaluate_table(policy, settings, progress=progress)
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
-    store.save_json({**result, "provenance": made_by}, out)
+    result = _judged(paper_evaluation.evaluate_table, policy, out, settings)
     found = {"paper": figures(result["paper"])}
     found |= {name: figures(row["columns"]) for name, row in result["table"].items()}
     rows = {name.replace("_", " "): {way: found[way][name] for way in found} for name in result["paper"]}
@@ -84,11 +84,7 @@ def evaluate_robustness(policy: Path, out: Path, settings: RobustnessSettings) -
     from mimic.run import robustness
     from mimic.view.heat_map import draw_heat_map
 
-    _require(policy)
-    with progress_bar("episodes") as progress:
-        result = robustness.evaluate_robustness(policy, settings, progress=progress)
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
-    store.save_json({**result, "provenance": made_by}, out)
+    result = _judged(robustness.evaluate_robustness, policy, out, settings)
     picture = out.with_suffix(".png")
     draw_heat_map(result, picture)
     rows = {}

@@ -131,11 +131,16 @@ class PolicyContract:
             raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
 
 
+def commanded_joints(action: Any, default_q: Any, scale: Any, q_min: Any, q_max: Any, xp: Any) -> Any:
+    """Return the commanded joint positions (..., 12) [rad] for clipped actions (..., 12), NumPy or PyTorch."""
+    return xp.clip(default_q + scale * action, q_min, q_max)
+
+
 def joint_command(contract: PolicyContract, action: FloatArray) -> FloatArray:
     """Return the commanded joint positions (12,) [rad] for an action (12,)."""
     clipped = np.clip(action, -contract.action_clip, contract.action_clip)
-    q_des = np.array(contract.default_q) + np.array(contract.action_scale) * clipped
-    return np.clip(q_des, contract.q_min, contract.q_max)
+    scale, default_q = np.array(contract.action_scale), np.array(contract.default_q)
+    return commanded_joints(clipped, default_q, scale, np.array(contract.q_min), np.array(contract.q_max), np)
 
 
 def observation_frame(

@@ -14,8 +14,15 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from mimic.frames import heading_sin_cos, up_cosine
-from mimic.policy.contract import FRAME_SIZE, TERMS, PolicyContract, observation_frame, push_frame
+from mimic.frames import heading_sin_cos, upright_cosine
+from mimic.policy.contract import (
+    FRAME_SIZE,
+    TERMS,
+    PolicyContract,
+    commanded_joints,
+    observation_frame,
+    push_frame,
+)
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg import front_toes
@@ -81,7 +88,7 @@ class StandTrackEnv(VecEnv):
         everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._reset(everyone)
         self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
-        self._observe(everyone)
+        self._observe(everyone, self.worlds.lowest())
 
     # ------------------------------------------------------------------ set-up
 
@@ -93,8 +100,6 @@ class StandTrackEnv(VecEnv):
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._soft_min, self._soft_max = self._q_min + MARGIN, self._q_max - MARGIN
-        ux, _, uz = d.upright_direction
-        self._lean = (float(ux), float(uz))
         w = self.worlds
         self._front = w.geom_columns(
             "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"
@@ -195,7 +200,9 @@ class StandTrackEnv(VecEnv):
         newest, before, before_that = self._commands
         before_that.copy_(before)
         before.copy_(newest)
-        newest.copy_(torch.clamp(self._default_q + self.settings.action_scale * action, self._q_min, self._q_max))
+        newest.copy_(
+            commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
+        )
         for k in range(self.worlds.decimation):
             ctrl = command_in_effect(k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where)
             self.worlds.substep_ctrl[k].copy_(ctrl)
@@ -208,10 +215,12 @@ class StandTrackEnv(VecEnv):
         return torch.arctan2(sine, cosine)
 
     def _up(self, heading: torch.Tensor) -> torch.Tensor:
-        w, x, y, z = self._quat()
-        forward_x, forward_y = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z)
-        ahead = forward_x * torch.cos(heading) + forward_y * torch.sin(heading)
-        return self._lean[0] * ahead + self._lean[1] * up_cosine(w, x, y, z)
+        return upright_cosine(*self._quat(), heading=heading, direction=self.description.upright_direction, xp=torch)
+
+    def _velocity(self, heading: torch.Tensor) -> torch.Tensor:
+        """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
+        v, cosine, sine = self.worlds.qvel, torch.cos(heading), torch.sin(heading)
+        return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
 
     def _toes(self) -> torch.Tensor:
         return front_toes(self.worlds.qpos[:, 7:], self.description, torch)
@@ -231,7 +240,8 @@ class StandTrackEnv(VecEnv):
         first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
         self.goals.advance(self._tracking(), first, self._toes())
         self.moves.advance()
-        facts = self._facts(finite)
+        low = w.lowest()
+        facts = self._facts(finite, low)
         terms = reward_terms(facts)
         reward = total(terms, self._weights)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
@@ -242,26 +252,22 @@ class StandTrackEnv(VecEnv):
         self._remember(terms, facts, finite)
         self._push()
         self._reset(self._done)
-        self._observe(self._done)
+        self._observe(self._done, low)
 
     @property
     def _hind_sites(self) -> slice:
         # sites: imu, then a toe for each leg
         return slice(3, 5)
 
-    def _facts(self, finite: torch.Tensor) -> Facts:
+    def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
         w = self.worlds
         heading = self._heading()
         up = self._up(heading)
-        low = w.lowest()
         hind = w.site_xpos[:, self._hind_sites]
         slip = (hind - self._toes_before)[..., :2].norm(dim=-1) / self.contract.dt
         slip = torch.where((self.episode_length_buf > 1)[:, None], slip, torch.zeros_like(slip))
         height = w.qpos[:, 2]
-        cosine, sine = torch.cos(heading), torch.sin(heading)
-        vx = cosine * w.qvel[:, 0] + sine * w.qvel[:, 1]
-        vy = -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1]
-        velocity = torch.stack([vx, vy], -1)
+        velocity = self._velocity(heading)
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
@@ -360,7 +366,7 @@ class StandTrackEnv(VecEnv):
         self.moves.reset(mask, start.heading)
         self.goals.reset(mask, start.upright, self._toes())
 
-    def _observe(self, fresh: torch.Tensor) -> None:
+    def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         s, w = self.settings, self.worlds
         n = self.num_envs
         frame = observation_frame(
@@ -381,23 +387,17 @@ class StandTrackEnv(VecEnv):
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
         self._policy_obs.copy_(self._history.reshape(n, -1))
         heading = self._heading()
-        cosine, sine = torch.cos(heading), torch.sin(heading)
-        velocity = [
-            cosine * w.qvel[:, 0] + sine * w.qvel[:, 1],
-            -sine * w.qvel[:, 0] + cosine * w.qvel[:, 1],
-            w.qvel[:, 2],
-        ]
-        low = w.lowest()[:, self._hind_toes]
+        feet = low[:, self._hind_toes]
         extras = [
-            torch.stack(velocity, -1),
+            torch.cat([self._velocity(heading), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
             self._up(heading)[:, None],
             (self._delay.float() - 3.5) * 0.3,
-            (low < 0.003).float(),
-            low.clamp(max=0.2) * 10,
+            (feet < 0.003).float(),
+            feet.clamp(max=0.2) * 10,
             (self._toes() - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
