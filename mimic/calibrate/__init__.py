@@ -1,0 +1,1 @@
+"""A log and a model become an error, its cause, and a better model."""

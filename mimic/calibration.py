@@ -1,0 +1,132 @@
+"""What a calibration found: errors before and after, effects with evidence, and what stays unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mimic.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Errors:
+    """Root mean square of measured - predicted, in the unit of the joints' positions."""
+
+    train: FloatArray
+    """On the blocks that were fitted, for each joint (J,)."""
+    held_out: FloatArray
+    """On the blocks that nothing was fitted to (J,)."""
+
+    @staticmethod
+    def total(values: FloatArray) -> float:
+        """Return the root mean square over the joints."""
+        return float((values**2).mean() ** 0.5)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """One effect that was tried at one stage."""
+
+    name: str
+    gain: float
+    """Mean over the blocks of log(error without / error with), each block judged without itself; 0.01 is 1 %."""
+    z: float
+    """Gain over its standard error."""
+    improvement: float
+    """What leaves the error (root of the difference of the mean squares) over the noise floor."""
+    values: Mapping[str, FloatArray]
+    """Fitted value of each parameter (J,) or (1,)."""
+    joints: tuple[str, ...]
+    """Joints where it differs from none; empty for the whole machine."""
+    accepted: bool = False
+    why: str = ""
+    """Why it was not accepted; empty where it was."""
+    rival_z: float = 0.0
+    """How far, in standard errors, the accepted one is better; below 2 they cannot be told apart."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """The model after one more effect; the first stage is the declared model."""
+
+    added: str
+    """Name of the effect, or "declared"."""
+    errors: Errors
+    candidates: tuple[Candidate, ...] = ()
+    """All that were tried to get here, best first."""
+    rivals: tuple[str, ...] = ()
+    """Effects that this log cannot tell from the one added."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remainder:
+    """What is left of one joint's residual."""
+
+    joint: str
+    ratio: float
+    """Error over noise floor."""
+    state_r2: float
+    """Share of it that the state predicts on held-out blocks; at or below 0 none."""
+    depends_on: tuple[str, ...]
+    """What it depends on most: position, velocity, torque, time, another joint."""
+    peak_hz: float
+    """Where its spectrum is highest [Hz]."""
+    peak_ratio: float
+    """That peak over the median of the spectrum."""
+    verdict: str
+    """explained, state-dependent, periodic, or broadband."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Traces:
+    """Curves for the report, one row a reading."""
+
+    t: FloatArray
+    """(T,) [s]"""
+    held_out: FloatArray
+    """True in held-out blocks (T,)."""
+    q: FloatArray
+    """Measured (T, J)."""
+    dq: FloatArray
+    """Predicted velocity (T, J)."""
+    tau: FloatArray
+    """Predicted torque (T, J)."""
+    before: FloatArray
+    """Residual of the declared model (T, J)."""
+    after: FloatArray
+    """Residual of the final model (T, J)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """The whole result."""
+
+    joints: tuple[str, ...]
+    unit: str
+    """Unit of the errors: rad or m."""
+    noise: FloatArray
+    """Noise floor of each joint (J,)."""
+    nominal: Errors
+    """Before anything was fitted."""
+    stages: tuple[Stage, ...]
+    effects: Any
+    """:class:`mimic.robot.effect_set.EffectSet` of everything fitted, declared effects first."""
+    unexplained: tuple[Remainder, ...]
+    """One a joint."""
+    sentence: str
+    """The verdict in plain words."""
+    belongs: bool = True
+    """False where log and model do not belong together; nothing is then named."""
+    experiments: tuple[str, ...] = ()
+    """What to log next to tell apart what this log cannot."""
+    warnings: tuple[str, ...] = ()
+    not_identifiable: tuple[str, ...] = ()
+    """Directions in the parameters that this log does not determine."""
+    traces: Traces
+    replays: int = 0
+    """Simulated logs."""
+    seconds: float = 0.0
+    """Time taken [s]."""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Log, model, settings."""

@@ -1,0 +1,193 @@
+"""Logs of any machine with joints: what was asked, what was measured. The format is in docs/log-format.md.
+
+Parquet or CSV, a row a reading: ``t`` [s], ``q.<joint>`` [rad or m], and for each joint ``q_des.<joint>`` (target of a
+position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, base
+orientation and noise stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import CalibrationError
+from mimic.store import plain, written_whole
+from mimic.types import FloatArray
+
+_KEY = b"mimic_log"
+
+_CHANNELS = ("q", "dq", "tau", "q_des", "force")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MachineLog:
+    """Readings of a machine over time. Arrays are (T, J); None where the log has no such channel."""
+
+    joints: tuple[str, ...]
+    t: FloatArray
+    """Time of each reading (T,) [s]."""
+    q: FloatArray
+    """Measured position [rad or m]."""
+    q_des: FloatArray | None = None
+    """Target of the position drive in effect when the row was read: the one last sent [rad or m]."""
+    force: FloatArray | None = None
+    """Torque or force put in [N m or N]."""
+    dq: FloatArray | None = None
+    """Measured velocity [rad/s or m/s]."""
+    tau: FloatArray | None = None
+    """Measured torque of the motor at the joint [N m or N]."""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes, and free notes."""
+
+    def __post_init__(self) -> None:
+        for name in ("t", *_CHANNELS):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            value = np.array(value, dtype=np.float64)
+            wanted = (len(self.t),) if name == "t" else (len(self.t), len(self.joints))
+            if value.shape != wanted:
+                raise CalibrationError(f"{name} of the log has shape {value.shape}, expected {wanted}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @property
+    def rate(self) -> float:
+        """Readings per second [Hz]."""
+        return float(1.0 / np.median(np.diff(self.t)))
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.t[-1] - self.t[0])
+
+    def part(self, rows: slice) -> MachineLog:
+        """Return some rows."""
+        cut = {name: getattr(self, name)[rows] for name in ("t", *_CHANNELS) if getattr(self, name) is not None}
+        return MachineLog(joints=self.joints, metadata=self.metadata, **cut)
+
+    def of(self, joints: Sequence[str]) -> MachineLog:
+        """Return the log of these joints, in this order.
+
+        Raises:
+            CalibrationError: If the log lacks one.
+        """
+        lacking = [j for j in joints if j not in self.joints]
+        if lacking:
+            raise CalibrationError(
+                f"the model has joint {lacking[0]!r}, but the log has {', '.join(self.joints)}; "
+                "name the columns q.<joint> as the joints of the model"
+            )
+        index = [self.joints.index(j) for j in joints]
+        picked = {n: getattr(self, n)[:, index] for n in _CHANNELS if getattr(self, n) is not None}
+        return MachineLog(joints=tuple(joints), t=self.t, metadata=self.metadata, **picked)
+
+
+def read_log(path: Path) -> MachineLog:
+    """Read a Parquet or CSV log.
+
+    Raises:
+        CalibrationError: If the file cannot be read as one; the message names what is missing.
+    """
+    if not path.exists():
+        raise CalibrationError(f"{path} does not exist; give a log (.parquet or .csv)")
+    if path.is_dir():
+        inside = path / "joints.parquet"
+        if inside.exists():
+            return read_log(inside)
+        raise CalibrationError(
+            f"{path} is a folder without joints.parquet; give a log (.parquet or .csv) or a run folder"
+        )
+    columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
+    side = path.with_suffix(".json")
+    if side.exists() and side != path:
+        try:
+            metadata = {**metadata, **json.loads(side.read_text(encoding="utf-8"))}
+        except (ValueError, TypeError) as reason:
+            raise CalibrationError(f"{side} beside the log is not a JSON object: {reason}") from None
+    if "t" not in columns:
+        raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/log-format.md")
+    joints = tuple(name[2:] for name in columns if name.startswith("q."))
+    if not joints:
+        raise CalibrationError(f"{path} has no column q.<joint>; it has {_some(columns)}. See docs/log-format.md")
+    found: dict[str, FloatArray] = {}
+    for channel in _CHANNELS:
+        have = [j for j in joints if f"{channel}.{j}" in columns]
+        if have and len(have) < len(joints):
+            lacking = next(j for j in joints if j not in have)
+            raise CalibrationError(
+                f"{path} has {channel}.{have[0]} but no {channel}.{lacking}; give all joints or none"
+            )
+        if have:
+            found[channel] = np.stack([columns[f"{channel}.{j}"] for j in joints], -1)
+    if "q_des" not in found and "force" not in found:
+        raise CalibrationError(
+            f"{path} has neither q_des.<joint> nor force.<joint>: without what was asked, nothing can be replayed"
+        )
+    return MachineLog(joints=joints, t=columns["t"], metadata=metadata, **found)
+
+
+def write_log(log: MachineLog, path: Path) -> Path:
+    """Write a log whole or not at all, as Parquet, or as CSV with a JSON file of its metadata beside it."""
+    columns: dict[str, FloatArray] = {"t": log.t}
+    for channel in _CHANNELS:
+        value = getattr(log, channel)
+        if value is not None:
+            columns |= {f"{channel}.{joint}": value[:, i] for i, joint in enumerate(log.joints)}
+    if path.suffix.lower() == ".csv":
+        with written_whole(path) as part:
+            header = ",".join(columns)
+            np.savetxt(
+                part, np.stack(list(columns.values()), -1), delimiter=",", header=header, comments="", fmt="%.9g"
+            )
+        with written_whole(path.with_suffix(".json")) as part:
+            part.write_text(json.dumps(plain(log.metadata), indent=1), encoding="utf-8")
+        return path
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({name: np.ascontiguousarray(value) for name, value in columns.items()})
+    table = table.replace_schema_metadata({_KEY: json.dumps(plain(log.metadata)).encode()})
+    with written_whole(path) as part:
+        pq.write_table(table, part)
+    return path
+
+
+def _some(columns: Mapping[str, Any]) -> str:
+    names = list(columns)
+    return ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
+
+
+def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            header = [name.strip() for name in next(csv.reader(file))]
+        values = np.genfromtxt(path, delimiter=",", skip_header=1, dtype=np.float64, encoding="utf-8-sig", ndmin=2)
+    except (OSError, ValueError, StopIteration) as reason:
+        raise CalibrationError(f"{path} cannot be read as CSV with a header line: {reason}") from None
+    if values.shape[1] != len(header):
+        raise CalibrationError(f"{path} has {len(header)} names in its header, but {values.shape[1]} columns")
+    return {name: values[:, i] for i, name in enumerate(header)}, {}
+
+
+def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as reason:
+        raise CalibrationError(f"{path} cannot be read as Parquet (nor is it named .csv): {reason}") from None
+    columns: dict[str, FloatArray] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+            columns[name] = column.to_numpy().astype(np.float64)
+    raw = (table.schema.metadata or {}).get(_KEY)
+    return columns, json.loads(raw) if raw else {}
