@@ -316,9 +316,70 @@ REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SitDownWeights:
+    """Weight of each reward term of sitting down, per control step; see mimic.train.sit_down for the terms."""
+
+    height: float = 0.8
+    level: float = 0.8
+    roll: float = -1.0
+    pose: float = 1.0
+    pose_fine: float = 0.6
+    still: float = 0.6
+    sinking: float = -4.0
+    fast: float = -2.0
+    tumbling: float = -0.05
+    jolt: float = -0.3
+    landing: float = -0.6
+    trunk: float = -1.0
+    thighs: float = -0.2
+    head_low: float = -4.0
+    slip: float = -0.1
+    action_rate: float = -0.008
+    torque: float = -2e-4
+    joint_velocity: float = -4e-4
+    joint_speed: float = -0.02
+    joint_acceleration: float = -1e-7
+    limits: float = -2.0
+    fail: float = -10.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SitDownSettings:
+    """The second task: from upright down to lying on four feet."""
+
+    episode_steps: int = 150
+    """Control steps of an episode."""
+    seconds: float = 1.2
+    """Time that going down should take [s]."""
+    height: float = 0.11
+    """Base height of lying with powered joints; the legs give way by 2 cm [m]."""
+    clock_hz: float = 0.08
+    """Frequency of the clock, which starts with the sitting down and tells the policy how far it should be [Hz]."""
+    states: str = "handovers.npz"
+    """File of recorded states in policies/, or a path; see benchmarks/handover_states.py."""
+    steady_share: float = 0.45
+    """Share of episodes that start from a state recorded while standing, walking and turning."""
+    rising_share: float = 0.1
+    """… while standing up."""
+    falling_share: float = 0.15
+    """… while falling after a push."""
+    lying_share: float = 0.1
+    """Share that start lying; the others start upright with random front legs and a random tilt and motion."""
+    jitter_velocity: float = 0.15
+    """Largest change of a recorded base velocity along each axis [m/s]."""
+    crash_speed: float = 0.8
+    """An episode ends where the trunk touches the ground faster than this [m/s]."""
+    rewards: SitDownWeights = field(default_factory=SitDownWeights)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class MdpSettings:
     """The worlds a policy is trained in."""
 
+    task: Literal["stand_track", "sit_down"] = "stand_track"
+    """What is trained: stand, track and walk, or sit down."""
+    sit_down: SitDownSettings = field(default_factory=SitDownSettings)
+    """What is different for sitting down."""
     worlds: int = 8192
     """Robots simulated at once."""
     episode_steps: int = 600
@@ -372,6 +433,8 @@ class MdpSettings:
     """Control steps of a world over which they grow."""
 
     def __post_init__(self) -> None:
+        if self.task not in ("stand_track", "sit_down"):
+            raise ConfigError(f"task is {self.task!r}; expected stand_track or sit_down")
         _check_range("worlds", self.worlds, 1, 1_000_000)
         _check_range("episode-steps", self.episode_steps, 100, 100_000)
         _check_range("solver-iterations", self.solver_iterations, 1, 200)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError
@@ -160,6 +160,7 @@ def train(
     /,
     *,
     resume: Path | None = None,
+    task: Literal["stand-track", "sit-down"] = "stand-track",
     worlds: int = MdpSettings().worlds,
     learn: Annotated[LearnSettings | None, Flat] = None,
     set: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
@@ -172,6 +173,8 @@ def train(
         Folder for checkpoints, TensorBoard files and policy.onnx.
     resume
         Checkpoint (.pt) to go on from.
+    task
+        What is learnt: to stand up, walk and bring the front toes to goals, or to sit down.
     worlds
         Robots simulated at once.
     set
@@ -179,7 +182,8 @@ def train(
     """
     from mimic.cli.judge import train_policy
 
-    return train_policy(out, resume, replace(MdpSettings(), worlds=worlds), learn or LearnSettings(), set or [])
+    mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"))
+    return train_policy(out, resume, mdp, learn or LearnSettings(), set or [])
 
 
 @app.command

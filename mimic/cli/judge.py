@@ -121,11 +121,13 @@ def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnS
         raise MissingExtra(str(missing.name), "train") from None
     mdp, learn = with_overrides(mdp, learn, overrides)
 
+    figure, unit = ("track/toe_error_cm", "cm toes") if mdp.task == "stand_track" else ("sit_down/lying", "lying")
+
     def report(update: int, row: dict[str, float]) -> None:
         if update % 10 == 0 or update == learn.iterations - 1:
             console.print(
                 f"update {update:5d}  {row['steps'] / 1e6:7.1f} M steps  {row['elapsed_s']:6.0f} s  "
-                f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  toes {row['track/toe_error_cm']:5.1f} cm"
+                f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  {row[figure]:5.2f} {unit}"
             )
 
     if resume is not None and not resume.is_file():

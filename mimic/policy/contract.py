@@ -84,6 +84,8 @@ class PolicyContract:
     """Control steps from lying until toe commands count."""
     training: str = ""
     """SHA-256 of the training settings."""
+    task: str = "stand_track"
+    """What it was trained to do: stand_track or sit_down."""
 
     @property
     def observation_size(self) -> int:

@@ -7,6 +7,7 @@ two captured graphs: the physics (:mod:`mimic.train.worlds`) and the rest (here)
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from mimic.settings import MdpSettings
 from mimic.store import plain
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.schedules import GoalSchedule, MoveSchedule
-from mimic.train.starts import Starts
+from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
 from mimic.types import JOINTS
 
@@ -45,10 +46,11 @@ CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 9
 def make_contract(description: RobotDescription, settings: MdpSettings, training: str = "") -> PolicyContract:
     """Return what a policy trained with these settings promises."""
     neutral = front_toes(description.poses["upright"], description)
+    sits = settings.task == "sit_down"
     return PolicyContract(
         robot=description.name,
         joints=JOINTS,
-        default_q=tuple(description.poses["upright"].tolist()),
+        default_q=tuple(description.poses["lie" if sits else "upright"].tolist()),
         action_scale=(settings.action_scale,) * len(JOINTS),
         action_clip=settings.action_clip,
         q_min=tuple(description.q_min.tolist()),
@@ -58,10 +60,11 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         dt=description.dt,
         history=settings.history,
         terms=TERMS,
-        clock_hz=settings.clock_hz,
+        clock_hz=settings.sit_down.clock_hz if sits else settings.clock_hz,
         neutral_toes=tuple(neutral.reshape(-1).tolist()),
         stand_up_steps=settings.stand_up_steps,
         training=training,
+        task=settings.task,
     )
 
 
@@ -133,8 +136,9 @@ class StandTrackEnv(VecEnv):
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
         self._mean_velocity = zeros(2)
-        start = weights_at(0.0, self.settings.rewards, self.settings.regularisation)
+        start = weights_at(0.0, self._rewards, self.settings.regularisation)
         self._weights = torch.tensor(start, device=device)
+        self._terms = [f.name for f in fields(self._rewards)]
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
@@ -154,7 +158,7 @@ class StandTrackEnv(VecEnv):
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
             progress = min(1.0, self._calls / self.settings.ramp_steps)
-            now = weights_at(progress, self.settings.rewards, self.settings.regularisation)
+            now = weights_at(progress, self._rewards, self.settings.regularisation)
             self._weights.copy_(torch.tensor(now))
         if str(self.device).startswith("cuda"):
             self._step_captured()
@@ -237,22 +241,49 @@ class StandTrackEnv(VecEnv):
         w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
         w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
         self.episode_length_buf.add_(1)
-        first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
-        self.goals.advance(self._tracking(), first, self._toes())
-        self.moves.advance()
+        self._command()
         low = w.lowest()
-        facts = self._facts(finite, low)
-        terms = reward_terms(facts)
-        reward = total(terms, self._weights)
+        terms, failed, figures = self._judge(finite, low)
+        reward = total(terms, self._weights, self._terms)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
-        self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~facts.fallen & finite)
-        self._done.copy_(facts.fallen | self._time_out | ~finite)
+        self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
+        self._done.copy_(failed | self._time_out | ~finite)
         self._dq_before.copy_(w.qvel[:, 6:])
         self._toes_before.copy_(w.site_xpos[:, self._hind_sites])
-        self._remember(terms, facts, finite)
+        self._remember(terms, figures, finite)
         self._push()
         self._reset(self._done)
         self._observe(self._done, low)
+
+    # ------------------------------------------------------------------ what another task does otherwise
+
+    @property
+    def _rewards(self) -> Any:
+        """The weights of the task's reward terms."""
+        return self.settings.rewards
+
+    def _draw(self) -> Start:
+        """Return a start for every world."""
+        return self._starts.draw()
+
+    def _command(self) -> None:
+        """Let goals and velocity commands go on by a control step."""
+        first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
+        self.goals.advance(self._tracking(), first, self._toes())
+        self.moves.advance()
+
+    def _judge(
+        self, finite: torch.Tensor, low: torch.Tensor
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
+        """Return the reward terms, which worlds failed (N,), and figures for the log."""
+        facts = self._facts(finite, low)
+        return reward_terms(facts), facts.fallen, self._figures(facts)
+
+    def _first_phase(self, start: Start) -> torch.Tensor:
+        """Return the gait phase (N,) at the first step [rad]."""
+        return self._uniform(-math.pi, math.pi)
+
+    # ------------------------------------------------------------------ the tracking task
 
     @property
     def _hind_sites(self) -> slice:
@@ -302,11 +333,10 @@ class StandTrackEnv(VecEnv):
             fallen=fallen,
         )
 
-    def _remember(self, terms: dict[str, torch.Tensor], f: Facts, finite: torch.Tensor) -> None:
+    def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
         tracking = f.tracking
         count = tracking.sum().clamp(min=1.0)
-        figures = {f"reward/{name}": value.mean() for name, value in terms.items()}
-        figures |= {
+        return {
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,
@@ -314,9 +344,12 @@ class StandTrackEnv(VecEnv):
             "track/velocity_error": (f.velocity_error.norm(dim=-1) * tracking).sum() / count,
             "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
             "track/falls": (f.fallen.float() * tracking).sum() / count,
-            "track/non_finite": 1 - finite.float().mean(),
             "track/knee_torque": (f.torque[:, 8::3].abs().mean(-1) * tracking).sum() / count,
         }
+
+    def _remember(self, terms: dict[str, torch.Tensor], figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
+        figures = figures | {f"reward/{name}": value.mean() for name, value in terms.items()}
+        figures["track/non_finite"] = 1 - finite.float().mean()
         for name, value in figures.items():
             if name in self._log:
                 self._log[name].copy_(value)
@@ -346,7 +379,7 @@ class StandTrackEnv(VecEnv):
     # ------------------------------------------------------------------ resets and observations
 
     def _reset(self, mask: torch.Tensor) -> None:
-        w, start = self.worlds, self._starts.draw()
+        w, start = self.worlds, self._draw()
 
         def put(buffer: torch.Tensor, value: torch.Tensor) -> None:
             where = mask.view(-1, *[1] * (buffer.dim() - 1))
@@ -355,13 +388,13 @@ class StandTrackEnv(VecEnv):
         put(w.qpos, start.qpos)
         put(w.qvel, start.qvel)
         for command in self._commands:
-            put(command, start.q)
+            put(command, start.command)
         for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity):
             put(buffer, torch.zeros_like(buffer))
         low, high = self._delay_range
         put(self._delay, torch.randint_like(self._delay, low, high + 1))
         put(self._upright_start, start.upright)
-        put(self.phase_at_start, self._uniform(-math.pi, math.pi))
+        put(self.phase_at_start, self._first_phase(start))
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
         self.goals.reset(mask, start.upright, self._toes())

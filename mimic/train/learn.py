@@ -25,6 +25,7 @@ from mimic.robot.description import RobotDescription, load_description
 from mimic.settings import LearnSettings, MdpSettings
 from mimic.store import plain, save_json, written_whole
 from mimic.train.environment import StandTrackEnv, make_contract
+from mimic.train.sit_down import SitDownEnv
 
 log = logging.getLogger(__name__)
 
@@ -172,7 +173,8 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     torch.backends.cuda.matmul.allow_tf32 = True
     save_json({"mdp": plain(mdp), "learn": plain(learn)}, folder / "settings.json")
-    env = StandTrackEnv(description, mdp, device, learn.seed + 1000 * rank)
+    kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
+    env = kind(description, mdp, device, learn.seed + 1000 * rank)
     with contextlib.redirect_stdout(io.StringIO()):
         runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = _Logger

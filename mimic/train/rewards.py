@@ -6,11 +6,12 @@ bells instead of gates, so that a robot lying on the ground already feels which 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import torch
 
-from mimic.settings import REGULARISERS, RewardWeights
+from mimic.settings import REGULARISERS
 
 
 @dataclass
@@ -114,19 +115,18 @@ def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
     }
 
 
-def weights_at(progress: float, weights: RewardWeights, factor: float) -> list[float]:
+def weights_at(progress: float, weights: Any, factor: float) -> list[float]:
     """Return the weight of each term in the order of the settings.
 
     Args:
         progress: Share of the ramp that is done, 0 to 1.
-        weights: Weights at its beginning.
+        weights: Weights at its beginning, a settings record with a field for each term.
         factor: What the regularisers' weights are multiplied by at its end.
     """
     grown = 1 + (factor - 1) * progress
     return [value * (grown if name in REGULARISERS else 1.0) for name, value in asdict(weights).items()]
 
 
-def total(terms: dict[str, torch.Tensor], weights: torch.Tensor) -> torch.Tensor:
-    """Return the weighted sum (N,); weights as :func:`weights_at` orders them."""
-    names = [f.name for f in fields(RewardWeights)]
+def total(terms: dict[str, torch.Tensor], weights: torch.Tensor, names: list[str]) -> torch.Tensor:
+    """Return the weighted sum (N,) of the named terms; weights in the order of the names."""
     return (torch.stack([terms[name] for name in names]) * weights[:, None]).sum(0)

@@ -31,10 +31,14 @@ class Start:
     """(N,) [rad]"""
     q: torch.Tensor
     """Joint positions (N, 12) [rad]."""
+    command: torch.Tensor
+    """Commanded joint positions in effect until the first command arrives (N, 12) [rad]."""
     qpos: torch.Tensor
     """MuJoCo's positions (N, 19)."""
     qvel: torch.Tensor
     """MuJoCo's velocities (N, 18)."""
+    anytime: torch.Tensor
+    """True where the start may be at any time of a task that has a clock (N,)."""
 
 
 class Starts:
@@ -68,7 +72,7 @@ class Starts:
         zeros = torch.zeros_like(height)
         qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
         qpos = torch.cat([torch.stack([zeros, zeros, height], -1), quat, q], -1)
-        return Start(upright=upright, heading=heading, q=q, qpos=qpos, qvel=qvel)
+        return Start(upright=upright, heading=heading, q=q, command=q, qpos=qpos, qvel=qvel, anytime=upright)
 
     def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
         return low + (high - low) * torch.rand(self._n, *shape, device=self._device)

@@ -44,7 +44,7 @@ def test_a_whole_number_may_stand_for_a_real_one():
     ("word", "told"),
     [
         ("worlds", "'worlds' is not a setting; expected name=value"),
-        ("colour=red", "there is no setting 'colour'; there are worlds"),
+        ("colour=red", "there is no setting 'colour'; there are task"),
         ("rewards.mood=1", "there is no setting 'rewards.mood'"),
         ("worlds.more=1", "there is no setting 'worlds.more'"),
         ("worlds=many", "worlds is 'many'; expected a whole number such as"),

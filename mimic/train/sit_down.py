@@ -1,0 +1,206 @@
+"""The second task: from upright, in any pose and motion, down to lying on four feet, gently and never on the head."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from mimic.frames import up_cosine
+from mimic.robot.description import RobotDescription
+from mimic.settings import MdpSettings
+from mimic.train.environment import StandTrackEnv
+from mimic.train.rewards import FAST, Facts
+from mimic.train.sit_down_starts import SitDownStarts
+from mimic.train.starts import Start
+
+SINKING = 0.5
+"""Downward speed of the base from which on it costs [m/s]."""
+
+MOVING = 0.7
+"""Speed of the base from which on it costs [m/s]."""
+
+TUMBLING = 3.0
+"""Angular speed of the base from which on it costs [rad/s]."""
+
+JOLT = 15.0
+"""Acceleration of the base over a control step from which on it costs [m/s^2]."""
+
+HEAD_ROOM = 0.05
+"""The lowest point of the head should stay this high [m]."""
+
+ON_ITS_BACK, ON_ITS_SIDE = -0.6, 0.85
+"""An episode fails where the base's z axis points less up, or its y axis more up or down, than this (cosines)."""
+
+
+@dataclass
+class Descent:
+    """What the rewards of sitting down look at besides the facts that both tasks share; one row a world."""
+
+    progress: torch.Tensor
+    """How far the sitting down should be, 0 to 1 (N,)."""
+    height_error: torch.Tensor
+    """Base height - wanted one (N,) [m]."""
+    pitch_error: torch.Tensor
+    """Angle of base x above the horizontal - wanted one (N,) [rad]."""
+    left_up: torch.Tensor
+    """Cosine between base y and up (N,)."""
+    pose_error: torch.Tensor
+    """Joint positions - lying pose (N, 12) [rad]."""
+    velocity: torch.Tensor
+    """Of the base, world axes (N, 3) [m/s]."""
+    turning: torch.Tensor
+    """Angular velocity of the base (N, 3) [rad/s]."""
+    acceleration: torch.Tensor
+    """Of the base, mean over the control step (N,) [m/s^2]."""
+    landing: torch.Tensor
+    """Downward speed of each front toe that has just met the ground, else 0 (N, 2) [m/s]."""
+    trunk: torch.Tensor
+    """True where trunk, hips or shoulders touch the ground (N,)."""
+    thighs: torch.Tensor
+    """Number of thighs on the ground (N,)."""
+    head: torch.Tensor
+    """Height of the lowest point of the head (N,) [m]."""
+    failed: torch.Tensor
+    """True where the episode ends: head on the ground, a crash, on its back or side (N,)."""
+
+
+def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
+    """Return each unweighted term (N,), in the order of SitDownWeights."""
+    off = d.pose_error.square().mean(-1)
+    speed, turning = d.velocity.norm(dim=-1), d.turning.norm(dim=-1)
+    there = (d.progress >= 1).float()
+    calm = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
+    return {
+        "height": torch.exp(-((d.height_error / 0.08) ** 2)),
+        "level": torch.exp(-((d.pitch_error / 0.4) ** 2)),
+        "roll": d.left_up.square(),
+        "pose": torch.exp(-off / 0.15) * d.progress,
+        "pose_fine": torch.exp(-off / 0.01) * there,
+        "still": calm * there * torch.exp(-((d.height_error / 0.08) ** 2)),
+        "sinking": torch.clamp(-d.velocity[:, 2] - SINKING, 0.0, 3.0).square(),
+        "fast": torch.clamp(speed - MOVING, 0.0, 3.0).square(),
+        "tumbling": torch.clamp(turning - TUMBLING, 0.0, 10.0).square(),
+        "jolt": torch.clamp((d.acceleration - JOLT) / 20.0, 0.0, 5.0),
+        "landing": d.landing.square().sum(-1),
+        "trunk": d.trunk.float() * (0.3 + speed.clamp(max=3.0)),
+        "thighs": d.thighs,
+        "head_low": torch.clamp((HEAD_ROOM - d.head) / HEAD_ROOM, 0.0, 1.0),
+        "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
+        "action_rate": f.action_change.square().sum(-1),
+        "torque": f.torque.square().sum(-1),
+        "joint_velocity": f.dq.square().sum(-1),
+        "joint_speed": torch.clamp(f.dq.abs() - FAST, min=0.0).sum(-1),
+        "joint_acceleration": f.ddq.square().sum(-1),
+        "limits": f.limit_excess.sum(-1),
+        "fail": d.failed.float(),
+    }
+
+
+class SitDownEnv(StandTrackEnv):
+    """Worlds in which an upright robot lowers itself to lie on its four feet; nothing else is asked of it."""
+
+    def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
+        super().__init__(description, settings, device, seed)
+        self.max_episode_length = settings.sit_down.episode_steps
+        self.episode_length_buf.remainder_(self.max_episode_length)
+
+    def _constants(self) -> None:
+        super()._constants()
+        self._sit_down_starts = SitDownStarts(self.description, self.settings, str(self.device))
+        self._lie = self._tensor(self.description.poses["lie"])
+        w = self.worlds
+        self._head = w.geom_columns("head_0", "head_1")
+        self._belly = w.geom_columns("body", "shoulder", "_abad")
+        self._thighs = w.geom_columns("_thigh")
+        self._front_toes = w.geom_columns("FL_toe", "FR_toe")
+
+    def _buffers(self) -> None:
+        super()._buffers()
+        n, device = self.num_envs, self.device
+        self._height_at_start, self._pitch_at_start = torch.zeros(n, device=device), torch.zeros(n, device=device)
+        self._velocity_before = torch.zeros(n, 3, device=device)
+        self._front_before = torch.zeros(n, 2, device=device)
+
+    @property
+    def _rewards(self) -> Any:
+        return self.settings.sit_down.rewards
+
+    def _first_phase(self, start: Start) -> torch.Tensor:
+        return torch.where(start.anytime, self._uniform(0.0, 2 * math.pi), torch.zeros_like(start.heading))
+
+    def _draw(self) -> Start:
+        return self._sit_down_starts.draw()
+
+    def _command(self) -> None:
+        """Nothing is asked for but neutral toes, no velocity and the heading at the start."""
+
+    def _front_heights(self) -> torch.Tensor:
+        return self.worlds.site_xpos[:, 1:3, 2] - self.description.toe_radius
+
+    def _pitch(self) -> torch.Tensor:
+        return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
+
+    def _descent(self, finite: torch.Tensor, low: torch.Tensor) -> Descent:
+        w, dt = self.worlds, self.contract.dt
+        progress = torch.clamp(self.episode_length_buf * (dt / self.settings.sit_down.seconds), max=1.0)
+        smooth = progress * progress * (3 - 2 * progress)
+        lying = self.settings.sit_down.height
+        height = self._height_at_start + (lying - self._height_at_start) * smooth
+        qw, qx, qy, qz = self._quat()
+        velocity, turning = w.qvel[:, :3], w.qvel[:, 3:6]
+        later = self.episode_length_buf > 1
+        acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
+        front = self._front_heights()
+        landed = (front < 0.004) & (self._front_before > 0.004) & later[:, None]
+        landing = torch.where(landed, ((self._front_before - front) / dt).clamp(0.0, 4.0), torch.zeros_like(front))
+        trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
+        left_up = 2 * (qy * qz + qw * qx)
+        overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
+        crashed = trunk & (velocity.norm(dim=-1) > self.settings.sit_down.crash_speed)
+        self._velocity_before.copy_(velocity)
+        self._front_before.copy_(front)
+        return Descent(
+            progress=progress,
+            height_error=w.qpos[:, 2] - height,
+            pitch_error=self._pitch() - self._pitch_at_start * (1 - smooth),
+            left_up=left_up,
+            pose_error=w.qpos[:, 7:] - self._lie,
+            velocity=velocity,
+            turning=turning,
+            acceleration=torch.where(later, acceleration, torch.zeros_like(acceleration)),
+            landing=landing,
+            trunk=trunk,
+            thighs=(low[:, self._thighs] < 0.002).float().sum(-1),
+            head=head,
+            failed=finite & ((head < 0.002) | overturned | crashed),
+        )
+
+    def _judge(
+        self, finite: torch.Tensor, low: torch.Tensor
+    ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
+        facts, descent = self._facts(finite, low), self._descent(finite, low)
+        there = (descent.progress >= 1).float()
+        count = there.sum().clamp(min=1.0)
+        lies = (descent.height_error.abs() < 0.03) & (descent.pitch_error.abs() < 0.15)
+        lies &= descent.pose_error.abs().amax(-1) < 0.25
+        figures = {
+            "sit_down/lying": (lies.float() * there).sum() / count,
+            "sit_down/pose_error": (descent.pose_error.abs().mean(-1) * there).sum() / count,
+            "sit_down/height_error": (descent.height_error.abs() * (1 - there)).sum()
+            / (1 - there).sum().clamp(min=1.0),
+            "sit_down/failed": descent.failed.float().mean() * self.max_episode_length,
+            "sit_down/head": (descent.head < 0.002).float().mean() * self.max_episode_length,
+            "sit_down/trunk": descent.trunk.float().mean(),
+            "sit_down/landing": descent.landing.square().sum(-1).mean() * self.max_episode_length,
+        }
+        return sit_down_terms(facts, descent), descent.failed, figures
+
+    def _reset(self, mask: torch.Tensor) -> None:
+        super()._reset(mask)
+        w = self.worlds
+        self._height_at_start.copy_(torch.where(mask, w.qpos[:, 2], self._height_at_start))
+        self._pitch_at_start.copy_(torch.where(mask, self._pitch(), self._pitch_at_start))
+        self._velocity_before.copy_(torch.where(mask[:, None], w.qvel[:, :3], self._velocity_before))

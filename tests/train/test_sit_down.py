@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimic.errors import AssetError, ConfigError
+from mimic.frames import heading_from_quat, up_cosine
+from mimic.policy.runtime import Policy
+from mimic.settings import NOMINAL, LearnSettings, MdpSettings, SitDownSettings, SitDownWeights
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
+    pytest.importorskip(library, reason="training needs the extra 'train'")
+from mimic.train.learn import train  # noqa: E402
+from mimic.train.overrides import with_overrides  # noqa: E402
+from mimic.train.sit_down import SitDownEnv, sit_down_terms  # noqa: E402
+from mimic.train.sit_down_starts import SitDownStarts  # noqa: E402
+
+SIT = MdpSettings(worlds=8, task="sit_down", noise_q=0.0, noise_axes=0.0)
+LYING = SitDownSettings(steady_share=0.0, rising_share=0.0, falling_share=0.0, lying_share=1.0)
+
+
+@pytest.fixture(scope="module")
+def env(description) -> SitDownEnv:
+    return SitDownEnv(description, SIT, "cpu", 3)
+
+
+def test_a_word_chooses_the_task():
+    mdp, _ = with_overrides(MdpSettings(), LearnSettings(), ["task=sit_down", "sit_down.rewards.head_low=-1"])
+    assert mdp.task == "sit_down"
+    assert mdp.sit_down.rewards.head_low == -1
+    with pytest.raises(ConfigError, match="expected stand_track or sit_down"):
+        with_overrides(MdpSettings(), LearnSettings(), ["task=jump"])
+
+
+def test_training_leaves_a_policy_that_says_what_it_is_for(description, tmp_path):
+    learn = LearnSettings(iterations=1, device="cpu", steps=24, hidden=(32, 16), epochs=2, minibatches=2)
+    rows = []
+    path = train(tmp_path, SIT, learn, report=lambda update, row: rows.append(row))
+    contract = Policy(path, description).contract
+    assert contract.task == "sit_down"
+    assert np.array_equal(contract.default_q, description.poses["lie"])
+    assert {"sit_down/lying", "sit_down/failed"} <= set(rows[0])
+
+
+def test_starts_are_upright_falling_rising_and_lying(description):
+    start = SitDownStarts(description, dataclasses.replace(SIT, worlds=2000), "cpu").draw()
+    quat, q = start.qpos[:, 3:7].numpy(), start.qpos[:, 7:].numpy()
+    up = up_cosine(*quat.T)
+    assert abs(float(start.anytime.float().mean()) - SIT.sit_down.lying_share) < 0.03
+    assert np.mean(up > 0.9) > 0.5
+    assert np.mean((up > 0.3) & (up < 0.8)) > 0.05
+    assert np.all(np.abs(np.linalg.norm(quat, axis=1) - 1) < 0.01)
+    assert np.all(q > description.q_min - 0.1)
+    assert np.all(q < description.q_max + 0.1)
+    assert np.allclose(start.heading.numpy(), heading_from_quat(quat), atol=1e-3)
+    assert np.ptp(start.heading.numpy()) > 6
+
+
+def test_a_robot_that_lies_and_stays_earns_all_that_can_be_earned(description):
+    env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=LYING, randomisation=NOMINAL), "cpu", 1)
+    env.episode_length_buf.zero_()
+    extras: dict = {}
+    for _ in range(96):
+        _, reward, done, extras = env.step(torch.zeros(SIT.worlds, 12))
+        assert not done.any()
+    w = SitDownWeights()
+    assert reward.min() > 0.85 * (w.height + w.level + w.pose + w.pose_fine + w.still)
+    assert extras["log"]["sit_down/lying"] == 1
+
+
+def test_a_robot_that_drops_pays_for_it(description):
+    upright = SitDownSettings(steady_share=1.0, rising_share=0.0, falling_share=0.0, lying_share=0.0)
+    env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=upright), "cpu", 1)
+    env.episode_length_buf.zero_()
+    rewards = [env.step(torch.zeros(SIT.worlds, 12))[1] for _ in range(20)]  # the lying pose at once
+    assert torch.stack(rewards).amin(0).max() < -1.0
+
+
+def test_there_is_a_weight_for_each_term_in_its_order(env):
+    env.step(torch.zeros(SIT.worlds, 12))
+    finite = torch.ones(SIT.worlds, dtype=torch.bool)
+    low = env.worlds.lowest()
+    terms = sit_down_terms(env._facts(finite, low), env._descent(finite, low))
+    assert list(terms) == [f.name for f in dataclasses.fields(SitDownWeights)]
+
+
+def test_states_that_are_not_there_are_told(description):
+    with pytest.raises(AssetError, match=r"nowhere\.npz"):
+        SitDownEnv(description, dataclasses.replace(SIT, sit_down=SitDownSettings(states="nowhere.npz")), "cpu", 1)
