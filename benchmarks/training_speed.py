@@ -1,116 +1,92 @@
-"""Control steps per second of training, split into physics, rewards and observations, inference, and learning.
+"""Where the time of training goes: physics, rewards and observations, inference, learning, and the whole loop.
 
-python benchmarks/training_speed.py [name=value ...]          # settings as in python -m mimic.train
-python benchmarks/training_speed.py --physics                 # physics alone, several solver settings
+    CUDA_VISIBLE_DEVICES=7 python3 benchmarks/training_speed.py --out $OUT/speed.json      # everything, below 8 minutes
+    python3 benchmarks/training_speed.py --only physics,captured seed=2            # some stages, other settings
+
+Each stage runs in a process of its own, so that one that fails or hangs does not lose the others; its lines are printed
+as they come, and the JSON is written anew after each stage. ``name=value`` sets a field as in ``python -m mimic.train``.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import argparse
+import json
+import os
+import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
+from typing import Any
 
-import torch
+LIMITS = {
+    "plain": 200,
+    "captured": 90,
+    "captured_bfloat16": 90,
+    "training_captured": 120,
+    "kernels_dense": 60,
+    "physics": 200,
+    "training_plain": 120,
+    "physics_large": 90,
+    "captured_large": 90,
+    "kernels_sparse": 60,
+    "launches": 60,
+    "training_bfloat16": 120,
+}
+"""Stages in their order, each with the most time it may take [s]."""
 
-from mimic.robot.description import load_description
-from mimic.settings import LearnSettings, MdpSettings
-from mimic.train.environment import StandTrackEnv
-from mimic.train.overrides import with_overrides
-from mimic.train.worlds import Worlds
-
-DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-REPEATS = 60 if DEVICE == "cuda" else 3
+HERE = Path(__file__).resolve().parent
+START = time.perf_counter()
 
 
-def wait() -> None:
-    if DEVICE == "cuda":
-        torch.cuda.synchronize()
+def say(text: str) -> None:
+    print(text, flush=True)
 
 
-def timed(function, repeats: int = REPEATS) -> float:
-    """Return the mean time of a call [s], after three calls that do not count."""
-    for _ in range(3):
-        function()
-    wait()
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=None, help="JSON file to write")
+    parser.add_argument("--minutes", type=float, default=7.8, help="no stage goes on after this time")
+    parser.add_argument("--only", default=",".join(LIMITS), help="stages, with commas between them")
+    options, words = parser.parse_known_args()
+    found: dict[str, Any] = {"settings": words}
+    for name in options.only.split(","):
+        left = 60 * options.minutes - (time.perf_counter() - START)
+        if left < 20:
+            say(f"== {name}: no time left")
+            continue
+        found[name] = run_stage(name, words, min(left, LIMITS[name]))
+        if options.out:
+            options.out.parent.mkdir(parents=True, exist_ok=True)
+            options.out.write_text(json.dumps(found, indent=1))
+    return 0
+
+
+def run_stage(name: str, words: list[str], limit: float) -> dict[str, Any]:
+    """Run a stage in a process of its own; return its figures, or what went wrong."""
     begin = time.perf_counter()
-    for _ in range(repeats):
-        function()
-    wait()
-    return (time.perf_counter() - begin) / repeats
-
-
-def physics(settings: MdpSettings) -> float:
-    """Return control steps per second of the physics alone, robots shaking around their stand."""
-    description = load_description()
-    worlds = Worlds(description, settings, DEVICE, 0)
-    pose = torch.as_tensor(description.poses["four"], dtype=torch.float32, device=DEVICE)
-    noise = 0.3 * torch.randn(16, 1, settings.worlds, 12, device=DEVICE)
-    state = {"i": 0}
-
-    def step() -> None:
-        worlds.substep_ctrl.copy_((pose + noise[state["i"] % 16]).expand_as(worlds.substep_ctrl))
-        state["i"] += 1
-        worlds.step()
-
-    return settings.worlds / timed(step)
-
-
-def whole(mdp: MdpSettings, learn: LearnSettings) -> dict[str, float]:
-    """Return the time of each part of a control step [ms] and the steps per second of the whole loop."""
-    import contextlib
-    import io
-
-    from rsl_rl.runners import OnPolicyRunner
-
-    from mimic.train.learn import runner_config
-
-    env = StandTrackEnv(load_description(), mdp, DEVICE, learn.seed)
-    with contextlib.redirect_stdout(io.StringIO()):
-        runner = OnPolicyRunner(env, runner_config(learn), None, DEVICE)
-    with torch.inference_mode():
-        observation = env.get_observations()
-        inference = timed(lambda: runner.alg.act(observation))
-        action = runner.alg.act(observation)
-        step = timed(lambda: env.step(action))
-        alone = timed(env.worlds.step)
-    loop: list[float] = []
-
-    class Stop(Exception):
-        pass
-
-    def log(**figures: float) -> None:
-        loop.append(figures["collect_time"] + figures["learn_time"])
-        if len(loop) >= 8:
-            raise Stop
-
-    runner.logger.log = log  # type: ignore[method-assign]
-    with contextlib.suppress(Stop), contextlib.redirect_stdout(io.StringIO()):
-        runner.learn(100)
-    iteration = sorted(loop)[len(loop) // 2]
-    steps = mdp.worlds * learn.steps
-    return {
-        "physics_ms": 1e3 * alone,
-        "rewards_observation_ms": 1e3 * (step - alone),
-        "inference_ms": 1e3 * inference,
-        "learning_ms_per_step": 1e3 * (iteration / learn.steps - step - inference),
-        "steps_per_s": steps / iteration,
-    }
-
-
-def main() -> None:
-    words = sys.argv[1:]
-    if "--physics" in words:
-        base, _ = with_overrides(MdpSettings(), LearnSettings(), [w for w in words if w != "--physics"])
-        for iterations, search in ((6, 8), (4, 6), (3, 5), (2, 4), (10, 20)):
-            s = dataclasses.replace(base, solver_iterations=iterations, linesearch_iterations=search)
-            print(f"worlds {s.worlds} newton {iterations} line search {search}: {physics(s) / 1e6:.2f} M/s", flush=True)
-        big = dataclasses.replace(base, worlds=2 * base.worlds)
-        print(f"worlds {big.worlds} newton {big.solver_iterations}: {physics(big) / 1e6:.2f} M/s", flush=True)
-        return
-    mdp, learn = with_overrides(MdpSettings(), LearnSettings(), words)
-    for name, value in whole(mdp, learn).items():
-        print(f"{name:>24} {value:,.3f}", flush=True)
+    say(f"== {name} ({begin - START:.0f} s)")
+    command = [sys.executable, "-u", str(HERE / "training_stages.py"), name, *words]
+    path = os.pathsep.join([str(HERE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
+    figures: dict[str, Any] = {"failed": "no figures"}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, "PYTHONPATH": path}
+    ) as process:
+        watch = threading.Timer(limit, process.kill)
+        watch.start()
+        last = ""
+        for line in process.stdout or ():
+            if line.startswith("JSON "):
+                figures = json.loads(line[5:])
+            else:
+                last = line.rstrip() or last
+                say(line.rstrip())
+        watch.cancel()
+    if process.returncode:
+        figures = {"failed": f"status {process.returncode} after {time.perf_counter() - begin:.0f} s: {last}"}
+        say(f"== {name}: {figures['failed']}")
+    return figures
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -425,6 +425,8 @@ class MdpSettings:
     """Most contacts of a world."""
     rows: int = 96
     """Most constraint rows of a world."""
+    sparse: bool = False
+    """Constraint Jacobians in sparse form; the same physics, other kernels."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     rewards: RewardWeights = field(default_factory=RewardWeights)
     regularisation: float = 2.0
@@ -469,3 +471,7 @@ class LearnSettings:
     hidden: tuple[int, ...] = (512, 256, 128)
     save_every: int = 100
     """Updates between two checkpoints."""
+    captured: bool = False
+    """On a GPU, replay inference and update as captured graphs instead of launching them piece by piece."""
+    mixed_precision: bool = False
+    """Networks of the update in bfloat16."""

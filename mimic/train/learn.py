@@ -108,7 +108,9 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
         "activation": "elu",
         "obs_normalization": True,
     }
-    spread = {"class_name": "GaussianDistribution", "init_std": settings.init_std, "std_type": "log"}
+    here = "mimic.train.captured:" if settings.captured else ""
+    gaussian = f"{here}DeviceGaussian" if settings.captured else "GaussianDistribution"
+    spread = {"class_name": gaussian, "init_std": settings.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": settings.steps,
         "save_interval": settings.save_every,
@@ -117,7 +119,7 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
         "actor": {**model, "distribution_cfg": {**spread, "std_range": list(settings.std_range)}},
         "critic": dict(model),
         "algorithm": {
-            "class_name": "PPO",
+            "class_name": f"{here}CapturedPPO" if settings.captured else "PPO",
             "num_learning_epochs": settings.epochs,
             "num_mini_batches": settings.minibatches,
             "clip_param": settings.clip,
@@ -130,6 +132,7 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "desired_kl": settings.desired_kl,
             "max_grad_norm": 1.0,
             "use_clipped_value_loss": True,
+            "use_mixed_precision": settings.mixed_precision,
         },
     }
 

@@ -37,7 +37,8 @@ def changed(settings: S, path: str, value: Any, whole: str = "") -> S:
     else:
         value = tuple(value) if isinstance(value, list) else value
         if not _fits(value, before):
-            kind = {int: "a whole number", float: "a number", tuple: "a list of numbers", str: "a word"}[type(before)]
+            kinds = {bool: "True or False", int: "a whole number", float: "a number"}
+            kind = (kinds | {tuple: "a list of numbers", str: "a word"})[type(before)]
             raise ConfigError(f"{whole} is {_shown(value)}; expected {kind} such as {_shown(before)}")
     return dataclasses.replace(settings, **{name: value})  # type: ignore[type-var]
 

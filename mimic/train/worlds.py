@@ -60,6 +60,8 @@ class Worlds:
         model = load_model(description, visuals=False)
         model.opt.iterations = settings.solver_iterations
         model.opt.ls_iterations = settings.linesearch_iterations
+        if settings.sparse:
+            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self.mj_model = model
         n = settings.worlds
         data = mujoco.MjData(model)

@@ -1,0 +1,289 @@
+"""The stages of training_speed.py, one a process: training_stages.py STAGE [name=value ...]; the last line is JSON."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import json
+import sys
+import tempfile
+import time
+import traceback
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from rsl_rl.runners import OnPolicyRunner
+
+from mimic.robot.description import load_description
+from mimic.settings import LearnSettings, MdpSettings
+from mimic.train.environment import StandTrackEnv
+from mimic.train.learn import runner_config, train
+from mimic.train.overrides import with_overrides
+from mimic.train.worlds import Worlds
+
+ON_GPU = torch.cuda.is_available()
+DEVICE = "cuda" if ON_GPU else "cpu"
+SMALL, LARGE = (8192, 16384) if ON_GPU else (8, 16)
+UPDATES = 100 if ON_GPU else 2
+"""Of the trainings whose rewards are compared."""
+
+Figures = dict[str, Any]
+Settings = tuple[MdpSettings, LearnSettings]
+
+PHYSICS: dict[str, dict[str, Any]] = {
+    "dense, 96 rows, 20 contacts": {"sparse": False, "rows": 96, "contacts": 20},
+    "sparse, 96 rows, 20 contacts": {"sparse": True, "rows": 96, "contacts": 20},
+    "dense, 64 rows, 8 contacts": {"sparse": False, "rows": 64, "contacts": 8},
+    "sparse, 64 rows, 8 contacts": {"sparse": True, "rows": 64, "contacts": 8},
+    "sparse, 64 rows, 8 contacts, 20 iterations": {"sparse": True, "rows": 64, "contacts": 8, "solver_iterations": 20},
+    "sparse, 64 rows, 8 contacts, 5 iterations": {"sparse": True, "rows": 64, "contacts": 8, "solver_iterations": 5},
+    "dense, 64 rows, 8 contacts, unrolled": {"sparse": False, "rows": 64, "contacts": 8, "unrolled": True},
+    "sparse, 64 rows, 8 contacts, unrolled": {"sparse": True, "rows": 64, "contacts": 8, "unrolled": True},
+    "sparse, 64 rows, 8 contacts, warm starts alone": {"sparse": True, "rows": 64, "contacts": 8, "smooth": False},
+    "dense, 64 rows, 8 contacts, 12 line searches": {"rows": 64, "contacts": 8, "linesearch_iterations": 12},
+}
+"""Variants of the physics; the last ones first to go when time is short."""
+
+
+def say(text: str) -> None:
+    print(text, flush=True)
+
+
+def wait() -> None:
+    if ON_GPU:
+        torch.cuda.synchronize()
+
+
+def timed(function: Callable[[], object], repeats: int = 60 if ON_GPU else 2) -> float:
+    """Return the mean time of a call [ms], after three calls that do not count."""
+    for _ in range(3):
+        function()
+    wait()
+    begin = time.perf_counter()
+    for _ in range(repeats):
+        function()
+    wait()
+    return 1e3 * (time.perf_counter() - begin) / repeats
+
+
+def flailing(mdp: MdpSettings, steps: int = 50 if ON_GPU else 2) -> StandTrackEnv:
+    """Return an environment in the middle of what an untrained policy does."""
+    env = StandTrackEnv(load_description(), mdp, DEVICE, 1)
+    with torch.inference_mode():
+        for _ in range(steps):
+            env.step(torch.randn(mdp.worlds, 12, device=DEVICE))
+    return env
+
+
+# ---------------------------------------------------------------------- physics
+
+
+def physics(env: StandTrackEnv, mdp: MdpSettings, *, unrolled: bool = False, smooth: bool = True) -> float:
+    """Return the time of a control step of the physics alone [ms], from where the environment is, flailing on."""
+    worlds = Worlds(load_description(), mdp, DEVICE, 1)
+    worlds.model.opt.graph_conditional = not unrolled
+    worlds.model.opt.run_qacc_smooth = smooth
+    for name in ("qpos", "qvel", "warmstart"):
+        getattr(worlds, name).copy_(getattr(env.worlds, name))
+    pose = torch.as_tensor(load_description().poses["upright"], dtype=torch.float32, device=DEVICE)
+    commands = pose + 0.5 * torch.randn(16, 1, mdp.worlds, 12, device=DEVICE)
+    state = {"i": 0}
+
+    def step() -> None:
+        worlds.substep_ctrl.copy_(commands[state["i"] % 16].expand_as(worlds.substep_ctrl))
+        state["i"] += 1
+        worlds.step()
+
+    return timed(step)
+
+
+def physics_stage(settings: Settings, worlds: int, variants: list[str]) -> Figures:
+    mdp = dataclasses.replace(settings[0], worlds=worlds)
+    env = flailing(mdp)
+    found: Figures = {}
+    for name in variants:
+        words = dict(PHYSICS[name])
+        how = {k: words.pop(k) for k in ("unrolled", "smooth") if k in words}
+        try:
+            ms = physics(env, dataclasses.replace(mdp, **words), **how)
+        except Exception:
+            say(f"  {name}:\n{traceback.format_exc()}")
+            continue
+        found[name] = {"ms": ms, "control_steps_per_s": 1e3 * worlds / ms}
+        say(f"  {worlds} worlds, {name}: {ms:.2f} ms, {worlds / ms / 1e3:.2f} M/s")
+    return found
+
+
+def kernels_stage(settings: Settings, sparse: bool) -> Figures:
+    """Time of each kernel of the physics in a control step, launched one by one."""
+    import warp as wp
+
+    mdp = dataclasses.replace(settings[0], worlds=SMALL, sparse=sparse)
+    env = flailing(mdp)
+    niter = wp.to_torch(env.worlds.data.solver_niter).float()
+    rows = wp.to_torch(env.worlds.data.nefc).float()
+    state = {
+        "mean iterations": niter.mean().item(),
+        "at the limit": (niter >= mdp.solver_iterations).float().mean().item(),
+        "mean rows": rows.mean().item(),
+        "most rows": rows.max().item(),
+        "contacts a world": env.worlds.data.nacon.numpy()[0].item() / mdp.worlds,
+    }
+    say("  " + ", ".join(f"{k} {v:.4g}" for k, v in state.items()))
+    if not ON_GPU:
+        return {"state": state}
+    wp.timing_begin(cuda_filter=wp.TIMING_ALL)
+    with wp.ScopedDevice(DEVICE):
+        env.worlds._run()
+    total: dict[str, list[float]] = defaultdict(list)
+    for r in wp.timing_end():
+        total[r.name].append(r.elapsed)
+    order = sorted(total.items(), key=lambda item: -sum(item[1]))
+    say(f"  all kernels: {sum(map(sum, total.values())):.2f} ms in {sum(map(len, total.values()))} launches")
+    for name, times in order[:40]:
+        say(f"  {sum(times):8.3f} ms {len(times):5d} x {1e3 * sum(times) / len(times):7.1f} us  {name[:90]}")
+    return {"state": state, "kernels": {name: {"ms": sum(t), "launches": len(t)} for name, t in order}}
+
+
+# ---------------------------------------------------------------------- the loop
+
+
+def parts_stage(settings: Settings, worlds: int, **changes: Any) -> Figures:
+    """Time of each part of a control step [ms]; learning is an update's share of it."""
+    mdp = dataclasses.replace(settings[0], worlds=worlds)
+    learn = dataclasses.replace(settings[1], **changes)
+    torch.backends.cuda.matmul.allow_tf32 = True
+    env = flailing(mdp)
+    with contextlib.redirect_stdout(io.StringIO()):
+        runner = OnPolicyRunner(env, runner_config(learn), None, DEVICE)
+    alg = runner.alg
+    alg.train_mode()
+    rollouts, updates = [], []
+    seen = env.get_observations()
+    for _ in range(12 if ON_GPU else 4):
+        wait()
+        begin = time.perf_counter()
+        with torch.inference_mode():
+            for _ in range(learn.steps):
+                seen, rewards, dones, extras = env.step(alg.act(seen))
+                alg.process_env_step(seen, rewards, dones, extras)
+            alg.compute_returns(seen)
+        wait()
+        middle = time.perf_counter()
+        losses = alg.update()
+        wait()
+        rollouts.append(middle - begin)
+        updates.append(time.perf_counter() - middle)
+    rollout, update = (1e3 * sorted(times)[len(times) // 2] for times in (rollouts, updates))
+    with torch.inference_mode():
+        inference = timed(lambda: alg.act(seen))
+        action = alg.act(seen)
+        step = timed(lambda: env.step(action))
+    alone = physics(env, mdp)
+    found = {
+        "physics_ms": alone,
+        "rewards_observation_ms": step - alone,
+        "inference_ms": inference,
+        "rollout_ms": rollout / learn.steps,
+        "learning_ms": update / learn.steps,
+        "update_ms": update,
+        "steps_per_s": 1e3 * worlds * learn.steps / (rollout + update),
+    }
+    say(f"  {worlds} worlds {changes}: " + " ".join(f"{k}={v:,.3f}" for k, v in found.items()))
+    say(f"    losses {losses}, first updates {[round(1e3 * t, 1) for t in updates[:3]]} ms")
+    if ON_GPU:
+        say(f"    memory {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
+    return found
+
+
+def launches_stage(settings: Settings) -> Figures:
+    """Which launches a control step and an update are made of."""
+    from torch.profiler import ProfilerActivity, profile
+
+    mdp = dataclasses.replace(settings[0], worlds=SMALL)
+    learn = dataclasses.replace(settings[1], captured=True)
+    torch.backends.cuda.matmul.allow_tf32 = True
+    env = flailing(mdp)
+    with contextlib.redirect_stdout(io.StringIO()):
+        runner = OnPolicyRunner(env, runner_config(learn), None, DEVICE)
+    seen = env.get_observations()
+
+    def rollout(seen: Any) -> Any:
+        with torch.inference_mode():
+            for _ in range(learn.steps):
+                seen, rewards, dones, extras = env.step(runner.alg.act(seen))
+                runner.alg.process_env_step(seen, rewards, dones, extras)
+            runner.alg.compute_returns(seen)
+        return seen
+
+    for _ in range(3):
+        seen = rollout(seen)
+        runner.alg.update()
+    found: Figures = {}
+    seen = rollout(seen)
+    wait()
+    for name, function in (("update", runner.alg.update), ("step", lambda: env.step(runner.alg.act(seen)))):
+        kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if ON_GPU else [])]
+        with torch.inference_mode(name == "step"), profile(activities=kinds) as p:
+            function()
+            wait()
+        table = p.key_averages()
+        rows = sorted(table, key=lambda e: -getattr(e, "self_device_time_total", 0))[:25]
+        found[name] = {e.key: [e.count, getattr(e, "self_device_time_total", 0)] for e in rows}
+        say(f"  {name}")
+        for e in rows:
+            say(f"  {getattr(e, 'self_device_time_total', 0) / 1e3:8.3f} ms {e.count:5d} x  {e.key[:100]}")
+    return found
+
+
+def training_stage(settings: Settings, **changes: Any) -> Figures:
+    """Rewards and speed of a short real training."""
+    mdp = dataclasses.replace(settings[0], worlds=SMALL if ON_GPU else 4)
+    learn = dataclasses.replace(settings[1], iterations=UPDATES, device=DEVICE, save_every=10**6, **changes)
+    rows: list[dict[str, float]] = []
+
+    def report(update: int, row: dict[str, float]) -> None:
+        rows.append({"update": update, **row})
+        if update % (UPDATES // 10 or 1) == 0 or update == UPDATES - 1:
+            keys = ("reward", "episode", "std", "learning_rate", "collect_s", "learn_s", "elapsed_s")
+            figures = " ".join(f"{k}={row[k]:.4g}" for k in keys)
+            tracked = " ".join(f"{k[6:]}={v:.3g}" for k, v in row.items() if k.startswith("track/"))
+            say(f"  {update} {row['steps'] / 1e6:.1f}M {figures} {tracked}")
+
+    with tempfile.TemporaryDirectory() as folder:
+        train(Path(folder), mdp, learn, report=report)
+    first, last = rows[len(rows) // 4], rows[-1]
+    speed = (last["steps"] - first["steps"]) / (last["elapsed_s"] - first["elapsed_s"])
+    say(f"  {changes}: {speed / 1e6:.3f} M steps/s with everything")
+    return {"steps_per_s": speed, "rows": rows}
+
+
+# ---------------------------------------------------------------------- stages
+
+STAGES: dict[str, Callable[[Settings], Figures]] = {
+    "plain": lambda s: parts_stage(s, SMALL),
+    "captured": lambda s: parts_stage(s, SMALL, captured=True),
+    "captured_bfloat16": lambda s: parts_stage(s, SMALL, captured=True, mixed_precision=True),
+    "training_captured": lambda s: training_stage(s, captured=True),
+    "kernels_dense": lambda s: kernels_stage(s, False),
+    "physics": lambda s: physics_stage(s, SMALL, list(PHYSICS)),
+    "training_plain": lambda s: training_stage(s),
+    "physics_large": lambda s: physics_stage(s, LARGE, list(PHYSICS)[:4]),
+    "captured_large": lambda s: parts_stage(s, LARGE, captured=True),
+    "kernels_sparse": lambda s: kernels_stage(s, True),
+    "launches": launches_stage,
+    "training_bfloat16": lambda s: training_stage(s, captured=True, mixed_precision=True),
+}
+
+
+def main() -> None:
+    figures = STAGES[sys.argv[1]](with_overrides(MdpSettings(), LearnSettings(), sys.argv[2:]))
+    say("JSON " + json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()

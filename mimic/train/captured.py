@@ -1,0 +1,270 @@
+"""PPO of rsl-rl-lib as captured graphs: on a GPU, inference, returns and minibatch steps are replayed, not launched.
+
+The arithmetic is that of :class:`rsl_rl.algorithms.PPO`. What differs is where things live: the adaptive learning rate,
+the entropy coefficient and the sums of the losses are tensors on the device, so that an update waits for the device
+once, at its end; minibatches, which rsl_rl makes the same in every epoch, are gathered and normalised once an update;
+and actions are drawn without torch.normal, whose check of the spread waits for the device at every control step.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from itertools import chain
+from typing import Any
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.modules.distribution import GaussianDistribution
+from tensordict import TensorDict
+from torch import nn
+
+from mimic.errors import ConfigError
+
+RATE_RANGE = (1e-5, 1e-2)
+"""Bounds of the adaptive learning rate, those of rsl_rl."""
+
+
+class DeviceGaussian(GaussianDistribution):
+    """rsl_rl's Gaussian; draws without a check that waits for the device."""
+
+    def sample(self) -> torch.Tensor:
+        """Return actions (N, 12)."""
+        with torch.no_grad():
+            return torch.randn_like(self.mean) * self.std + self.mean
+
+
+class Replayed:
+    """A function of static tensors: run as written at first, then captured once and replayed; on a CPU always run."""
+
+    def __init__(self, function: Callable[[], Any], device: str) -> None:
+        self._function = function
+        self._on_gpu = str(device).startswith("cuda")
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._warm = False
+        self._result: Any = None
+
+    def __call__(self) -> Any:
+        """Return what the function returns; on a GPU the same tensors each time from the second call on."""
+        if not self._on_gpu:
+            return self._function()
+        if self._graph is None:
+            if not self._warm:  # a real call: libraries set themselves up, lazy state comes to life
+                self._warm = True
+                return self._on_the_side()
+            graph = torch.cuda.CUDAGraph()
+            # other processes' messages are watched by a thread of its own, which may go on while this one captures
+            mode = "thread_local" if torch.distributed.is_initialized() else "global"
+            with torch.cuda.graph(graph, capture_error_mode=mode):
+                self._result = self._function()
+            self._graph = graph
+        self._graph.replay()
+        return self._result
+
+    def _on_the_side(self) -> Any:
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            result = self._function()
+        torch.cuda.current_stream().wait_stream(side)
+        return result
+
+
+class CapturedPPO(PPO):
+    """rsl_rl's PPO for feed-forward Gaussian policies, replayed.
+
+    Checkpoints are those of PPO, both ways.
+    """
+
+    def __init__(self, actor: Any, critic: Any, storage: Any, **settings: Any) -> None:
+        super().__init__(actor, critic, storage, **settings)
+        if self.rnd or self.symmetry or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
+            raise ConfigError("captured PPO has no RND, symmetry, recurrence or advantages per minibatch; use PPO")
+        on_gpu = str(self.device).startswith("cuda")
+        self._rate = torch.tensor(self.learning_rate, device=self.device)
+        self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
+        self._sums = torch.zeros(3, device=self.device)
+        self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
+        parameters = list(chain(self.actor.parameters(), self.critic.parameters()))
+        self.optimizer = torch.optim.Adam(parameters, **self._own)  # type: ignore[arg-type]
+        self._flat = torch.zeros(sum(p.numel() for p in parameters) + 1, device=self.device)
+        """Gradients of all parameters, then the KL divergence of the minibatch."""
+        begin = 0
+        for p in parameters:
+            p.grad = self._flat[begin : begin + p.numel()].view_as(p)
+            begin += p.numel()
+        self._size = storage.num_envs * storage.num_transitions_per_env // self.num_mini_batches
+        self._seen: TensorDict | None = None
+        self._last: TensorDict | None = None
+        self._batch: dict[str, torch.Tensor] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        """Drop the graphs; the next calls capture anew."""
+        self._act = Replayed(self._infer, self.device)
+        self._returns = Replayed(self._all_returns, self.device)
+        if self.is_multi_gpu:  # gradients meet between two graphs
+            self._parts = [
+                Replayed(functools.partial(self._gradients, i), self.device) for i in range(self.num_mini_batches)
+            ]
+            self._step = Replayed(self._apply, self.device)
+            self._epoch = self._shared_epoch
+        else:
+            self._epoch = Replayed(self._whole_epoch, self.device)
+
+    # ------------------------------------------------------------------ rollout
+
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Draw actions and keep what the update needs."""
+        self._seen = _kept(self._seen, obs)
+        t = self.transition
+        t.actions, t.values, t.actions_log_prob, t.distribution_params = self._act()
+        t.observations = obs
+        return t.actions  # type: ignore[return-value]
+
+    def _infer(self) -> tuple[Any, ...]:
+        actions = self.actor(self._seen, stochastic_output=True).detach()
+        values = self.critic(self._seen).detach()
+        log_prob = self.actor.get_output_log_prob(actions).detach()
+        return actions, values, log_prob, tuple(p.detach() for p in self.actor.output_distribution_params)
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Compute return and advantage targets."""
+        self._last = _kept(self._last, obs)
+        self._returns()
+
+    def _all_returns(self) -> None:
+        super().compute_returns(self._last)  # type: ignore[arg-type]
+
+    # ------------------------------------------------------------------ update
+
+    def update(self) -> dict[str, float]:
+        """Go over the storage in epochs and minibatches; return mean losses."""
+        self._rate.fill_(self.learning_rate)
+        self._entropy_weight.fill_(self.entropy_coef)
+        self._sums.zero_()
+        self._gather()
+        for _ in range(self.num_learning_epochs):
+            self._epoch()
+        seen = self.storage.observations.flatten(0, 1)
+        self.actor.update_normalization(seen)  # type: ignore[arg-type]
+        self.critic.update_normalization(seen)  # type: ignore[arg-type]
+        with torch.no_grad():  # the spread after the update, and no tensor of a graph kept alive
+            self.actor.distribution.update(torch.zeros(1, self.storage.actions_shape[0], device=self.device))  # type: ignore
+        if self.is_multi_gpu:
+            torch.distributed.all_reduce(self._sums)
+            self._sums /= self.gpu_world_size
+        *sums, self.learning_rate = torch.cat([self._sums, self._rate[None]]).tolist()  # waits for the device
+        self.storage.clear()
+        steps = self.num_learning_epochs * self.num_mini_batches
+        return {name: s / steps for name, s in zip(("value", "surrogate", "entropy"), sums, strict=True)}
+
+    @torch.no_grad()
+    def _gather(self) -> None:
+        s = self.storage
+        order = torch.randperm(self.num_mini_batches * self._size, device=self.device)
+        seen = s.observations.flatten(0, 1)
+        mean, spread = s.distribution_params  # type: ignore[misc]
+        columns = {
+            "actor": self.actor.get_latent(seen),  # type: ignore[arg-type]
+            "critic": self.critic.get_latent(seen),  # type: ignore[arg-type]
+            "actions": s.actions.flatten(0, 1),
+            "values": s.values.flatten(0, 1),
+            "returns": s.returns.flatten(0, 1),
+            "log_prob": s.actions_log_prob.flatten(),
+            "advantages": s.advantages.flatten(),
+            "mean": mean.flatten(0, 1),
+            "spread": spread.flatten(0, 1),
+        }
+        for name, column in columns.items():
+            if name in self._batch:
+                torch.index_select(column, 0, order, out=self._batch[name])
+            else:
+                self._batch[name] = column[order]
+
+    def _whole_epoch(self) -> None:
+        for i in range(self.num_mini_batches):
+            self._gradients(i)
+            self._apply()
+
+    def _shared_epoch(self) -> None:
+        for gradients in self._parts:
+            gradients()
+            torch.distributed.all_reduce(self._flat)
+            self._flat /= self.gpu_world_size
+            self._step()
+
+    def _gradients(self, i: int) -> None:
+        """Put gradients and KL divergence of a minibatch into the flat buffer, and add its losses to the sums."""
+        b = {name: column[i * self._size : (i + 1) * self._size] for name, column in self._batch.items()}
+        with torch.autocast(
+            torch.device(self.device).type, torch.bfloat16, enabled=self.use_mixed_precision, cache_enabled=False
+        ):
+            mean = self.actor.mlp(b["actor"]).float()
+            values = self.critic.mlp(b["critic"]).float()
+        self.actor.distribution.update(mean)  # type: ignore[union-attr]
+        log_prob = self.actor.get_output_log_prob(b["actions"])
+        entropy = self.actor.output_entropy.mean()
+        with torch.no_grad():
+            kl = self.actor.get_kl_divergence((b["mean"], b["spread"]), self.actor.output_distribution_params).mean()
+        ratio = torch.exp(log_prob - b["log_prob"])
+        surrogate = -b["advantages"] * ratio
+        clipped = -b["advantages"] * torch.clamp(ratio, 1.0 - self.clip_param, 1.0 + self.clip_param)
+        surrogate_loss = torch.max(surrogate, clipped).mean()
+        error = (values - b["returns"]).square()
+        if self.use_clipped_value_loss:
+            near = b["values"] + (values - b["values"]).clamp(-self.clip_param, self.clip_param)
+            error = torch.max(error, (near - b["returns"]).square())
+        value_loss = error.mean()
+        self._flat.zero_()
+        (surrogate_loss + self.value_loss_coef * value_loss - self._entropy_weight * entropy).backward()
+        self._flat[-1:].copy_(kl)
+        with torch.no_grad():  # lets go of the minibatch, which would keep its stream alive in the next graph
+            self.actor.distribution.update(mean.detach())  # type: ignore[union-attr]
+        self._sums += torch.stack([value_loss, surrogate_loss, entropy]).detach()
+
+    def _apply(self) -> None:
+        """Adapt the learning rate to the KL divergence and make a step."""
+        if self.desired_kl is not None and self.schedule == "adaptive":
+            kl, rate = self._flat[-1], self._rate
+            down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
+            up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
+            rate = torch.where((kl < self.desired_kl / 2.0) & (kl > 0.0), up, rate)
+            self._rate.copy_(torch.where(kl > self.desired_kl * 2.0, down, rate))
+        nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
+        nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
+        self.optimizer.step()
+
+    # ------------------------------------------------------------------ checkpoints
+
+    def save(self) -> dict[str, Any]:
+        """Return a checkpoint that PPO reads too."""
+        saved = super().save()
+        optimizer = saved["optimizer_state_dict"]
+        plain = {"lr": self.learning_rate, "capturable": False, "fused": None}
+        saved["optimizer_state_dict"] = {
+            "state": {k: {**v, "step": v["step"].cpu()} for k, v in optimizer["state"].items()},
+            "param_groups": [{**group, **plain} for group in optimizer["param_groups"]],
+        }
+        return saved
+
+    def load(self, loaded_dict: dict, load_cfg: dict | None, strict: bool) -> bool:
+        """Take over a checkpoint of PPO or of this class."""
+        optimizer = loaded_dict["optimizer_state_dict"]
+        here = {k: v for k, v in self._own.items() if k != "lr"}
+        groups = [{**group, **here, "lr": float(group["lr"])} for group in optimizer["param_groups"]]
+        loaded = {**loaded_dict, "optimizer_state_dict": {**optimizer, "param_groups": groups}}
+        iteration = super().load(loaded, load_cfg, strict)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._rate
+        self._forget()
+        return iteration
+
+
+def _kept(buffer: TensorDict | None, new: TensorDict) -> TensorDict:
+    """Return ``new`` in tensors that stay where they are."""
+    if buffer is None:
+        return new.clone()
+    for name, tensor in new.items():
+        buffer[name].copy_(tensor)
+    return buffer

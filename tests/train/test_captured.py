@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import copy
+import dataclasses
+
+import pytest
+
+from mimic.errors import ConfigError
+from mimic.settings import LearnSettings, MdpSettings
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
+    pytest.importorskip(library, reason="training needs the extra 'train'")
+from rsl_rl.runners import OnPolicyRunner  # noqa: E402
+
+from mimic.train.environment import StandTrackEnv  # noqa: E402
+from mimic.train.learn import runner_config, train  # noqa: E402
+
+MDP = MdpSettings(worlds=6)
+PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2)
+CAPTURED = dataclasses.replace(PLAIN, captured=True)
+
+
+@pytest.fixture(scope="module")
+def env(description) -> StandTrackEnv:
+    return StandTrackEnv(description, MDP, "cpu", 0)
+
+
+def runner(env: StandTrackEnv, learn: LearnSettings, **algorithm: object) -> OnPolicyRunner:
+    torch.manual_seed(5)
+    config = runner_config(learn)
+    config["algorithm"] |= algorithm
+    return OnPolicyRunner(env, config, None, "cpu")
+
+
+def rollout(runner: OnPolicyRunner, seed: int) -> None:
+    """Fill the storage from noise, so that it does not depend on the environment's state."""
+    noise = torch.Generator().manual_seed(seed)
+    env, alg = runner.env, runner.alg
+    torch.manual_seed(seed)
+    with torch.inference_mode():
+        for _ in range(runner.cfg["num_steps_per_env"]):
+            seen = env.get_observations()
+            for tensor in seen.values():
+                tensor.copy_(torch.randn(tensor.shape, generator=noise))
+            alg.act(seen)
+            rewards = torch.randn(env.num_envs, generator=noise)
+            ended = torch.rand(env.num_envs, generator=noise) < 0.1
+            time_outs = ended & (torch.rand(env.num_envs, generator=noise) < 0.5)
+            alg.process_env_step(seen, rewards, ended.long(), {"time_outs": time_outs})
+        alg.compute_returns(seen)
+
+
+def update(runner: OnPolicyRunner, seed: int) -> dict[str, float]:
+    torch.manual_seed(100 + seed)
+    return runner.alg.update()
+
+
+def weights(runner: OnPolicyRunner) -> torch.Tensor:
+    models = (runner.alg.actor, runner.alg.critic)
+    return torch.cat([v.detach().double().flatten() for model in models for v in model.state_dict().values()])
+
+
+def same_course(one: OnPolicyRunner, other: OnPolicyRunner, seeds: range) -> list[float]:
+    """Let both learn from the same storage; return the learning rates passed."""
+    rates = []
+    for seed in seeds:
+        rollout(one, seed)
+        rollout(other, seed)
+        assert update(one, seed) == pytest.approx(update(other, seed), rel=1e-3, abs=1e-5)
+        assert one.alg.learning_rate == pytest.approx(other.alg.learning_rate, rel=1e-5)
+        assert (weights(one) - weights(other)).abs().max() < 2e-5
+        rates.append(one.alg.learning_rate)
+    return rates
+
+
+@pytest.mark.parametrize("desired_kl", [1e-6, 0.01, 1.0])
+def test_an_update_is_that_of_rsl_rl_learning_rate_and_all(env, desired_kl):
+    plain, captured = runner(env, PLAIN, desired_kl=desired_kl), runner(env, CAPTURED, desired_kl=desired_kl)
+    before = weights(captured)
+    rates = same_course(plain, captured, range(3))
+    assert (weights(captured) - before).abs().max() > 1e-3
+    assert rates[-1] != pytest.approx(PLAIN.learning_rate)
+
+
+def test_the_entropy_bonus_may_change_during_a_run(env):
+    runners = [runner(env, CAPTURED), runner(env, CAPTURED), runner(env, PLAIN)]
+    for each, weight in zip(runners, (0.004, 0.5, 0.5), strict=True):
+        rollout(each, 0)
+        update(each, 0)
+        each.alg.entropy_coef = weight
+        rollout(each, 1)
+        update(each, 1)
+    none, captured, plain = (weights(each) for each in runners)
+    assert (captured - plain).abs().max() < 2e-5
+    assert (captured - none).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("learn", [PLAIN, CAPTURED])
+@pytest.mark.parametrize("then", [PLAIN, CAPTURED])
+def test_checkpoints_are_read_by_both(env, learn, then, tmp_path):
+    first = runner(env, learn)
+    rollout(first, 0)
+    update(first, 0)
+    first.save(str(tmp_path / "one.pt"))
+    again = runner(env, then)
+    again.load(str(tmp_path / "one.pt"))
+    assert again.alg.learning_rate == pytest.approx(first.alg.learning_rate)
+    same_course(first, again, range(1, 3))
+
+
+def test_bfloat16_learns_nearly_the_same(env):
+    exact, mixed = runner(env, CAPTURED), runner(env, dataclasses.replace(CAPTURED, mixed_precision=True))
+    for each in (exact, mixed):
+        rollout(each, 0)
+    assert update(mixed, 0) == pytest.approx(update(exact, 0), rel=0.05, abs=0.02)
+    assert not torch.equal(weights(exact), weights(mixed))
+
+
+def test_a_captured_training_runs_from_start_to_policy(tmp_path):
+    learn = dataclasses.replace(CAPTURED, iterations=2)
+    rows = []
+    path = train(tmp_path, MDP, learn, report=lambda update, row: rows.append(row))
+    assert path.exists()
+    assert [row["steps"] for row in rows] == [48, 96]
+    resumed = train(tmp_path / "again", MDP, copy.copy(learn), resume=tmp_path / "last.pt")
+    assert resumed.exists()
+
+
+def test_what_cannot_be_captured_is_refused(env):
+    with pytest.raises(ConfigError, match="use PPO"):
+        runner(env, CAPTURED, normalize_advantage_per_mini_batch=True)
