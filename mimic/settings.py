@@ -275,17 +275,62 @@ class ViewSettings:
 TRAINING_RANDOMISATION = Randomisation(
     joint_friction=(0.0, 0.12),
     joint_damping=(0.0, 0.08),
-    ground_friction=(0.5, 3.0),
+    ground_friction=(0.4, 3.0),
     base_mass=(-1.0, 1.0),
-    kp=(0.75, 1.25),
-    kd=(0.75, 1.25),
-    delay=(0.005, 0.035),
-    push=(0.0, 0.4),
+    kp=(0.85, 1.15),
+    kd=(0.85, 1.15),
+    delay=(0.0, 0.04),
+    push=(0.0, 0.5),
     push_interval=4.0,
     start_q=(-0.15, 0.15),
     start_height=(0.0, 0.03),
 )
-"""Wider than the paper's Table II, so that its ends are not the edge of what the policy has seen."""
+"""Wider than the paper's Table II, so that its ends are not the edge of what the policy has seen. Joints also share a
+factor on their gains: DisturbanceRanges.kp and kd."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DisturbanceRanges:
+    """What happens to a robot in training besides its randomisation; a pair is uniform between its ends.
+
+    The paper has none of these. Each range holds what the real robot is expected to see, with a reason beside it.
+    """
+
+    kp: tuple[float, float] = (0.8, 1.2)
+    """Factor on the position gain that all joints share: one firmware, one supply voltage."""
+    kd: tuple[float, float] = (0.8, 1.2)
+    """… and on the velocity gain."""
+    contact_time: tuple[float, float] = (0.75, 1.5)
+    """Factor on the time constant of the ground contact; nothing about a real floor's is known, and solvers differ."""
+    slope: tuple[float, float] = (0.0, 4.0)
+    """Inclination of the ground in any direction [deg]; pavements are built with 1-2, ramps with 3-5."""
+    toe_payload: tuple[float, float] = (0.0, 0.2)
+    """Mass at one front toe [kg]: a boxing glove, a flag."""
+    imu_tilt: tuple[float, float] = (0.0, 3.0)
+    """Mounting error of the IMU about any axis [deg]; screwed by hand, not calibrated."""
+    lost_share: tuple[float, float] = (0.0, 0.08)
+    """Probability that a command does not arrive; the one before stays in effect."""
+    drag: tuple[float, float] = (0.0, 8.0)
+    """Horizontal pull on one front toe [N]: a hand that holds it."""
+    drag_share: float = 0.3
+    """Share of episodes with such a pull."""
+    drag_from: tuple[float, float] = (1.5, 8.0)
+    """When it begins [s]."""
+    drag_seconds: float = 3.0
+    """How long it lasts [s]."""
+
+
+UNDISTURBED = DisturbanceRanges(
+    kp=(1.0, 1.0),
+    kd=(1.0, 1.0),
+    contact_time=(1.0, 1.0),
+    slope=(0.0, 0.0),
+    toe_payload=(0.0, 0.0),
+    imu_tilt=(0.0, 0.0),
+    lost_share=(0.0, 0.0),
+    drag=(0.0, 0.0),
+)
+"""Nothing happens."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -299,11 +344,14 @@ class RewardWeights:
     toes: float = 1.4
     toes_fine: float = 1.0
     gait: float = 1.2
-    slip: float = -0.4
+    slip: float = -0.5
+    foot_shift: float = -2.0
+    rules: float = -1.0
     flight: float = -0.5
     low: float = -0.3
     action_rate: float = -0.008
     torque: float = -2e-4
+    overload: float = -0.003
     joint_velocity: float = -3e-4
     joint_speed: float = -0.02
     joint_acceleration: float = -1e-7
@@ -311,7 +359,7 @@ class RewardWeights:
     fall: float = -2.0
 
 
-REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
+REGULARISERS = ("action_rate", "torque", "overload", "joint_velocity", "joint_acceleration", "slip")
 """Reward terms that grow during training, once the robot stands."""
 
 
@@ -428,6 +476,24 @@ class MdpSettings:
     sparse: bool = False
     """Constraint Jacobians in sparse form; the same physics, other kernels."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
+    disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
+    command_margin: float = 0.1
+    """Commanded joint positions keep this far from the joint limits [rad]: a little more than the 5 degrees at which the
+    paper ends an episode, so that a joint gets there only when something pushes it."""
+    rules_ramp: tuple[float, float] = (2_400.0, 14_400.0)
+    """Control steps of a world between which the paper's terminations come in: none ends an episode before the first,
+    each does from the second on, with a probability a step that grows with the square in between. Imposed from the
+    beginning they end every episode within the first tenth of a second, before anything is learned."""
+    slip_height: float = 0.033
+    """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
+    swing_height: float = 0.05
+    """Wanted clearance of a swinging hind toe at mid-swing [m]."""
+    swing_share: float = 0.8
+    """Share of half a gait cycle in which a foot swings; in the rest both stand."""
+    turn_threshold: float = 0.15
+    """A heading error from which on stepping is asked for [rad]."""
+    scaled_tracking: bool = True
+    """Scale the tracking terms by how far the robot stands, as the paper's dynamic factor does; False is its ablation."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
     regularisation: float = 2.0
     """Factor on the weights of REGULARISERS at the end of the ramp."""
@@ -469,6 +535,10 @@ class LearnSettings:
     init_std: float = 1.0
     std_range: tuple[float, float] = (0.05, 1.2)
     hidden: tuple[int, ...] = (512, 256, 128)
+    mirror: float = 0.0
+    """Weight of the loss that asks for mirrored actions in mirrored states; 0 is none."""
+    snapshots: tuple[float, ...] = ()
+    """Times after which the policy is also written as policy_<minutes>min.onnx [min]."""
     save_every: int = 100
     """Updates between two checkpoints."""
     captured: bool = False

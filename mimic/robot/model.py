@@ -159,8 +159,28 @@ def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variat
     ratio = np.where(nominal.body_mass > 0, mass / np.maximum(nominal.body_mass, 1e-9), 1.0)
     model.body_mass[:] = mass
     model.body_inertia[:] = nominal.body_inertia * ratio[:, None]
+    model.body_iquat[:] = nominal.body_iquat
     model.body_ipos[:] = nominal.body_ipos
     model.body_ipos[base] += variation.com
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -> None:
+    """Add a point mass [kg] at a position (3,) [m] of a body, in ``model`` as it is."""
+    if not mass:
+        return
+    at = model.body(body).id
+    own, frame = float(model.body_mass[at]), np.zeros(9)
+    mujoco.mju_quat2Mat(frame, model.body_iquat[at])
+    turn = frame.reshape(3, 3)
+    inertia = turn @ np.diag(model.body_inertia[at]) @ turn.T
+    away = position - model.body_ipos[at]
+    inertia += own * mass / (own + mass) * (away @ away * np.eye(3) - np.outer(away, away))
+    values, axes = np.linalg.eigh(inertia)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    mujoco.mju_mat2Quat(model.body_iquat[at], axes.reshape(9))
+    model.body_inertia[at], model.body_mass[at] = values, own + mass
+    model.body_ipos[at] += away * mass / (own + mass)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 

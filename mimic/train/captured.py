@@ -20,6 +20,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from mimic.errors import ConfigError
+from mimic.train.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)
 """Bounds of the adaptive learning rate, those of rsl_rl."""
@@ -78,8 +79,9 @@ class CapturedPPO(PPO):
 
     def __init__(self, actor: Any, critic: Any, storage: Any, **settings: Any) -> None:
         super().__init__(actor, critic, storage, **settings)
-        if self.rnd or self.symmetry or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
-            raise ConfigError("captured PPO has no RND, symmetry, recurrence or advantages per minibatch; use PPO")
+        if self.rnd or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
+            raise ConfigError("captured PPO has no RND, recurrence or advantages per minibatch; use PPO")
+        self._mirror = self.symmetry.mirror_loss_coeff if self.symmetry else 0.0
         on_gpu = str(self.device).startswith("cuda")
         self._rate = torch.tensor(self.learning_rate, device=self.device)
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
@@ -176,6 +178,9 @@ class CapturedPPO(PPO):
             "mean": mean.flatten(0, 1),
             "spread": spread.flatten(0, 1),
         }
+        if self._mirror:
+            image = TensorDict({"policy": mirrored_observations(seen["policy"])}, batch_size=seen.batch_size)
+            columns["image"] = self.actor.get_latent(image)  # type: ignore[arg-type]
         for name, column in columns.items():
             if name in self._batch:
                 torch.index_select(column, 0, order, out=self._batch[name])
@@ -202,6 +207,7 @@ class CapturedPPO(PPO):
         ):
             mean = self.actor.mlp(b["actor"]).float()
             values = self.critic.mlp(b["critic"]).float()
+            image = self.actor.mlp(b["image"]).float() if self._mirror else None
         self.actor.distribution.update(mean)  # type: ignore[union-attr]
         log_prob = self.actor.get_output_log_prob(b["actions"])
         entropy = self.actor.output_entropy.mean()
@@ -216,8 +222,11 @@ class CapturedPPO(PPO):
             near = b["values"] + (values - b["values"]).clamp(-self.clip_param, self.clip_param)
             error = torch.max(error, (near - b["returns"]).square())
         value_loss = error.mean()
+        loss = surrogate_loss + self.value_loss_coef * value_loss - self._entropy_weight * entropy
+        if image is not None:
+            loss = loss + self._mirror * (image - mirrored_actions(mean.detach())).square().mean()
         self._flat.zero_()
-        (surrogate_loss + self.value_loss_coef * value_loss - self._entropy_weight * entropy).backward()
+        loss.backward()
         self._flat[-1:].copy_(kl)
         with torch.no_grad():  # lets go of the minibatch, which would keep its stream alive in the next graph
             self.actor.distribution.update(mean.detach())  # type: ignore[union-attr]

@@ -30,16 +30,24 @@ from mimic.robot.leg import front_toes
 from mimic.robot.model import command_in_effect
 from mimic.settings import MdpSettings
 from mimic.store import plain
+from mimic.train.disturbances import Disturbances, quat_multiply, quat_rotate
+from mimic.train.feet import Feet, sliding
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
-from mimic.types import JOINTS
+from mimic.types import JOINTS, LEGS
 
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
 
-CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 9
+SOFT_MARGIN = np.deg2rad(8.0)
+"""A joint nearer to its limit than this costs [rad]."""
+
+MERCY_STEPS, EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 30, 0.06, 0.3
+"""The paper's terminations in the first control steps: highest hind toe [m] and largest joint motion in a step [rad]."""
+
+CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1
 """Width of what the critic sees beyond the observation."""
 
 
@@ -53,8 +61,8 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         default_q=tuple(description.poses["lie" if sits else "upright"].tolist()),
         action_scale=(settings.action_scale,) * len(JOINTS),
         action_clip=settings.action_clip,
-        q_min=tuple(description.q_min.tolist()),
-        q_max=tuple(description.q_max.tolist()),
+        q_min=tuple((description.q_min + settings.command_margin).tolist()),
+        q_max=tuple((description.q_max - settings.command_margin).tolist()),
         kp=description.kp,
         kd=description.kd,
         dt=description.dt,
@@ -84,6 +92,8 @@ class StandTrackEnv(VecEnv):
         self.goals = GoalSchedule(description, self.contract, settings, device, seed)
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
+        self._feet = Feet(description, device)
+        self.disturbances = Disturbances(settings.disturbances, settings.worlds, description.dt, device)
         self._constants()
         self._buffers()
         self._graph: Any = None
@@ -102,7 +112,8 @@ class StandTrackEnv(VecEnv):
         d, c = self.description, self.contract
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
-        self._soft_min, self._soft_max = self._q_min + MARGIN, self._q_max - MARGIN
+        self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
+        self._soft_min, self._soft_max = self._tensor(d.q_min + SOFT_MARGIN), self._tensor(d.q_max - SOFT_MARGIN)
         w = self.worlds
         self._front = w.geom_columns(
             "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"
@@ -112,6 +123,9 @@ class StandTrackEnv(VecEnv):
         self._knees = w.geom_columns("RL_rubber", "RR_rubber")
         self._front_low = w.geom_columns("FL_toe", "FR_toe", "FL_rubber", "FR_rubber")
         self._hind_toes = w.geom_columns("RL_toe", "RR_toe")
+        knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
+        self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
+        self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
         steps = self.settings.randomisation.delay
         self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
 
@@ -129,7 +143,8 @@ class StandTrackEnv(VecEnv):
         self._history = zeros(self.settings.history, FRAME_SIZE)
         self.phase_at_start = zeros()
         self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
-        self._toes_before, self._dq_before = zeros(2, 3), zeros(12)
+        self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
+        self._rule_share = torch.zeros(1, device=device)
         self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
         self._critic_obs = zeros(self.settings.history * FRAME_SIZE + CRITIC_EXTRAS)
         self._reward = zeros()
@@ -160,6 +175,7 @@ class StandTrackEnv(VecEnv):
             progress = min(1.0, self._calls / self.settings.ramp_steps)
             now = weights_at(progress, self._rewards, self.settings.regularisation)
             self._weights.copy_(torch.tensor(now))
+            self._rule_share.fill_(self._share_of_rules())
         if str(self.device).startswith("cuda"):
             self._step_captured()
         else:
@@ -204,15 +220,32 @@ class StandTrackEnv(VecEnv):
         newest, before, before_that = self._commands
         before_that.copy_(before)
         before.copy_(newest)
-        newest.copy_(
-            commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
-        )
+        asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
+        newest.copy_(torch.where(self.disturbances.arrives(), asked, before))
+        self._pull()
         for k in range(self.worlds.decimation):
             ctrl = command_in_effect(k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where)
             self.worlds.substep_ctrl[k].copy_(ctrl)
 
+    def _pull(self) -> None:
+        """Drag the front toes: a force at the toe is the same force at the lower leg's centre of mass, and its moment."""
+        w = self.worlds
+        force = self.disturbances.pull(self.episode_length_buf)
+        lever = w.site_xpos[:, self._front_sites] - w.xipos[:, self._front_knees]
+        moment = torch.linalg.cross(lever, force)
+        w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
+
+    def _share_of_rules(self) -> float:
+        begin, end = self.settings.rules_ramp
+        share = (self._calls - begin) / max(end - begin, 1.0)
+        return min(max(share, 0.0), 1.0) ** 2
+
+    def _quat_WB(self) -> torch.Tensor:
+        """Orientation of the base in the true world, whose z is up also where the ground is inclined (N, 4)."""
+        return quat_multiply(self.worlds.slope_quat, self.worlds.qpos[:, 3:7])
+
     def _quat(self) -> tuple[torch.Tensor, ...]:
-        return tuple(self.worlds.qpos[:, 3 + i] for i in range(4))
+        return self._quat_WB().unbind(-1)
 
     def _heading(self) -> torch.Tensor:
         sine, cosine = heading_sin_cos(*self._quat())
@@ -249,7 +282,7 @@ class StandTrackEnv(VecEnv):
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
         self._done.copy_(failed | self._time_out | ~finite)
         self._dq_before.copy_(w.qvel[:, 6:])
-        self._toes_before.copy_(w.site_xpos[:, self._hind_sites])
+        self._q_before.copy_(w.qpos[:, 7:])
         self._remember(terms, figures, finite)
         self._push()
         self._reset(self._done)
@@ -277,7 +310,7 @@ class StandTrackEnv(VecEnv):
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
         """Return the reward terms, which worlds failed (N,), and figures for the log."""
         facts = self._facts(finite, low)
-        return reward_terms(facts), facts.fallen, self._figures(facts)
+        return reward_terms(facts, self.settings), facts.fallen, self._figures(facts)
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
@@ -285,18 +318,21 @@ class StandTrackEnv(VecEnv):
 
     # ------------------------------------------------------------------ the tracking task
 
-    @property
-    def _hind_sites(self) -> slice:
-        # sites: imu, then a toe for each leg
-        return slice(3, 5)
+    # sites: imu, then a toe for each leg
+    _toe_sites, _front_sites, _hind_sites = slice(1, 5), slice(1, 3), slice(3, 5)
 
     def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
         w = self.worlds
         heading = self._heading()
         up = self._up(heading)
+        step = self.episode_length_buf
+        toes = w.site_xpos[:, self._toe_sites]
         hind = w.site_xpos[:, self._hind_sites]
-        slip = (hind - self._toes_before)[..., :2].norm(dim=-1) / self.contract.dt
-        slip = torch.where((self.episode_length_buf > 1)[:, None], slip, torch.zeros_like(slip))
+        self._toes_at_start.copy_(torch.where((step == 1)[:, None, None], hind, self._toes_at_start))
+        rising_up = ~self._upright_start & (step <= MERCY_STEPS)
+        shift = (hind - self._toes_at_start).norm(dim=-1).mean(-1) * rising_up
+        motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
+        slip = sliding(toes[..., 2], *motion, below=self.settings.slip_height)
         height = w.qpos[:, 2]
         velocity = self._velocity(heading)
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
@@ -305,8 +341,15 @@ class StandTrackEnv(VecEnv):
         tracking = self._tracking()
         grounded = (low[:, self._front].amin(-1) < 0.002) | (low[:, self._trunk].amin(-1) < 0.002)
         grounded |= low[:, self._hind_thighs].amin(-1) < 0.002
-        fallen = finite & tracking & (grounded | (height < 0.16) | (up < 0.3))
+        fallen = tracking & (grounded | (height < 0.16) | (up < 0.3))
         q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
+        near = ((q < self._near_min) | (q > self._near_max)).any(-1) & (step > 3)
+        early = rising_up & (step > 3)
+        high = early & (hind[..., 2].amax(-1) > EARLY_FOOT_HEIGHT)
+        jump = early & ((q - self._q_before).abs().amax(-1) > EARLY_JOINT_STEP)
+        touch = ~self._upright_start & (step > MERCY_STEPS) & ~tracking & grounded
+        broken = near | high | jump | touch
+        fallen = finite & (fallen | (broken & (self._rand() < self._rule_share)))
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = (dq - self._dq_before) / self.contract.dt
         ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
@@ -315,7 +358,7 @@ class StandTrackEnv(VecEnv):
             up=up,
             velocity_error=velocity - self.moves.velocity,
             mean_velocity_error=self._mean_velocity - self.moves.velocity,
-            moving=(self.moves.velocity.abs().sum(-1) > 0.05) | (error.abs() > 0.3),
+            moving=(self.moves.velocity.abs().sum(-1) > 0.05) | (error.abs() > self.settings.turn_threshold),
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes() - self.goals.now,
@@ -323,6 +366,9 @@ class StandTrackEnv(VecEnv):
             contact=low[:, self._hind_toes] < 0.003,
             clearance=low[:, self._hind_toes],
             slip=slip,
+            hind_speed=motion[0][:, 2:].norm(dim=-1),
+            foot_shift=shift,
+            rules_broken=near.float() + high.float() + jump.float() + touch.float(),
             phase=self._phase(),
             low=(low[:, self._front_low] < 0.03).float().sum(-1) + (low[:, self._knees] < 0.03).float().sum(-1),
             action_change=self._last_action - self._before_last,
@@ -344,6 +390,11 @@ class StandTrackEnv(VecEnv):
             "track/velocity_error": (f.velocity_error.norm(dim=-1) * tracking).sum() / count,
             "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
             "track/falls": (f.fallen.float() * tracking).sum() / count,
+            "track/slip": (f.slip * tracking).sum() / count,
+            "track/rules": (f.rules_broken * tracking).sum() / count,
+            "rise/slip": (f.slip * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
+            "rise/rules": (f.rules_broken * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
+            "rules/share": self._rule_share.mean(),
             "track/knee_torque": (f.torque[:, 8::3].abs().mean(-1) * tracking).sum() / count,
         }
 
@@ -395,6 +446,8 @@ class StandTrackEnv(VecEnv):
         put(self._delay, torch.randint_like(self._delay, low, high + 1))
         put(self._upright_start, start.upright)
         put(self.phase_at_start, self._first_phase(start))
+        self.disturbances.reset(mask)
+        put(self._q_before, start.q)
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
         self.goals.reset(mask, start.upright, self._toes())
@@ -404,7 +457,7 @@ class StandTrackEnv(VecEnv):
         n = self.num_envs
         frame = observation_frame(
             q_offset=w.qpos[:, 7:] - self._default_q,
-            quat_WB=w.qpos[:, 3:7],
+            quat_WB=quat_multiply(self._quat_WB(), self.disturbances.mount),
             last_action=self._last_action,
             v_des=self.moves.velocity,
             heading_des=self.moves.heading,
@@ -435,6 +488,10 @@ class StandTrackEnv(VecEnv):
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
             w.features,
+            quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
+            quat_rotate(self._quat_WB(), self._floor_up, inverse=True),
+            (self.disturbances.pull(self.episode_length_buf)[..., :2] * 0.2).reshape(n, 4),
+            self.disturbances.lost_share * 10,
         ]
         seen = torch.cat(
             [self._policy_obs, *extras], -1

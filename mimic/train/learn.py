@@ -25,6 +25,7 @@ from mimic.robot.description import RobotDescription, load_description
 from mimic.settings import LearnSettings, MdpSettings
 from mimic.store import plain, save_json, written_whole
 from mimic.train.environment import StandTrackEnv, make_contract
+from mimic.train.mirror import with_mirrored
 from mimic.train.sit_down import SitDownEnv
 
 log = logging.getLogger(__name__)
@@ -133,6 +134,13 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "max_grad_norm": 1.0,
             "use_clipped_value_loss": True,
             "use_mixed_precision": settings.mixed_precision,
+            "symmetry_cfg": {
+                "data_augmentation_func": with_mirrored,
+                "use_mirror_loss": True,
+                "mirror_loss_coeff": settings.mirror,
+            }
+            if settings.mirror
+            else None,
         },
     }
 
@@ -183,15 +191,19 @@ def train(
     runner.logger.__class__ = _Logger
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
+    contract = make_contract(description, mdp, settings_hash(mdp, learn))
+    begin, due = time.monotonic(), sorted(learn.snapshots, reverse=True)
+
     def progressed(share: float) -> None:
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
+        if due and time.monotonic() - begin > 60 * due[-1]:
+            export(runner, contract, folder / f"policy_{due.pop():g}min.onnx")
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
-    contract = make_contract(description, mdp, settings_hash(mdp, learn))
     try:
         runner.learn(learn.iterations)
     except _Enough:

@@ -46,6 +46,8 @@ def changed(settings: S, path: str, value: Any, whole: str = "") -> S:
 def _fits(value: Any, before: Any) -> bool:
     if isinstance(before, tuple):
         return isinstance(value, tuple) and all(isinstance(v, int | float) for v in value)
+    if isinstance(before, bool) or isinstance(value, bool):
+        return isinstance(value, bool) and isinstance(before, bool)
     return isinstance(value, int | float if isinstance(before, float) else type(before))
 
 

@@ -6,12 +6,13 @@ bells instead of gates, so that a robot lying on the ground already feels which 
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 
-from mimic.settings import REGULARISERS
+from mimic.settings import REGULARISERS, MdpSettings
 
 
 @dataclass
@@ -41,7 +42,13 @@ class Facts:
     clearance: torch.Tensor
     """Height of the hind toes above the ground (N, 2) [m]."""
     slip: torch.Tensor
+    """The paper's slip (N,): see mimic.train.feet.sliding."""
+    hind_speed: torch.Tensor
     """Horizontal speed of the hind toes (N, 2) [m/s]."""
+    foot_shift: torch.Tensor
+    """Mean way of the hind toes from where they began, while standing up (N,) [m]."""
+    rules_broken: torch.Tensor
+    """Number of the paper's terminations that hold (N,)."""
     phase: torch.Tensor
     """Gait phase (N,) [rad]."""
     low: torch.Tensor
@@ -60,10 +67,6 @@ class Facts:
     """True where the episode ends in a fall (N,)."""
 
 
-SWING_HEIGHT = 0.04
-"""Wanted height of a swinging hind toe at mid-swing [m]."""
-
-
 LYING_HEIGHT, UPRIGHT_HEIGHT = 0.14, 0.42
 """Base height before and after standing up [m]."""
 
@@ -74,7 +77,11 @@ FAST = 10.0
 """Joint speed from which on it costs [rad/s]; the motors give full torque up to 11.5."""
 
 
-def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
+RATED_TORQUE = 4.0
+"""Torque that a motor bears for ever [N m]."""
+
+
+def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
     angle = torch.acos(torch.clamp(f.up, -1.0, 1.0))
     smooth = f.rising * f.rising * (3 - 2 * f.rising)
@@ -84,11 +91,15 @@ def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
     level = torch.where(f.rising >= 1, ((1 + f.up) / 2).square(), torch.exp(-((lean / 0.4) ** 2)))
     standing = torch.clamp((f.height - 0.15) / 0.25, 0, 1) * torch.clamp(f.up, 0, 1) * f.rising
     toes = f.toe_error.square().sum((-1, -2))
+    if not settings.scaled_tracking:
+        standing = torch.ones_like(standing)
     sine = torch.sin(f.phase)
-    swing = torch.stack([sine, -sine], -1)
-    wanted = SWING_HEIGHT * torch.clamp(swing, min=0.0)
+    both = math.sin(0.5 * math.pi * (1 - settings.swing_share))  # below this sine both feet stand
+    swing = (torch.stack([sine, -sine], -1) - both) / (1 - both)
+    wanted = settings.swing_height * torch.clamp(2 * swing, min=0.0, max=1.0)
     planted = f.contact.float()
-    lifted = torch.exp(-(((f.clearance - wanted) / 0.025) ** 2)) * (1 - planted)
+    bell = torch.exp(-(((f.clearance - wanted) / 0.025) ** 2))
+    lifted = 0.5 * (bell + torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1)) * (1 - planted)
     stepping = torch.where(swing > 0, lifted, planted)
     stepping = torch.where(f.moving[:, None], stepping, planted)
     speed = 0.5 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
@@ -102,11 +113,14 @@ def reward_terms(f: Facts) -> dict[str, torch.Tensor]:
         "toes": 0.5 * (torch.exp(-toes / 0.04) + torch.exp(-toes / 0.01)) * standing * f.tracking,
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
-        "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
+        "slip": f.slip,
+        "foot_shift": f.foot_shift,
+        "rules": f.rules_broken,
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
+        "overload": torch.clamp(f.torque.abs() - RATED_TORQUE, min=0.0).square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
         "joint_speed": torch.clamp(f.dq.abs() - FAST, min=0.0).sum(-1),
         "joint_acceleration": f.ddq.square().sum(-1),

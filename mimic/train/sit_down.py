@@ -88,7 +88,7 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
         "trunk": d.trunk.float() * (0.3 + speed.clamp(max=3.0)),
         "thighs": d.thighs,
         "head_low": torch.clamp((HEAD_ROOM - d.head) / HEAD_ROOM, 0.0, 1.0),
-        "slip": (f.slip.clamp(max=2.0) * f.contact).sum(-1),
+        "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1),
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),

@@ -1,13 +1,16 @@
 """Many randomised robots in MuJoCo Warp, stepped together; the same MJCF and actuator law as the simulation.
 
-Each world keeps its own friction, masses and gains for the whole training; with thousands of worlds that covers the
-ranges. Delay, start pose and pushes are drawn anew for every episode by the environment.
+Each world keeps its own friction, masses, gains, slope and payload for the whole training; with thousands of worlds
+that covers the ranges. Delay, start pose, pushes and the rest are drawn anew for every episode by the environment.
+
+On a slope the ground stays level and gravity is inclined: ``slope_quat`` turns the axes of the ground into those of the
+true world, whose z is up.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import mujoco_warp as mjw
@@ -16,8 +19,10 @@ import torch
 import warp as wp
 
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import draw_variation, load_model, vary_model
+from mimic.robot.model import carry, draw_variation, load_model, vary_model
 from mimic.settings import MdpSettings
+from mimic.train.disturbances import quat_rotate
+from mimic.types import LEGS
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +35,7 @@ RANDOMISED = (
     "body_mass",
     "body_inertia",
     "body_ipos",
+    "body_iquat",
     "body_subtreemass",
     "body_invweight0",
     "dof_invweight0",
@@ -81,6 +87,8 @@ class Worlds:
             self.geom_xpos = wp.to_torch(self.data.geom_xpos)
             self.geom_xmat = wp.to_torch(self.data.geom_xmat)
             self.ctrl = wp.to_torch(self.data.ctrl)
+            self.xipos = wp.to_torch(self.data.xipos)
+            self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
@@ -88,18 +96,29 @@ class Worlds:
 
     def _randomise(self, description: RobotDescription, settings: MdpSettings, n: int, seed: int) -> None:
         rng = np.random.default_rng([seed, 17])
+        other = np.random.default_rng([seed, 18])
         nominal = load_model(description, visuals=False)
         varied = load_model(description, visuals=False)
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in RANDOMISED}
-        features = []
+        features, slopes, d = [], [], settings.disturbances
         for _ in range(count):
             v = draw_variation(settings.randomisation, description.timestep, rng)
+            v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
             vary_model(varied, nominal, v)
+            side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
+            carry(varied, f"{LEGS[side]}_knee", payload, np.array(description.raw["toe"]["position"]))
+            floor = varied.geom("floor").id
+            varied.geom_solref[floor, 0] *= other.uniform(*d.contact_time)
+            angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
+            slopes.append(
+                [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
+            )
             for name in RANDOMISED:
                 rows[name].append(np.array(getattr(varied, name)))
             features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
             features[-1] += [*(10 * v.com), 10 * v.joint_friction.mean()]
+            features[-1] += [10 * payload * (side == k) for k in range(2)]
         index = np.arange(n) % count
         for name in RANDOMISED:
             target = getattr(self.model, name)
@@ -109,6 +128,11 @@ class Worlds:
             tensor = wp.to_torch(target)
             tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
         self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
+        self.slope_quat = torch.as_tensor(np.array(slopes, dtype=np.float32)[index], device=self.device)
+        level = torch.tensor(self.mj_model.opt.gravity, dtype=torch.float32, device=self.device).expand(n, 3)
+        gravity = quat_rotate(self.slope_quat, level, inverse=True).contiguous()
+        self.model.opt.gravity = wp.from_torch(gravity, dtype=wp.vec3)
+        self._gravity = gravity  # Warp's array is a view of it
 
     def _make_support(self) -> _Support:
         model = self.mj_model

@@ -8,14 +8,14 @@ import pytest
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
 from mimic.robot.leg import front_toes
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, MdpSettings
+from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings
 from mimic.types import JointCommand
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.environment import StandTrackEnv  # noqa: E402
 
-FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0)
+FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED)
 
 
 def make(description, seed: int = 3, **changes: object) -> StandTrackEnv:

@@ -1,0 +1,88 @@
+"""How the toes move over the ground, in closed form over all worlds: what the paper's slip term looks at."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from mimic.robot.description import RobotDescription
+from mimic.types import LEGS
+
+
+class Feet:
+    """Horizontal velocity of each toe and turning of each lower leg, from joint and base velocities."""
+
+    def __init__(self, description: RobotDescription, device: str) -> None:
+        raw = description.raw
+        x, y, z = raw["abad"]["origin"]
+        front = [1.0 if leg.startswith("F") else -1.0 for leg in LEGS]
+        left = [1.0 if leg.endswith("L") else -1.0 for leg in LEGS]
+
+        def tensor(values: object) -> torch.Tensor:
+            return torch.as_tensor(values, dtype=torch.float32, device=device)
+
+        self._origin = tensor([[f * x, s * y, z] for f, s in zip(front, left, strict=True)])
+        self._offset = tensor([s * raw["hip"]["origin"][1] for s in left])
+        self._thigh = float(raw["hip"]["length"])
+        self._toe_x, _, self._toe_z = (float(v) for v in raw["toe"]["position"])
+
+    def motion(
+        self, quat_WB: torch.Tensor, v_WB: torch.Tensor, omega_B: torch.Tensor, q: torch.Tensor, dq: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return horizontal toe velocities (N, 4, 2) [m/s] and turning of the lower legs about the vertical (N, 4).
+
+        Args:
+            quat_WB: Orientation of the base (N, 4).
+            v_WB: Velocity of the base's origin, world axes (N, 3) [m/s].
+            omega_B: Angular velocity of the base, base axes (N, 3) [rad/s].
+            q: Joint positions (N, 12) [rad].
+            dq: Joint velocities (N, 12) [rad/s].
+        """
+        abad, hip, knee = (q[:, k::3] for k in range(3))
+        d_abad, d_hip, d_knee = (dq[:, k::3] for k in range(3))
+        bend, d_bend = hip + knee, d_hip + d_knee
+        ca, sa = torch.cos(abad), torch.sin(abad)
+        ch, sh, cb, sb = torch.cos(hip), torch.sin(hip), torch.cos(bend), torch.sin(bend)
+        x = -self._thigh * sh + self._toe_x * cb + self._toe_z * sb
+        z = -self._thigh * ch - self._toe_x * sb + self._toe_z * cb
+        dx = -self._thigh * ch * d_hip + (-self._toe_x * sb + self._toe_z * cb) * d_bend
+        dz = self._thigh * sh * d_hip + (-self._toe_x * cb - self._toe_z * sb) * d_bend
+        across, up = self._offset * ca - z * sa, self._offset * sa + z * ca
+        position = self._origin + torch.stack([x, across, up], -1)
+        inside = torch.stack([dx, -up * d_abad - dz * sa, across * d_abad + dz * ca], -1)
+        turning = omega_B[:, None, :].expand_as(position)
+        velocity_B = torch.linalg.cross(turning, position) + inside
+        rows = self._rows(quat_WB)
+        horizontal = [(rows[k][:, None, :] * velocity_B).sum(-1) + v_WB[:, k, None] for k in range(2)]
+        shank = torch.stack(
+            [omega_B[:, 0:1] + d_abad, omega_B[:, 1:2] + ca * d_bend, omega_B[:, 2:3] + sa * d_bend], -1
+        )
+        return torch.stack(horizontal, -1), (rows[2][:, None, :] * shank).sum(-1)
+
+    @staticmethod
+    def _rows(quat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the rows of R_WB, each (N, 3)."""
+        w, x, y, z = (quat[:, k] for k in range(4))
+        return (
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        )
+
+
+FASTEST = 4.0
+"""More than this squared speed of one toe is not counted [m^2/s^2]."""
+
+
+def sliding(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, below: float) -> torch.Tensor:
+    """Return the paper's slip (N,): squared speed and turning over pi of each toe whose centre is low.
+
+    Args:
+        height: Of the toes' centres above the ground (N, 4) [m].
+        velocity: Horizontal (N, 4, 2) [m/s].
+        turning: Of the lower legs about the vertical (N, 4) [rad/s].
+        below: Height under which a toe counts [m]; paper: 0.03.
+    """
+    square = velocity.square().sum(-1) + (turning / math.pi).square()
+    return (square.clamp(max=FASTEST) * (height < below)).sum(-1)

@@ -1,0 +1,73 @@
+"""The robot's left-right symmetry: what a state and an action look like in a mirror.
+
+The robot is mirrored at the world's x-z plane, so that headings, y components and abad angles change their sign, left
+and right legs change places, and the gait clock is half a cycle away.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from mimic.policy.contract import TERMS
+
+LEG_SIGNS = (-1.0, 1.0, 1.0)
+"""Of abad, hip and knee in the mirror."""
+
+_JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [*LEG_SIGNS] * 4)
+_AXIS = ([0, 1, 2], [1.0, -1.0, 1.0])
+MIRRORED = {
+    "joint_position": _JOINTS,
+    "down": _AXIS,
+    "forward": _AXIS,
+    "last_action": _JOINTS,
+    "velocity_command": ([0, 1], [1.0, -1.0]),
+    "heading_error": ([0], [-1.0]),
+    "toe_command": ([3, 4, 5, 0, 1, 2], [1.0, -1.0, 1.0] * 2),
+    "clock": ([0, 1], [-1.0, -1.0]),
+}
+"""For each term of a frame: which of its numbers comes where, and with which sign."""
+
+
+@cache
+def _frame(device: str, history: int) -> tuple[torch.Tensor, torch.Tensor]:
+    order, signs, start = [], [], 0
+    for _ in range(history):
+        for name, width in TERMS:
+            places, sign = MIRRORED[name]
+            order += [start + i for i in places]
+            signs += sign
+            start += width
+    return torch.tensor(order, device=device), torch.tensor(signs, device=device)
+
+
+@cache
+def _action(device: str) -> tuple[torch.Tensor, torch.Tensor]:
+    return torch.tensor(_JOINTS[0], device=device), torch.tensor(_JOINTS[1], device=device)
+
+
+def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
+    """Return actions (N, 12) in the mirror."""
+    order, signs = _action(str(actions.device))
+    return actions[:, order] * signs
+
+
+def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
+    """Return the policy's observations (N, observation_size) in the mirror."""
+    order, signs = _frame(str(observations.device), observations.shape[1] // sum(w for _, w in TERMS))
+    return observations[:, order] * signs
+
+
+def with_mirrored(env: Any, obs: TensorDict | None, actions: torch.Tensor | None) -> tuple[Any, Any]:
+    """Return observations and actions followed by their mirror images, in the form rsl_rl asks for."""
+    del env
+    both_obs = both_actions = None
+    if obs is not None:
+        seen = torch.cat([obs["policy"], mirrored_observations(obs["policy"])])
+        both_obs = TensorDict({"policy": seen}, batch_size=[len(seen)])
+    if actions is not None:
+        both_actions = torch.cat([actions, mirrored_actions(actions)])
+    return both_obs, both_actions

@@ -1,0 +1,113 @@
+"""The disturbed training physics against MuJoCo's own, on a slope, with a payload and a pull."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from mimic.robot.model import load_model
+from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings
+from mimic.types import LEGS
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
+from mimic.train.disturbances import quat_multiply, quat_rotate  # noqa: E402
+from mimic.train.environment import StandTrackEnv  # noqa: E402
+from mimic.train.feet import Feet, sliding  # noqa: E402
+
+RANGES = dataclasses.replace(
+    UNDISTURBED, slope=(4.0, 4.0), toe_payload=(0.3, 0.3), drag=(8.0, 8.0), drag_share=1.0, drag_from=(0.0, 0.0)
+)
+
+
+def make(description, **changes: object) -> StandTrackEnv:
+    settings = MdpSettings(
+        worlds=1, noise_q=0.0, noise_axes=0.0, upright_share=0.0, randomisation=NOMINAL, command_margin=0.0
+    )
+    solved = {"solver_iterations": 100, "linesearch_iterations": 50}
+    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 5)
+
+
+def test_slope_payload_and_pull_are_those_of_the_simulation(description):
+    env = make(description, disturbances=RANGES)
+    env.episode_length_buf.zero_()
+    side = int(env.worlds.features[0, -1] > 0)
+    model = load_model(description, visuals=False, payloads={LEGS[side]: 0.3})
+    tilt = env.worlds.slope_quat[0].numpy().astype(np.float64)
+    assert np.rad2deg(2 * np.arccos(tilt[0])) == pytest.approx(4.0, abs=0.05)
+    down, up = np.zeros(3), tilt * [1, -1, -1, -1]
+    mujoco.mju_rotVecQuat(down, model.opt.gravity, up)
+    model.opt.gravity = down
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = env.worlds.qpos[0].numpy(), env.worlds.qvel[0].numpy()
+    toe = int(env.disturbances.toe[0, 1] > 0)
+    site, force = model.site(f"{LEGS[toe]}_toe").id, env.disturbances.force[0].numpy().astype(np.float64)
+    assert np.linalg.norm(force) == pytest.approx(8.0, rel=1e-5)
+    mujoco.mj_forward(model, data)
+    rng = np.random.default_rng(0)
+    env.worlds.site_xpos.copy_(torch.as_tensor(data.site_xpos, dtype=torch.float32)[None])
+    env.worlds.xipos.copy_(torch.as_tensor(data.xipos[: env.worlds.xipos.shape[1]], dtype=torch.float32)[None])
+    for _ in range(10):
+        env.step(torch.as_tensor(rng.normal(scale=0.5, size=12), dtype=torch.float32)[None])
+        for k in range(description.decimation):
+            data.ctrl[:] = env.worlds.substep_ctrl[k, 0].numpy()
+            data.qfrc_applied[:] = 0.0
+            at, none = data.site_xpos[site], np.zeros(3)
+            mujoco.mj_applyFT(model, data, force, none, at, model.site_bodyid[site], data.qfrc_applied)
+            mujoco.mj_step(model, data)
+        assert (
+            np.abs(env.worlds.qpos[0].numpy() - data.qpos).max() < 2e-3
+        )  # the pull's moment is held for a control step
+
+
+def test_on_a_slope_down_is_seen_where_it_is(description):
+    env = make(description, disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)))
+    seen = env.get_observations()["policy"][0, -41 + 12 : -41 + 15]
+    gravity = quat_rotate(env.worlds.slope_quat, torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)
+    expected = quat_rotate(env.worlds.qpos[:, 3:7], gravity, inverse=True)[0]
+    assert torch.allclose(seen, expected, atol=1e-5)
+
+
+def test_a_tilted_imu_sees_another_down(description):
+    env = make(description, disturbances=dataclasses.replace(UNDISTURBED, imu_tilt=(3.0, 3.0)))
+    seen = env.get_observations()["policy"][0, -41 + 12 : -41 + 15].numpy()
+    true = quat_rotate(env.worlds.qpos[:, 3:7], torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)[0].numpy()
+    angle = np.rad2deg(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
+    assert 0.0 < angle <= 3.01
+    mount = env.disturbances.mount
+    assert np.rad2deg(2 * np.arccos(float(mount[0, 0]))) == pytest.approx(3.0, abs=0.05)
+    assert quat_multiply(mount, mount * torch.tensor([1.0, -1.0, -1.0, -1.0]))[0, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_lost_commands_leave_the_one_before_in_effect(description):
+    env = make(description, disturbances=dataclasses.replace(UNDISTURBED, lost_share=(1.0, 1.0)))
+    before = env.worlds.qpos[0, 7:].clone()
+    env.step(torch.ones(1, 12))
+    assert torch.allclose(env.worlds.substep_ctrl[:, 0], before.expand(4, 12))
+
+
+def test_toe_motion_is_that_of_the_kinematics(description):
+    model = load_model(description, visuals=False)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(1)
+    data.qpos[:3], data.qvel[:] = rng.normal(size=3), rng.normal(size=18)
+    quat = rng.normal(size=4)
+    data.qpos[3:7] = quat / np.linalg.norm(quat)
+    data.qpos[7:] = rng.uniform(description.q_min, description.q_max)
+    mujoco.mj_forward(model, data)
+    expected = np.zeros((4, 6))
+    for i, leg in enumerate(LEGS):
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, model.site(f"{leg}_toe").id, expected[i], 0)
+    qpos, qvel = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (data.qpos, data.qvel))
+    motion = Feet(description, "cpu").motion(qpos[:, 3:7], qvel[:, :3], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
+    assert np.allclose(motion[0][0].numpy(), expected[:, 3:5], atol=1e-5)
+    assert np.allclose(motion[1][0].numpy(), expected[:, 2], atol=1e-5)
+
+
+def test_only_low_toes_pay_for_moving():
+    height = torch.tensor([[0.02, 0.05, 0.02, 0.05]])
+    velocity, turning = torch.full((1, 4, 2), 0.5), torch.full((1, 4), torch.pi)
+    assert sliding(height, velocity, turning, below=0.03).item() == pytest.approx(2 * (0.5 + 1.0))
