@@ -277,8 +277,8 @@ TRAINING_RANDOMISATION = Randomisation(
     joint_damping=(0.0, 0.08),
     ground_friction=(0.4, 3.0),
     base_mass=(-1.0, 1.0),
-    kp=(0.85, 1.15),
-    kd=(0.85, 1.15),
+    kp=(0.8, 1.2),
+    kd=(0.8, 1.2),
     delay=(0.0, 0.04),
     push=(0.0, 0.5),
     push_interval=4.0,
@@ -296,9 +296,9 @@ class DisturbanceRanges:
     The paper has none of these. Each range holds what the real robot is expected to see, with a reason beside it.
     """
 
-    kp: tuple[float, float] = (0.8, 1.2)
-    """Factor on the position gain that all joints share: one firmware, one supply voltage."""
-    kd: tuple[float, float] = (0.8, 1.2)
+    kp: tuple[float, float] = (0.75, 1.25)
+    """Factor on the position gain that all joints share, besides each joint's own: one firmware, one supply voltage."""
+    kd: tuple[float, float] = (0.75, 1.25)
     """… and on the velocity gain."""
     contact_time: tuple[float, float] = (0.75, 1.5)
     """Factor on the time constant of the ground contact; nothing about a real floor's is known, and solvers differ."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.settings import CALM, NOMINAL, TRAINING_RANDOMISATION, Disturbance, Randomisation
+from mimic.settings import CALM, NOMINAL, TRAINING_RANDOMISATION, Disturbance, DisturbanceRanges, Randomisation
 
 START = dataclasses.replace(
     NOMINAL,
@@ -62,9 +62,10 @@ def _push(world: World, value: float) -> World:
 
 
 def _axes() -> dict[str, Axis]:
-    t = TRAINING_RANDOMISATION
+    t, d = TRAINING_RANDOMISATION, DisturbanceRanges()
     gains = (0.6, 0.7, 0.75, 0.85, 1.0, 1.25, 1.3, 1.5)
     delay = (1e3 * t.delay[0], 1e3 * t.delay[1])
+    lost = (1e2 * d.lost_share[0], 1e2 * d.lost_share[1])
 
     def axis(
         unit: str,
@@ -86,18 +87,22 @@ def _axes() -> dict[str, Axis]:
         "ground_friction": axis("", 1.0, friction, (0.4, 3.0), t.ground_friction, _range("ground_friction")),
         "delay": axis("ms", 15.0, delays, (0.0, 40.0), delay, _range("delay", scale=1e-3)),
         "base_mass": axis("kg", 0.0, masses, (-1.5, 1.5), t.base_mass, _range("base_mass")),
-        "kp": axis("x", 1.0, gains, (0.7, 1.3), t.kp, _range("kp")),
-        "kd": axis("x", 1.0, gains, (0.7, 1.3), t.kd, _range("kd")),
+        "kp": axis("x", 1.0, gains, (0.7, 1.3), d.kp, _range("kp")),
+        "kd": axis("x", 1.0, gains, (0.7, 1.3), d.kd, _range("kd")),
         "joint_friction": axis("N m", 0.05, dry, (0.0, 0.3), t.joint_friction, _range("joint_friction")),
-        "toe_payload": axis("kg", 0.0, payload, (0.0, 0.3), t.toe_mass, _disturb(toe_payload=1.0)),
+        "toe_payload": axis("kg", 0.0, payload, (0.0, 0.3), d.toe_payload, _disturb(toe_payload=1.0)),
         "push": axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
         "noise": axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),
-        "imu_tilt": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 3.0), None, _disturb(imu_tilt=1)),
-        "slope": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), None, _disturb(slope=1.0)),
-        "lost_commands": axis(
-            "%", 0.0, (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0), (0.0, 5.0), None, _disturb(lost_share=0.01)
+        "imu_tilt": axis(
+            "deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 3.0), d.imu_tilt, _disturb(imu_tilt=1)
         ),
-        "toe_drag": axis("N", 0.0, (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0), (0.0, 15.0), None, _disturb(drag=1.0)),
+        "slope": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), d.slope, _disturb(slope=1.0)),
+        "lost_commands": axis(
+            "%", 0.0, (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0), (0.0, 5.0), lost, _disturb(lost_share=0.01)
+        ),
+        "toe_drag": axis(
+            "N", 0.0, (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0), (0.0, 15.0), d.drag, _disturb(drag=1.0)
+        ),
     }
 
 

@@ -41,9 +41,6 @@ from mimic.types import JOINTS, LEGS
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
 
-SOFT_MARGIN = np.deg2rad(8.0)
-"""A joint nearer to its limit than this costs [rad]."""
-
 MERCY_STEPS, EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 30, 0.06, 0.3
 """The paper's terminations in the first control steps: highest hind toe [m] and largest joint motion in a step [rad]."""
 
@@ -79,6 +76,9 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
 class StandTrackEnv(VecEnv):
     """Worlds in which a robot stands up from lying, keeps a velocity and a heading, and brings its front toes to goals."""
 
+    soft_margin = np.deg2rad(8.0)
+    """A joint nearer to its limit than this costs [rad]."""
+
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         self.description, self.settings = description, settings
         self.contract = make_contract(description, settings)
@@ -113,7 +113,7 @@ class StandTrackEnv(VecEnv):
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
-        self._soft_min, self._soft_max = self._tensor(d.q_min + SOFT_MARGIN), self._tensor(d.q_max - SOFT_MARGIN)
+        self._soft_min, self._soft_max = self._tensor(d.q_min + self.soft_margin), self._tensor(d.q_max - self.soft_margin)
         w = self.worlds
         self._front = w.geom_columns(
             "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"

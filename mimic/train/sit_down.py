@@ -10,6 +10,7 @@ import torch
 
 from mimic.frames import up_cosine
 from mimic.robot.description import RobotDescription
+from mimic.robot.goals import MARGIN
 from mimic.settings import MdpSettings
 from mimic.train.environment import StandTrackEnv
 from mimic.train.rewards import FAST, Facts
@@ -101,6 +102,8 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
 
 class SitDownEnv(StandTrackEnv):
     """Worlds in which an upright robot lowers itself to lie on its four feet; nothing else is asked of it."""
+
+    soft_margin = MARGIN  # the weight of a lying robot bends its knees to within 6 degrees of their limits
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         super().__init__(description, settings, device, seed)

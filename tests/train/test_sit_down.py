@@ -8,7 +8,7 @@ import pytest
 from mimic.errors import AssetError, ConfigError
 from mimic.frames import heading_from_quat, up_cosine
 from mimic.policy.runtime import Policy
-from mimic.settings import NOMINAL, LearnSettings, MdpSettings, SitDownSettings, SitDownWeights
+from mimic.settings import NOMINAL, UNDISTURBED, LearnSettings, MdpSettings, SitDownSettings, SitDownWeights
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
@@ -18,7 +18,7 @@ from mimic.train.overrides import with_overrides  # noqa: E402
 from mimic.train.sit_down import SitDownEnv, sit_down_terms  # noqa: E402
 from mimic.train.sit_down_starts import SitDownStarts  # noqa: E402
 
-SIT = MdpSettings(worlds=8, task="sit_down", noise_q=0.0, noise_axes=0.0)
+SIT = MdpSettings(worlds=8, task="sit_down", noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED)
 LYING = SitDownSettings(steady_share=0.0, rising_share=0.0, falling_share=0.0, lying_share=1.0)
 
 
