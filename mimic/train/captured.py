@@ -85,7 +85,8 @@ class CapturedPPO(PPO):
         on_gpu = str(self.device).startswith("cuda")
         self._rate = torch.tensor(self.learning_rate, device=self.device)
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
-        self._sums = torch.zeros(3, device=self.device)
+        self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
+        self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
         parameters = list(chain(self.actor.parameters(), self.critic.parameters()))
         self.optimizer = torch.optim.Adam(parameters, **self._own)  # type: ignore[arg-type]
@@ -159,7 +160,7 @@ class CapturedPPO(PPO):
         *sums, self.learning_rate = torch.cat([self._sums, self._rate[None]]).tolist()  # waits for the device
         self.storage.clear()
         steps = self.num_learning_epochs * self.num_mini_batches
-        return {name: s / steps for name, s in zip(("value", "surrogate", "entropy"), sums, strict=True)}
+        return {name: s / steps for name, s in zip(self._losses, sums, strict=True)}
 
     @torch.no_grad()
     def _gather(self) -> None:
@@ -222,15 +223,17 @@ class CapturedPPO(PPO):
             near = b["values"] + (values - b["values"]).clamp(-self.clip_param, self.clip_param)
             error = torch.max(error, (near - b["returns"]).square())
         value_loss = error.mean()
+        losses = [value_loss, surrogate_loss, entropy]
         loss = surrogate_loss + self.value_loss_coef * value_loss - self._entropy_weight * entropy
         if image is not None:
-            loss = loss + self._mirror * (image - mirrored_actions(mean.detach())).square().mean()
+            losses.append((image - mirrored_actions(mean.detach())).square().mean())
+            loss = loss + self._mirror * losses[-1]
         self._flat.zero_()
         loss.backward()
         self._flat[-1:].copy_(kl)
         with torch.no_grad():  # lets go of the minibatch, which would keep its stream alive in the next graph
             self.actor.distribution.update(mean.detach())  # type: ignore[union-attr]
-        self._sums += torch.stack([value_loss, surrogate_loss, entropy]).detach()
+        self._sums += torch.stack(losses).detach()
 
     def _apply(self) -> None:
         """Adapt the learning rate to the KL divergence and make a step."""

@@ -113,7 +113,10 @@ class StandTrackEnv(VecEnv):
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
-        self._soft_min, self._soft_max = self._tensor(d.q_min + self.soft_margin), self._tensor(d.q_max - self.soft_margin)
+        self._soft_min, self._soft_max = (
+            self._tensor(d.q_min + self.soft_margin),
+            self._tensor(d.q_max - self.soft_margin),
+        )
         w = self.worlds
         self._front = w.geom_columns(
             "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"

@@ -83,6 +83,14 @@ def test_an_update_is_that_of_rsl_rl_learning_rate_and_all(env, desired_kl):
     assert rates[-1] != pytest.approx(PLAIN.learning_rate)
 
 
+def test_the_mirror_loss_is_that_of_rsl_rl(env):
+    plain, captured = (runner(env, dataclasses.replace(learn, mirror=0.5)) for learn in (PLAIN, CAPTURED))
+    same_course(plain, captured, range(3))
+    without = runner(env, CAPTURED)
+    rollout(without, 0)
+    assert "symmetry" not in update(without, 0)
+
+
 def test_the_entropy_bonus_may_change_during_a_run(env):
     runners = [runner(env, CAPTURED), runner(env, CAPTURED), runner(env, PLAIN)]
     for each, weight in zip(runners, (0.004, 0.5, 0.5), strict=True):
