@@ -1,15 +1,16 @@
 """Logs of any machine with joints: what was asked, what was measured. The format is in docs/log-format.md.
 
 Parquet or CSV, a row a reading: ``t`` [s], ``q.<joint>`` [rad or m], and for each joint ``q_des.<joint>`` (target of a
-position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, base
-orientation and noise stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name.
+position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, gravity
+and notes stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name. Other columns of
+numbers (times of sending and receiving, temperatures, voltages) are kept as they are.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,12 @@ import numpy as np
 
 from mimic.errors import CalibrationError
 from mimic.store import plain, written_whole
-from mimic.types import FloatArray
+from mimic.types import BoolArray, FloatArray, IntArray
 
 _KEY = b"mimic_log"
 
-_CHANNELS = ("q", "dq", "tau", "q_des", "force")
+CHANNELS = ("q", "dq", "tau", "q_des", "force")
+"""What a log can hold for each joint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,11 +44,15 @@ class MachineLog:
     """Measured velocity [rad/s or m/s]."""
     tau: FloatArray | None = None
     """Measured torque of the motor at the joint [N m or N]."""
+    extra: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Other columns of the file by name (T,), such as ``temperature.FL_knee``."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes, and free notes."""
 
     def __post_init__(self) -> None:
-        for name in ("t", *_CHANNELS):
+        if len(set(self.joints)) < len(self.joints):
+            raise CalibrationError(f"two joints of the log have the same name: {', '.join(self.joints)}")
+        for name in ("t", *CHANNELS):
             value = getattr(self, name)
             if value is None:
                 continue
@@ -56,6 +62,7 @@ class MachineLog:
                 raise CalibrationError(f"{name} of the log has shape {value.shape}, expected {wanted}")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "extra", {k: np.array(v, dtype=np.float64) for k, v in self.extra.items()})
 
     @property
     def rate(self) -> float:
@@ -67,10 +74,11 @@ class MachineLog:
         """[s]"""
         return float(self.t[-1] - self.t[0])
 
-    def part(self, rows: slice) -> MachineLog:
+    def part(self, rows: slice | IntArray | BoolArray) -> MachineLog:
         """Return some rows."""
-        cut = {name: getattr(self, name)[rows] for name in ("t", *_CHANNELS) if getattr(self, name) is not None}
-        return MachineLog(joints=self.joints, metadata=self.metadata, **cut)
+        cut = {name: getattr(self, name)[rows] for name in ("t", *CHANNELS) if getattr(self, name) is not None}
+        extra = {name: column[rows] for name, column in self.extra.items()}
+        return MachineLog(joints=self.joints, metadata=self.metadata, extra=extra, **cut)
 
     def of(self, joints: Sequence[str]) -> MachineLog:
         """Return the log of these joints, in this order.
@@ -85,8 +93,8 @@ class MachineLog:
                 "name the columns q.<joint> as the joints of the model"
             )
         index = [self.joints.index(j) for j in joints]
-        picked = {n: getattr(self, n)[:, index] for n in _CHANNELS if getattr(self, n) is not None}
-        return MachineLog(joints=tuple(joints), t=self.t, metadata=self.metadata, **picked)
+        picked = {n: getattr(self, n)[:, index] for n in CHANNELS if getattr(self, n) is not None}
+        return MachineLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
 
 
 def read_log(path: Path) -> MachineLog:
@@ -107,17 +115,14 @@ def read_log(path: Path) -> MachineLog:
     columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
     side = path.with_suffix(".json")
     if side.exists() and side != path:
-        try:
-            metadata = {**metadata, **json.loads(side.read_text(encoding="utf-8"))}
-        except (ValueError, TypeError) as reason:
-            raise CalibrationError(f"{side} beside the log is not a JSON object: {reason}") from None
+        metadata = {**metadata, **_notes(side.read_bytes(), f"{side} beside the log")}
     if "t" not in columns:
         raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/log-format.md")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))
     if not joints:
         raise CalibrationError(f"{path} has no column q.<joint>; it has {_some(columns)}. See docs/log-format.md")
     found: dict[str, FloatArray] = {}
-    for channel in _CHANNELS:
+    for channel in CHANNELS:
         have = [j for j in joints if f"{channel}.{j}" in columns]
         if have and len(have) < len(joints):
             lacking = next(j for j in joints if j not in have)
@@ -130,22 +135,27 @@ def read_log(path: Path) -> MachineLog:
         raise CalibrationError(
             f"{path} has neither q_des.<joint> nor force.<joint>: without what was asked, nothing can be replayed"
         )
-    return MachineLog(joints=joints, t=columns["t"], metadata=metadata, **found)
+    taken = {"t", *(f"{channel}.{joint}" for channel in found for joint in joints)}
+    strays = sorted(n for n in columns if n not in taken and n.split(".")[0] in CHANNELS)
+    if strays:
+        raise CalibrationError(f"{path} has {strays[0]}, but no q.{strays[0].split('.', 1)[1]} that it belongs to")
+    extra = {name: column for name, column in columns.items() if name not in taken}
+    return MachineLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found)
 
 
 def write_log(log: MachineLog, path: Path) -> Path:
     """Write a log whole or not at all, as Parquet, or as CSV with a JSON file of its metadata beside it."""
     columns: dict[str, FloatArray] = {"t": log.t}
-    for channel in _CHANNELS:
+    for channel in CHANNELS:
         value = getattr(log, channel)
         if value is not None:
             columns |= {f"{channel}.{joint}": value[:, i] for i, joint in enumerate(log.joints)}
+    columns |= log.extra
     if path.suffix.lower() == ".csv":
         with written_whole(path) as part:
-            header = ",".join(columns)
-            np.savetxt(
-                part, np.stack(list(columns.values()), -1), delimiter=",", header=header, comments="", fmt="%.9g"
-            )
+            digits = ["%.16g" if name == "t" else "%.9g" for name in columns]
+            rows = np.stack(list(columns.values()), -1)
+            np.savetxt(part, rows, delimiter=",", header=",".join(columns), comments="", fmt=digits)
         with written_whole(path.with_suffix(".json")) as part:
             part.write_text(json.dumps(plain(log.metadata), indent=1), encoding="utf-8")
         return path
@@ -159,7 +169,29 @@ def write_log(log: MachineLog, path: Path) -> Path:
     return path
 
 
-def _some(columns: Mapping[str, Any]) -> str:
+def _notes(text: bytes, where: str) -> dict[str, Any]:
+    """Return the metadata of a log; gains must be numbers.
+
+    Raises:
+        CalibrationError: If it is something else.
+    """
+    try:
+        found = json.loads(text)
+    except ValueError as reason:
+        raise CalibrationError(f"{where} is not JSON: {reason}") from None
+    if not isinstance(found, dict):
+        raise CalibrationError(f"{where} holds a {type(found).__name__}; expected a JSON object with kp and kd")
+    for name in ("kp", "kd"):
+        gains = found.get(name, 0.0)
+        for gain in gains.values() if isinstance(gains, dict) else [gains]:
+            if isinstance(gain, bool) or not isinstance(gain, int | float) or not 0 <= gain < float("inf"):
+                raise CalibrationError(
+                    f"{where}: {name} is {gains!r}; give a number of at least 0, or one for each joint by name"
+                )
+    return found
+
+
+def _some(columns: Iterable[str]) -> str:
     names = list(columns)
     return ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
 
@@ -190,4 +222,4 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
             columns[name] = column.to_numpy().astype(np.float64)
     raw = (table.schema.metadata or {}).get(_KEY)
-    return columns, json.loads(raw) if raw else {}
+    return columns, _notes(raw, f"the metadata {_KEY.decode()!r} of {path}") if raw else {}

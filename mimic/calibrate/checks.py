@@ -1,0 +1,198 @@
+"""Is a log fit to be calibrated from? Every problem in one line, before anything is fitted."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.calibrate import problems
+from mimic.calibrate.problems import FOLLOWS
+from mimic.calibrate.signals import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
+from mimic.errors import CalibrationError
+from mimic.machine_log import CHANNELS, MachineLog
+from mimic.types import BoolArray, FloatArray
+
+SHORTEST = 10.0
+"""Shortest log that is accepted [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LogFacts:
+    """What a usable log holds; arrays are (J,) in the order of its joints."""
+
+    log: MachineLog
+    """The log without repeated and unreadable rows: the one to fit."""
+    rate: float
+    """Readings per second [Hz]."""
+    duration: float
+    """[s]"""
+    noise: FloatArray
+    """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
+    noise_tau: FloatArray | None
+    """The same for the measured torque."""
+    step: FloatArray
+    """Smallest step of the reading; 0 where none is seen."""
+    lag: FloatArray
+    """Of the position behind its target [s]; NaN where it does not follow."""
+    correlation: FloatArray
+    """Of the position with its target at that lag; NaN in a log of forces."""
+    moves: BoolArray
+    """Joints that are excited."""
+    stretches: tuple[slice, ...]
+    """Rows between two gaps of more than a quarter of a second."""
+    repeat: Repeat | None
+    """An excitation that comes twice."""
+    repeatability: FloatArray | None
+    """Difference of the two repetitions over the square root of 2; with heat or drift it is more than noise."""
+    warnings: tuple[str, ...]
+    """What the user should know, a line each."""
+
+
+def check_log(
+    log: MachineLog, limits: FloatArray | None = None, torque: FloatArray | None = None, unit: str = "rad"
+) -> LogFacts:
+    """Return the facts of a log that can be used, with warnings.
+
+    Args:
+        log: Readings of a machine.
+        limits: Lower and upper joint limit (J, 2), infinite where there is none.
+        torque: Largest torque of each motor (J,), where known.
+        unit: Of the positions: "rad", or "m" where the joints slide.
+
+    Raises:
+        CalibrationError: If nothing can be fitted to it; a line for each reason.
+    """
+    log, warnings = _readable(log)
+    rate = log.rate
+    warnings += problems.gaps(log)
+    wrong = [*problems.units(log, limits, unit), *problems.turns(log, unit)]
+    if wrong:
+        raise CalibrationError("\n".join(wrong))
+    target = log.q_des
+    found = None if target is None else following(log.t, log.q, target)
+    if found is not None:
+        wrong = list(problems.misassigned(log, found.correlation, found.moves))
+        if wrong:
+            raise CalibrationError("\n".join(wrong))
+        warnings += problems.weak_following(log, found.correlation, found.lag, found.moves)
+    noise = noise_floor(log.q, rate)
+    step = np.array([resolution(c) for c in log.q.T])
+    asked = target if target is not None else log.force
+    assert asked is not None  # the reader refuses a log with neither
+    moves = np.ptp(asked, axis=0) > 1e-9
+    warnings += [
+        *problems.stuck(log, noise),
+        *problems.excitation(log, moves, noise, unit),
+        *problems.beyond(log, limits),
+        *problems.full(log, torque),
+    ]
+    repeat = find_repeat(log.t, asked)
+    return LogFacts(
+        log=log,
+        rate=rate,
+        duration=log.duration,
+        noise=noise,
+        noise_tau=None if log.tau is None else noise_floor(log.tau, rate),
+        step=step,
+        lag=found.lag if found else np.full(len(log.joints), np.nan),
+        correlation=np.diag(found.correlation).copy() if found else np.full(len(log.joints), np.nan),
+        moves=moves,
+        stretches=_stretches(log.t),
+        repeat=repeat,
+        repeatability=None if repeat is None else repeatability(log.t, log.q, asked, repeat),
+        warnings=tuple(warnings),
+    )
+
+
+def belongs(log: MachineLog) -> tuple[bool, str]:
+    """Return whether the targets of a log can be those of its positions, and why not.
+
+    Only what is certain is refused: targets that nothing follows, that a position precedes, or that fit far better
+    reversed or shifted in time. Whether log and model belong together is for the fit to say.
+    """
+    if log.q_des is None:
+        return True, ""
+    near = following(log.t, log.q, log.q_des)
+    moving = near.moves & (np.ptp(log.q, axis=0) > 0)
+    if not moving.any():
+        return False, "no target of the log moves"
+
+    def median(of: Following) -> float:
+        return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
+
+    follows, lag = median(near), near.lag[moving]
+    if follows > FOLLOWS and (np.nan_to_num(lag) < -1.5 / log.rate).all():
+        early = -1e3 * float(np.median(lag))
+        return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
+    back = median(following(log.t, log.q, log.q_des[::-1]))
+    if back > FOLLOWS and back > follows + 0.01:
+        return False, f"positions follow the targets read backwards (correlation {back:.3f}, forwards {follows:.3f})"
+    far = following(log.t, log.q, log.q_des, (-0.4 * log.duration, 0.4 * log.duration))
+    if median(far) > FOLLOWS and median(far) > follows + 0.1:
+        late = float(np.nanmedian(far.lag[moving]))
+        when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
+        return False, f"positions follow the targets logged {when}: two clocks, or rows that do not match"
+    if follows < 0.7:
+        return False, f"positions do not follow the targets (correlation {follows:.2f})"
+    return True, ""
+
+
+def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
+    """Return the log without rows that cannot be used, and what was wrong with them.
+
+    Raises:
+        CalibrationError: If too little is left.
+    """
+    warnings: list[str] = []
+    if len(log.t) < 2:
+        raise CalibrationError(f"the log has {len(log.t)} rows; a calibration needs {SHORTEST:g} s of readings")
+    empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
+    if empty:
+        log = replace(log, **dict.fromkeys(empty))
+    ok = np.isfinite(log.t)
+    for name in CHANNELS:
+        value = getattr(log, name)
+        if value is None:
+            continue
+        finite = np.isfinite(value)
+        for i in np.flatnonzero(finite.mean(axis=0) < 0.5):
+            share = 1.0 - finite[:, i].mean()
+            raise CalibrationError(
+                f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; leave the joint out, or log it"
+            )
+        ok &= finite.all(axis=1)
+    lost = 1.0 - float(ok.mean())
+    if lost > 0.2:
+        raise CalibrationError(f"{lost:.0%} of the rows hold something that is not a number; expected readings")
+    if lost > 0:
+        warnings.append(f"{int((~ok).sum())} rows ({lost:.1%}) hold something that is not a number; left out")
+        log = log.part(ok)
+    back = np.flatnonzero(np.diff(log.t) < 0)
+    if len(back):
+        i = int(back[0])
+        raise CalibrationError(
+            f"the clock of the log goes back in row {i + 2}, from {log.t[i]:.4f} s to {log.t[i + 1]:.4f} s"
+            f" ({len(back)} times in all); give one run per log, with rows in the order of time"
+        )
+    twice = np.flatnonzero(np.diff(log.t) == 0) + 1
+    if len(twice):
+        warnings.append(f"{len(twice)} rows have the same time as the row before; left out")
+        log = log.part(np.delete(np.arange(len(log.t)), twice))
+    distance = float(np.median(np.diff(log.t)))
+    if distance >= 0.5:
+        raise CalibrationError(
+            f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
+            " or more. If t is in milliseconds, divide it by 1000"
+        )
+    if log.duration < SHORTEST:
+        raise CalibrationError(
+            f"the log lasts {log.duration:.2f} s by its column t (in seconds); {SHORTEST:g} s are needed, 120 s are good"
+        )
+    return log, warnings
+
+
+def _stretches(t: FloatArray) -> tuple[slice, ...]:
+    cuts = [0, *(np.flatnonzero(np.diff(t) > 0.25) + 1).tolist(), len(t)]
+    return tuple(slice(a, b) for a, b in itertools.pairwise(cuts))

@@ -1,0 +1,241 @@
+"""What can be wrong with a log: each function yields a line for each problem that it sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mimic.calibrate.signals import reversals, speed
+from mimic.errors import CalibrationError
+from mimic.machine_log import MachineLog
+from mimic.types import BoolArray, FloatArray
+
+GAP = 1.5
+"""Two readings further apart than this many usual distances have others missing between them."""
+FOLLOWS, STRANGER = 0.9, 0.5
+"""Correlation of a joint with a target that it certainly follows, and certainly does not."""
+
+
+def gaps(log: MachineLog) -> Iterator[str]:
+    """Readings that are missing, too few, or read more slowly than logged."""
+    steps = np.diff(log.t)
+    usual = float(np.median(steps))
+    wide = np.flatnonzero(steps > GAP * usual)
+    if len(wide):
+        missing = int(np.round(steps[wide] / usual - 1).clip(1).sum())
+        longest = int(wide[steps[wide].argmax()])
+        yield (
+            f"about {missing} readings are missing ({missing / (missing + len(log.t)):.1%}); the longest gap is"
+            f" {1e3 * steps[longest]:.0f} ms at t = {log.t[longest]:.2f} s"
+        )
+    if log.rate < 100.0:
+        yield (
+            f"only {log.rate:.0f} readings a second: effects above {log.rate / 2:.0f} Hz, delays and lags are hard to"
+            " see; 200 Hz or more are better"
+        )
+    fast = np.abs(np.diff(log.q, axis=0)).max(axis=1) > 0
+    moving = np.abs(speed(log.t, log.q)).max(axis=1)[1:] > 0.2 * np.abs(speed(log.t, log.q)).max()
+    stale = float((~fast)[moving].mean()) if moving.any() else 0.0
+    if stale > 0.1:
+        yield (
+            f"{stale:.0%} of the rows repeat the reading before while the machine moves: it is read more slowly than"
+            " logged, or rows are duplicated"
+        )
+
+
+def units(log: MachineLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
+    """Degrees for radians, thousandths for units."""
+    for name in ("q", "q_des"):
+        value = getattr(log, name)
+        if value is None:
+            continue
+        if unit == "rad":
+            furthest = np.abs(value).max(axis=0)
+            bound = np.full(len(log.joints), np.inf)
+            if limits is not None:
+                bound = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
+                bound[~np.isfinite(limits).any(axis=1)] = np.inf
+            far = furthest > np.where(np.isfinite(bound), 3.0 * bound + 1.0, 20.0)
+            if far.any() and np.median(furthest) > 6.3:
+                i = int(np.argmax(np.where(far, furthest, 0.0)))
+                limit = (
+                    f"the limit of the joint is {bound[i]:.2f} rad" if np.isfinite(bound[i]) else "a turn is 6.28 rad"
+                )
+                yield (
+                    f"{name}.{log.joints[i]} reaches {furthest[i]:.1f}, and {limit}: the log seems to be in degrees;"
+                    " multiply by pi/180"
+                )
+    if log.q_des is None:
+        return
+    for i, joint in enumerate(log.joints):
+        spread, wanted = log.q[:, i].std(), log.q_des[:, i].std()
+        if spread <= 0 or wanted <= 0:
+            continue
+        for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
+            for ratio, larger in ((spread / wanted, "q"), (wanted / spread, "q_des")):
+                if abs(ratio / factor - 1.0) < 0.3:
+                    yield (
+                        f"{larger}.{joint} moves {ratio:.0f} times as far as the other of q and q_des: {what};"
+                        f" divide {larger} by {factor:.6g}"
+                    )
+
+
+def turns(log: MachineLog, unit: str) -> Iterator[str]:
+    """An encoder that wraps around."""
+    if unit != "rad":
+        return
+    for name in ("q", "q_des"):
+        value = getattr(log, name)
+        if value is None:
+            continue
+        jump = np.diff(value, axis=0)
+        for i in np.flatnonzero((np.abs(np.abs(jump) - 2 * np.pi) < 0.5).any(axis=0)):
+            row = int(np.abs(jump[:, i]).argmax())
+            yield (
+                f"{name}.{log.joints[i]} jumps by {jump[row, i]:+.2f} rad at t = {log.t[row]:.2f} s: the encoder wraps"
+                " around; unwrap it"
+            )
+
+
+def misassigned(log: MachineLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
+    """Joints that follow another's target, or their own backwards."""
+    from scipy.optimize import linear_sum_assignment
+
+    own = np.diag(correlation)
+    for i in np.flatnonzero(moves & (own < -STRANGER)):
+        yield (
+            f"{log.joints[i]} moves against its target (correlation {own[i]:+.2f}): its sign is wrong;"
+            f" multiply q.{log.joints[i]} or q_des.{log.joints[i]} by -1, whichever differs from the model"
+        )
+    _, match = linear_sum_assignment(-np.abs(correlation))
+    lost = [i for i in np.flatnonzero(moves) if abs(own[i]) < STRANGER and abs(correlation[i, match[i]]) > FOLLOWS]
+    done: set[int] = set()
+    for i in lost:
+        j = int(match[i])
+        if j == i or i in done:
+            continue
+        sign = "" if correlation[i, j] > 0 else ", with the other sign"
+        follows = f"{log.joints[i]} follows the target of {log.joints[j]}{sign} (correlation {correlation[i, j]:+.2f}, with its own {own[i]:+.2f})"
+        if match[j] == i:
+            done.add(j)
+            yield f"{follows} and the other way round: exchange q.{log.joints[i]} and q.{log.joints[j]}"
+        else:
+            yield f"{follows}: name q.{log.joints[i]} q.{log.joints[j]}"
+
+
+def weak_following(log: MachineLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
+    """Joints that follow their target badly, or before it comes."""
+    own = np.diag(correlation)
+    for i in np.flatnonzero(moves & (own < 0.7)):
+        yield (
+            f"{log.joints[i]} follows its target badly (correlation {own[i]:.2f}): weak gains, a blocked joint, or"
+            " targets that do not belong to these readings"
+        )
+    early = np.flatnonzero(moves & (lag < -1.5 / log.rate))
+    if len(early):
+        i = int(early[0])
+        yield (
+            f"{log.joints[i]} moves {-1e3 * lag[i]:.0f} ms before its target: the clocks of targets and readings differ;"
+            " give the target in effect when the row was read"
+        )
+
+
+def stuck(log: MachineLog, noise: FloatArray) -> Iterator[str]:
+    """Readings that are frozen or clipped."""
+    asked = log.q_des if log.q_des is not None else log.force
+    assert asked is not None
+    for i, joint in enumerate(log.joints):
+        x, wanted = log.q[:, i], asked[:, i]
+        if np.ptp(wanted) <= 1e-9:
+            continue
+        if np.ptp(x) == 0:
+            yield f"q.{joint} reads {x[0]:g} for the whole log while it is asked to move: a dead encoder or a blocked joint"
+            continue
+        still = np.diff(x) == 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            seconds = log.t[stop] - log.t[start]
+            if seconds < 0.25 or np.ptp(wanted[start : stop + 1]) < 0.1 * np.ptp(wanted) or noise[i] <= 0:
+                continue
+            where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
+            if where:
+                yield (
+                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from t = {log.t[start]:.2f} s while"
+                    " its target moves: clipped, or at a stop"
+                )
+            else:
+                yield (
+                    f"q.{joint} is frozen at {x[start]:.4g} for {seconds:.2f} s from t = {log.t[start]:.2f} s while its"
+                    " target moves: readings were lost"
+                )
+            break
+
+
+def excitation(log: MachineLog, moves: BoolArray, noise: FloatArray, unit: str) -> Iterator[str]:
+    """Parameters that this motion cannot show.
+
+    Raises:
+        CalibrationError: If nothing moves.
+    """
+    idle = [joint for joint, moving in zip(log.joints, moves, strict=True) if not moving]
+    if len(idle) == len(log.joints):
+        raise CalibrationError(
+            "no target of the log moves, so that nothing can be fitted; see the motion to log in docs"
+        )
+    if idle:
+        yield f"the target of {_list(idle)} never moves: nothing can be fitted to {'it' if len(idle) == 1 else 'them'}"
+    velocity = speed(log.t, log.q)
+    few, slow, narrow = [], [], []
+    for i in np.flatnonzero(moves):
+        span = float(np.ptp(log.q[:, i]))
+        if reversals(log.q[:, i], max(0.02 * span, 10.0 * noise[i])) < 4:
+            few.append(log.joints[i])
+        quick = float(np.quantile(np.abs(velocity[:, i]), 0.99))
+        if quick <= 0 or span / quick > 5.0:
+            slow.append(log.joints[i])
+        if unit == "rad" and span < 0.1:
+            narrow.append(log.joints[i])
+    if few:
+        yield f"{_list(few)}: fewer than four reversals, so that dry friction cannot be told from an offset"
+    if slow:
+        yield (
+            f"{_list(slow)}: no fast motion, so that viscous friction, rotor inertia and delay cannot be fitted;"
+            " add fast sines or steps"
+        )
+    if narrow:
+        yield (
+            f"{_list(narrow)}: moves by less than 0.1 rad, so that gravity hardly changes and the mass of the link"
+            " cannot be fitted; add static poses"
+        )
+
+
+def beyond(log: MachineLog, limits: FloatArray | None) -> Iterator[str]:
+    """Targets outside the joint limits."""
+    if limits is None or log.q_des is None:
+        return
+    for i, joint in enumerate(log.joints):
+        low, high = limits[i]
+        past = np.maximum(low - log.q_des[:, i], log.q_des[:, i] - high)
+        share = float((past > 1e-6).mean())
+        if share > 0:
+            yield (
+                f"the target of {joint} is beyond its limits ({low:.3f} to {high:.3f}) by up to {past.max():.3f} in"
+                f" {share:.1%} of the rows: the joint may rest on its stop there"
+            )
+
+
+def full(log: MachineLog, torque: FloatArray | None) -> Iterator[str]:
+    """Motors at their limit: a share of the readings of torque within 1 % of the largest."""
+    if log.tau is None:
+        return
+    for i, joint in enumerate(log.joints):
+        size = np.abs(log.tau[:, i])
+        top = size.max() if torque is None else torque[i]
+        share = float((size > 0.99 * top).mean())
+        if top > 0 and share > 0.02:
+            yield f"the torque of {joint} is at its limit, {top:.3g}, in {share:.1%} of the rows"
+
+
+def _list(names: list[str]) -> str:
+    return ", ".join(names)

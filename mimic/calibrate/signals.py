@@ -1,0 +1,200 @@
+"""What a log's curves say by themselves: noise floor, repeated stretches, lag behind the target, reversals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.types import BoolArray, FloatArray
+
+_DIFFERENCE = 20.0
+"""Variance of the third difference of white noise, over that of the noise: 1 + 9 + 9 + 1."""
+_SPREAD = 2.31
+"""Sum of the squared autocorrelations of that difference, 1 + 2 (0.75^2 + 0.3^2 + 0.05^2)."""
+
+
+def resolution(x: FloatArray) -> float:
+    """Return the step of a quantised signal, 0 where it has none: the smallest difference that many values share."""
+    values = np.unique(x)
+    if len(values) < 2:
+        return 0.0
+    steps = np.diff(values)
+    scale = max(float(np.abs(values).max()), float(values[-1] - values[0]))
+    steps = steps[steps > 1e-9 * scale]  # floating point
+    if not len(steps):
+        return 0.0
+    step = float(np.quantile(steps, 0.02))
+    on_grid = np.abs(steps / step - np.round(steps / step)) < 0.1
+    return step if on_grid.mean() > 0.9 else 0.0
+
+
+def noise_floor(x: FloatArray, rate: float) -> FloatArray:
+    """Return the standard deviation of white noise on each signal (T, J), motion left out.
+
+    Third differences leave little of a smooth motion; blocks of half a second in which the machine moves fast are
+    avoided by taking a low quantile of the blocks, whose bias is removed. No less than the resolution allows.
+
+    Args:
+        x: Signals, evenly sampled.
+        rate: Readings per second [Hz].
+    """
+    rows = max(int(0.5 * rate), 32)
+    third = np.diff(x, 3, axis=0)
+    blocks = [third[i : i + rows] for i in range(0, len(third) - rows + 1, rows)] or [third]
+    low = np.quantile([b.var(axis=0) for b in blocks], 0.1, axis=0)
+    shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * _SPREAD / rows), 0.3) if len(blocks) > 5 else 1.0
+    white = np.sqrt(low / _DIFFERENCE / shrunk)
+    return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in x.T])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeat:
+    """The same excitation, twice."""
+
+    first: float
+    """Start of the first time [s]."""
+    second: float
+    """Start of the second time [s]."""
+    seconds: float
+    """How long it lasts."""
+
+
+def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat | None:
+    """Return the longest stretch of targets (T, J) that comes twice without overlap, at least ``least`` seconds of it.
+
+    Only stretches in which the target moves most of the time count.
+    """
+    grid = 0.02
+    clock = np.arange(t[0], t[-1], grid)
+    width = int(least / grid)
+    if len(clock) < 2 * width:
+        return None
+    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
+    scale = np.ptp(x, axis=0)
+    if not (scale > 0).any():
+        return None
+    x = x[:, scale > 0] / scale[scale > 0]
+    moving = np.abs(np.diff(x, axis=0, append=x[-1:])).max(axis=1) > 1e-6
+    best: Repeat | None = None
+    for lag in range(width, len(x) - width):
+        same = (np.abs(x[lag:] - x[:-lag]) < 0.02).all(axis=1)
+        if same.sum() < width:
+            continue
+        start, length = _longest(same)
+        length = min(length, lag)
+        if length < width or moving[start : start + length].mean() < 0.5:
+            continue
+        if best is None or length * grid > best.seconds + grid:
+            best = Repeat(first=float(clock[start]), second=float(clock[start + lag]), seconds=length * grid)
+    return best
+
+
+def _longest(true: BoolArray) -> tuple[int, int]:
+    """Return start and length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
+    if not len(edges):
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    i = int(lengths.argmax())
+    return int(edges[::2][i]), int(lengths[i])
+
+
+def repeatability(t: FloatArray, x: FloatArray, target: FloatArray, repeat: Repeat) -> FloatArray:
+    """Return how much two repetitions differ, over the square root of 2, for each signal (J,).
+
+    The first second is left out, in which the machine still knows what it did before. The shift between the two is
+    found to a fraction of a reading, by the targets. A machine that warms up or drifts differs by more than its noise.
+    """
+    inside = (t > repeat.first + 1.0) & (t < repeat.first + repeat.seconds - 0.05)
+    clock, dt = t[inside], float(np.median(np.diff(t)))
+
+    def differences(of: FloatArray, shift: float) -> FloatArray:
+        when = clock + repeat.second - repeat.first + shift
+        return np.stack([np.interp(when, t, c) for c in of.T], -1) - of[inside]
+
+    scale = np.maximum(np.ptp(target, axis=0), 1e-12)
+    shifts = np.arange(-0.04, 0.04 + 1e-9, dt / 4)
+    shift = shifts[int(np.argmin([((differences(target, s) / scale) ** 2).sum() for s in shifts]))]
+    return differences(x, shift).std(axis=0) / np.sqrt(2.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Following:
+    """How each position follows each target."""
+
+    correlation: FloatArray
+    """Of position i with target j (J, J), each at its best lag; negative where it is so by far more."""
+    lag: FloatArray
+    """Of each position behind its own target (J,) [s]; NaN where it does not follow."""
+    moves: BoolArray
+    """Whether the target moves (J,)."""
+
+
+def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[float, float] = (-0.1, 0.4)) -> Following:
+    """Return how positions follow targets (T, J), from their correlation over a range of lags [s].
+
+    Slow offsets are removed first, so that gravity and calibration of the encoder do not count.
+    """
+    dt = max(float(np.median(np.diff(t))), 0.002)
+    clock = np.arange(t[0], t[-1], dt)
+    held = np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)
+    x = _centred(np.stack([np.interp(clock, t, c) for c in q.T], -1), dt)
+    y = _centred(target[held], dt)
+    spread_x, spread_y = x.std(axis=0), y.std(axis=0)
+    moves = np.ptp(target, axis=0) > 1e-9
+    shifts = np.arange(round(lags[0] / dt), round(lags[1] / dt) + 1)
+    size = 1 << int(np.ceil(np.log2(2 * len(clock))))
+    fx, fy = np.fft.rfft(x, size, axis=0), np.fft.rfft(y, size, axis=0)
+    correlation, lag = np.zeros((q.shape[1], q.shape[1])), np.full(q.shape[1], np.nan)
+    for i, j in np.argwhere((spread_x > 0)[:, None] & moves[None, :]):
+        curve = np.fft.irfft(fx[:, i] * fy[:, j].conj(), size)[shifts]
+        curve = curve / (len(clock) * spread_x[i] * spread_y[j]) / (1.0 - np.abs(shifts) / len(clock))
+        up, down = int(curve.argmax()), int(curve.argmin())
+        k = down if -curve[down] > curve[up] + 0.1 else up  # a sine is its own opposite half a period later
+        shift = int(shifts[k])
+        late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
+        rows = min(len(late), len(early))
+        correlation[i, j] = np.corrcoef(late[:rows], early[:rows])[0, 1]
+        if i == j and abs(correlation[i, j]) > 0.5:
+            lag[i] = (shift + _vertex(np.abs(curve), k)) * dt
+    return Following(correlation=np.nan_to_num(correlation), lag=lag, moves=moves)
+
+
+def _centred(x: FloatArray, dt: float) -> FloatArray:
+    """Return signals less their slow part (moving mean of 4 s)."""
+    from scipy.ndimage import uniform_filter1d
+
+    return x - uniform_filter1d(x, min(max(int(4.0 / dt), 3), len(x)), axis=0, mode="nearest")
+
+
+def _vertex(curve: FloatArray, k: int) -> float:
+    """Return where the parabola through a peak and its neighbours is highest, from ``k``."""
+    if not 0 < k < len(curve) - 1:
+        return 0.0
+    a, b, c = curve[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return 0.0 if bend >= 0 else float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5))
+
+
+def speed(t: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the speed of each joint (T, J), smoothed over 30 ms."""
+    from scipy.ndimage import uniform_filter1d
+
+    rows = max(round(0.03 / float(np.median(np.diff(t)))), 1)
+    return np.gradient(uniform_filter1d(q, rows, axis=0, mode="nearest"), t, axis=0)
+
+
+def reversals(x: FloatArray, least: float) -> int:
+    """Return how often a signal (T,) turns back by more than ``least``."""
+    turns, direction, extreme = 0, 0, float(x[0])
+    for value in x[:: max(1, len(x) // 20000)]:
+        if direction >= 0 and value < extreme - least:
+            turns += direction > 0
+            direction, extreme = -1, float(value)
+        elif direction <= 0 and value > extreme + least:
+            turns += direction < 0
+            direction, extreme = 1, float(value)
+        elif (direction > 0 and value > extreme) or (direction < 0 and value < extreme):
+            extreme = float(value)
+    return turns

@@ -1,0 +1,126 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mimic.errors import CalibrationError
+from mimic.machine_log import MachineLog, read_log, write_log
+
+
+@pytest.fixture
+def log() -> MachineLog:
+    t = 1.7e9 + 0.005 * np.arange(40)
+    q = np.stack([np.sin(t), np.cos(t)], -1)
+    return MachineLog(
+        joints=("a", "b"),
+        t=t,
+        q=q,
+        q_des=q + 0.1,
+        tau=2 * q,
+        extra={"temperature.a": np.linspace(30, 31, 40)},
+        metadata={"kp": {"a": 30.0, "b": 20.0}, "kd": 3.0, "note": "hung up"},
+    )
+
+
+@pytest.mark.parametrize("name", ["log.parquet", "log.csv"])
+def test_a_log_comes_back_as_it_was(log: MachineLog, tmp_path: Path, name: str) -> None:
+    again = read_log(write_log(log, tmp_path / name))
+    assert again.joints == log.joints
+    assert again.dq is None
+    for channel in ("t", "q", "q_des", "tau"):
+        assert getattr(again, channel) == pytest.approx(getattr(log, channel), rel=1e-8)
+    assert np.diff(again.t) == pytest.approx(np.diff(log.t), abs=1e-6)
+    assert again.extra["temperature.a"] == pytest.approx(log.extra["temperature.a"])
+    assert again.metadata == log.metadata
+
+
+def test_rows_and_joints_are_picked_together(log: MachineLog) -> None:
+    part = log.part(slice(10, 20)).of(["b"])
+    assert part.joints == ("b",)
+    assert np.array_equal(part.q[:, 0], log.q[10:20, 1])
+    assert len(part.extra["temperature.a"]) == 10
+
+
+def test_arrays_cannot_be_changed(log: MachineLog) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        log.q[0] = 0.0
+
+
+def test_a_joint_that_the_log_lacks_is_named(log: MachineLog) -> None:
+    with pytest.raises(CalibrationError, match="the model has joint 'c', but the log has a, b"):
+        log.of(["a", "c"])
+
+
+def test_a_channel_of_another_shape_is_refused(log: MachineLog) -> None:
+    with pytest.raises(CalibrationError, match=r"tau of the log has shape \(40, 1\), expected \(40, 2\)"):
+        replace(log, tau=np.zeros((40, 1)))
+
+
+def test_two_joints_of_one_name_are_refused(log: MachineLog) -> None:
+    with pytest.raises(CalibrationError, match="the same name"):
+        replace(log, joints=("a", "a"))
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        (["q.a", "q_des.a"], "no column t"),
+        (["t", "q_a", "qdes_a"], r"no column q\.<joint>"),
+        (["t", "q.a"], r"neither q_des\.<joint> nor force\.<joint>"),
+        (["t", "q.a", "q.b", "q_des.a"], r"has q_des\.a but no q_des\.b"),
+        (["t", "q.a", "q_des.a", "tau.b"], r"has tau\.b, but no q\.b"),
+    ],
+)
+def test_a_missing_column_is_named(tmp_path: Path, columns: list[str], reason: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(columns) + "\n" + ",".join("0" for _ in columns) + "\n")
+    with pytest.raises(CalibrationError, match=reason):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("notes", "reason"),
+    [
+        ("[1]", "holds a list"),
+        ("{", "is not JSON"),
+        ('{"kp": "stiff"}', "kp is 'stiff'"),
+        ('{"kd": {"a": -1}}', "kd is"),
+    ],
+)
+def test_notes_that_cannot_be_gains_are_refused(log: MachineLog, tmp_path: Path, notes: str, reason: str) -> None:
+    path = write_log(log, tmp_path / "log.csv")
+    path.with_suffix(".json").write_text(notes)
+    with pytest.raises(CalibrationError, match=reason):
+        read_log(path)
+
+
+def test_notes_beside_a_parquet_file_win(log: MachineLog, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "log.parquet")
+    path.with_suffix(".json").write_text(json.dumps({"kd": 1.5}))
+    assert read_log(path).metadata["kd"] == 1.5
+    assert read_log(path).metadata["note"] == "hung up"
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.parquet").write_text("not parquet")
+    (tmp_path / "empty.csv").write_text("")
+    pq.write_table(pa.table([pa.array([0.0]), pa.array([0.0])], names=["t", "t"]), tmp_path / "twice.parquet")
+    for name, reason in (
+        ("text.parquet", "cannot be read as Parquet"),
+        ("empty.csv", "cannot be read as CSV"),
+        ("twice.parquet", "cannot be read as Parquet"),
+        ("missing.csv", "does not exist"),
+        ("", "folder without joints.parquet"),
+    ):
+        with pytest.raises(CalibrationError, match=reason):
+            read_log(tmp_path / name)
+
+
+def test_missing_values_become_nan(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,q.a,q_des.a\n0,1,2\n0.01,,2\n")
+    assert np.isnan(read_log(path).q[1, 0])
