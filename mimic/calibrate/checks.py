@@ -81,9 +81,11 @@ def check_log(
     step = np.array([resolution(c) for c in log.q.T])
     asked = target if target is not None else log.force
     assert asked is not None  # the reader refuses a log with neither
-    moves = np.ptp(asked, axis=0) > 1e-9
+    if target is not None and log.force is not None:
+        asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
+    moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
     warnings += [
-        *problems.stuck(log, noise),
+        *problems.stuck(log),
         *problems.excitation(log, moves, noise, unit),
         *problems.beyond(log, limits),
         *problems.full(log, torque),

@@ -141,7 +141,7 @@ def weak_following(log: MachineLog, correlation: FloatArray, lag: FloatArray, mo
         )
 
 
-def stuck(log: MachineLog, noise: FloatArray) -> Iterator[str]:
+def stuck(log: MachineLog) -> Iterator[str]:
     """Readings that are frozen or clipped."""
     asked = log.q_des if log.q_des is not None else log.force
     assert asked is not None
@@ -156,7 +156,7 @@ def stuck(log: MachineLog, noise: FloatArray) -> Iterator[str]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             seconds = log.t[stop] - log.t[start]
-            if seconds < 0.25 or np.ptp(wanted[start : stop + 1]) < 0.1 * np.ptp(wanted) or noise[i] <= 0:
+            if seconds < 0.25 or np.ptp(wanted[start : stop + 1]) < 0.1 * np.ptp(wanted):
                 continue
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where:

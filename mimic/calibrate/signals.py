@@ -13,6 +13,9 @@ _DIFFERENCE = 20.0
 _SPREAD = 2.31
 """Sum of the squared autocorrelations of that difference, 1 + 2 (0.75^2 + 0.3^2 + 0.05^2)."""
 
+_TRIMMED = 0.759
+"""Variance of a normal distribution cut at 1.96 standard deviations."""
+
 
 def resolution(x: FloatArray) -> float:
     """Return the step of a quantised signal, 0 where it has none: the smallest difference that many values share."""
@@ -42,10 +45,18 @@ def noise_floor(x: FloatArray, rate: float) -> FloatArray:
     rows = max(int(0.5 * rate), 32)
     third = np.diff(x, 3, axis=0)
     blocks = [third[i : i + rows] for i in range(0, len(third) - rows + 1, rows)] or [third]
-    low = np.quantile([b.var(axis=0) for b in blocks], 0.1, axis=0)
+    variances = np.array([_variance(b) for b in blocks])
+    live = np.where(variances > 0, variances, np.nan)  # a frozen reading tells nothing
+    low = np.nan_to_num([np.nanquantile(c, 0.1) if np.isfinite(c).any() else 0.0 for c in live.T])
     shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * _SPREAD / rows), 0.3) if len(blocks) > 5 else 1.0
     white = np.sqrt(low / _DIFFERENCE / shrunk)
     return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in x.T])
+
+
+def _variance(x: FloatArray) -> FloatArray:
+    """Return the variance of each column of white noise whose largest twentieth, steps and spikes, is left out."""
+    size = np.sort(np.abs(x - np.median(x, axis=0)), axis=0)
+    return (size[: max(int(0.95 * len(size)), 1)] ** 2).mean(axis=0) / _TRIMMED
 
 
 @dataclass(frozen=True, kw_only=True)
