@@ -98,7 +98,7 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     lag, left = toe_lag(log)
     stood = standing(log, description)
     stand_up = stand_up_time(log, description)
-    rows = log.phase >= PHASES.index("blend")
+    rows = log.aimed
     heat = thermal_load(log, description)
     hottest = int(np.argmax(heat))
     dt = _step(log)
@@ -106,7 +106,8 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     duration = len(log.t) * dt
     rate = heat[hottest] / duration
     heading = heading_from_quat(log.quat_WB)
-    drift = np.linalg.norm(log.p_WB[-1, :2] - log.p_WB[np.argmax(rows), :2]) if rows.any() else float("nan")
+    aimed = np.flatnonzero(rows)
+    drift = np.linalg.norm(np.diff(log.p_WB[aimed[[0, -1]], :2], axis=0)) if len(aimed) else float("nan")
     return {
         "duration_s": duration,
         "stand_up_s": stand_up,

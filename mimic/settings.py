@@ -75,11 +75,14 @@ class RunSettings:
     """Time over which the desired toes move from where they are to the first target [s]."""
     hold: float = 1.0
     """Time the last target is held before the end [s]."""
+    sit_down: float = 2.5
+    """Time to sit down at the end [s]; the policy needs about half of it."""
 
     def __post_init__(self) -> None:
         _check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
         _check_range("blend", self.blend, 0.1, 5.0, "s")
         _check_range("hold", self.hold, 0.0, 30.0, "s")
+        _check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -279,7 +279,7 @@ class Tick:
     """Joint readings during the step, where the plant has them."""
 
 
-PHASES = ("lie", "stand_up", "blend", "track", "hold")
+PHASES = ("lie", "stand_up", "blend", "track", "hold", "sit_down", "damp")
 """Phases of a run; a log stores their index."""
 
 
@@ -329,3 +329,8 @@ class RunLog(Record):
     """Velocity gains that went out [N m s/rad]."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Plant, policy and settings, as plain data."""
+
+    @property
+    def aimed(self) -> BoolArray:
+        """Return where the robot should stand and its toes should be somewhere: from blend to hold (ticks,)."""
+        return (self.phase >= PHASES.index("blend")) & (self.phase <= PHASES.index("hold"))

@@ -8,7 +8,7 @@ import rerun as rr
 from mimic.frames import rotation_from_quat
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import load_model
-from mimic.types import PHASES, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.types import SIDES, FloatArray, RunLog, TargetTrack
 from mimic.view import layout, skeleton
 from mimic.view.draw_floor import draw_floor
 from mimic.view.robot_shapes import Shapes, body_poses, in_world, placed, visual_shapes
@@ -88,7 +88,7 @@ def trails(points: FloatArray, ticks: int) -> FloatArray:
 
 def _toes(scene: rr.RecordingStream, log: RunLog, qpos: FloatArray, description: RobotDescription) -> None:
     wanted, reached = in_world(qpos, log.p_BE_des), in_world(qpos, log.p_BE)
-    shown = np.flatnonzero((log.phase >= PHASES.index("blend")) & np.isfinite(wanted).all(axis=(1, 2)))
+    shown = np.flatnonzero(log.aimed & np.isfinite(wanted).all(axis=(1, 2)))
     if not len(shown):
         return
     t = layout.time_column(shared_time(log)[shown])

@@ -10,7 +10,7 @@ import numpy as np
 from mimic.frames import R_BT
 from mimic.metrics import uprightness
 from mimic.robot.description import RobotDescription
-from mimic.types import JOINTS, PHASES, SIDES, FloatArray, RunLog, TargetTrack
+from mimic.types import JOINTS, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.view.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
 from mimic.view.timing import shared_time
 
@@ -52,7 +52,7 @@ def toe_plot(axis: str) -> str:
 def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | None) -> Iterator[Curve]:
     """Yield every curve of a run; toe positions are along the axes of the person's torso, from the base."""
     t = shared_time(log)
-    shown = log.phase >= PHASES.index("blend")
+    shown = log.aimed
     error = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
     wanted, reached = 100 * log.p_BE_des @ R_BT, 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):

@@ -31,7 +31,14 @@ _CLAMPED = 0.005
 _EARLY = 1e-3
 """A video frame may be shown this much before its time, so that rounding delays none by a frame of the film [s]."""
 
-_PHASE_TITLES = {"lie": "lying", "stand_up": "standing up", "blend": "to the first target", "hold": "holding"}
+_PHASE_TITLES = {
+    "lie": "lying",
+    "stand_up": "standing up",
+    "blend": "to the first target",
+    "hold": "holding",
+    "sit_down": "sitting down",
+    "damp": "damped",
+}
 
 
 class RobotFilm:
@@ -53,6 +60,7 @@ class RobotFilm:
             NoOffscreenGL: If there is no OpenGL without a window.
         """
         self._log, self._radius = log, description.toe_radius
+        self._aimed = log.aimed
         model = load_model(description)
         self._qpos = placed(log, model)
         self._wanted, self._reached = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
@@ -73,7 +81,7 @@ class RobotFilm:
         lookat = np.array([*self._path[tick], _LOOK_HEIGHT])
         azimuth = self._front + np.pi + _SIDEWAYS
         screen.pose(self._qpos[tick], lookat, distance=_DISTANCE, azimuth=azimuth, elevation=-_DOWN)
-        tracking = self._log.phase[tick] >= PHASES.index("blend")
+        tracking = self._aimed[tick]
         for i, side in enumerate(SIDES):
             red, green, blue = (c / 255 for c in skeleton.COLOURS[side])
             screen.add_ball(self._reached[tick, i], 1.06 * self._radius, (red, green, blue, 1.0))
