@@ -173,6 +173,28 @@ class EvaluateSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class SitDownEvaluateSettings:
+    """How a policy that sits down is judged."""
+
+    episodes: int = 500
+    """Randomised hand-overs from a tracking policy."""
+    seconds: float = 10.0
+    """Latest hand-over after the start [s]."""
+    seed: int = 1
+    """Seed of the first episode; episode i uses seed + i."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    tracker: str | None = None
+    """Policy that stands and tracks before; None takes the shipped one."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+
+    def __post_init__(self) -> None:
+        _check_range("episodes", self.episodes, 1, 100_000)
+        _check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        _check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class TableSettings:
     """How a policy is judged in the figures of the paper's Table III."""
 
@@ -379,12 +401,12 @@ class SitDownWeights:
     sinking: float = -4.0
     fast: float = -2.0
     tumbling: float = -0.05
-    jolt: float = -0.3
-    landing: float = -0.6
+    jolt: float = -0.6
+    landing: float = -5.0
     trunk: float = -1.0
     thighs: float = -0.2
     head_low: float = -4.0
-    slip: float = -0.1
+    slip: float = -0.25
     action_rate: float = -0.008
     torque: float = -2e-4
     joint_velocity: float = -4e-4

@@ -20,6 +20,7 @@ from mimic.settings import (
     RetargetSettings,
     RobustnessSettings,
     RunSettings,
+    SitDownEvaluateSettings,
     TableSettings,
 )
 
@@ -120,6 +121,8 @@ def evaluate(
 ) -> int:
     """Judge a policy in plain MuJoCo from the lying start: standing up, reaching, walking, turning.
 
+    A policy that sits down is judged by hand-overs from the shipped tracking policy.
+
     Parameters
     ----------
     policy
@@ -132,15 +135,16 @@ def evaluate(
         JSON file for all figures; by default evaluation-NAME.json, table-NAME.json or robustness-NAME.json in the
         current folder. The heat map goes beside it.
     episodes
-        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point.
+        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; hand-overs
+        to a policy that sits down: 500.
     seconds
-        Length of a randomised episode: 20 s; with --robustness 10 s.
+        Length of a randomised episode: 20 s; with --robustness 10 s; latest hand-over: 10 s.
     seed
         Seed of the first episode.
     workers
         Processes; 0 takes one for each core.
     """
-    from mimic.cli.judge import evaluate_policy, evaluate_robustness, evaluate_table
+    from mimic.cli.judge import evaluate_policy, evaluate_robustness, evaluate_sit_down, evaluate_table, task_of
 
     if table and robustness:
         raise ConfigError("--table and --robustness are two ways of judging; give one of them")
@@ -151,7 +155,11 @@ def evaluate(
     if robustness:
         settings = RobustnessSettings(**options)
         return evaluate_robustness(policy, out or Path(f"robustness-{policy.stem}.json"), settings)
-    return evaluate_policy(policy, out or Path(f"evaluation-{policy.stem}.json"), EvaluateSettings(**options))
+    out = out or Path(f"evaluation-{policy.stem}.json")
+    checked = EvaluateSettings(**options)
+    if task_of(policy) == "sit_down":
+        return evaluate_sit_down(policy, out, SitDownEvaluateSettings(**options))
+    return evaluate_policy(policy, out, checked)
 
 
 @app.command

@@ -11,7 +11,14 @@ from mimic.cli import COMMAND
 from mimic.cli.app import DONE
 from mimic.cli.console import console, matrix, note, progress_bar, table
 from mimic.errors import AssetError, MissingExtra
-from mimic.settings import EvaluateSettings, LearnSettings, MdpSettings, RobustnessSettings, TableSettings
+from mimic.settings import (
+    EvaluateSettings,
+    LearnSettings,
+    MdpSettings,
+    RobustnessSettings,
+    SitDownEvaluateSettings,
+    TableSettings,
+)
 
 
 def _judged(judge: Callable[..., dict[str, Any]], policy: Path, out: Path, settings: Any) -> dict[str, Any]:
@@ -46,6 +53,47 @@ def evaluate_policy(policy: Path, out: Path, settings: EvaluateSettings) -> int:
             "falls on the nominal robot": f"{s['nominal_falls']}",
             "heat": f"{s['nominal_knee_torque_rms_nm']:.1f} N m rms in the hind knees, "
             f"{s['nominal_minutes_to_limit']:.0f} min to the hottest motor's limit",
+            "written": str(out),
+        },
+    )
+    return DONE
+
+
+def task_of(policy: Path) -> str:
+    """Return what a policy was trained to do.
+
+    Raises:
+        AssetError, ContractError: If it cannot be run on this robot.
+    """
+    from mimic.policy.runtime import Policy
+    from mimic.robot.description import load_description
+
+    return Policy(policy, load_description()).contract.task
+
+
+def evaluate_sit_down(policy: Path, out: Path, settings: SitDownEvaluateSettings) -> int:
+    """Judge a policy that sits down, print the figures that decide, and write all of them."""
+    from mimic.run import sit_down_evaluation
+
+    result = _judged(sit_down_evaluation.evaluate_sit_down, policy, out, settings)
+    s = result["summary"]
+
+    def told(name: str, unit: str) -> str:
+        return f"{s[name]['median']:.2f} median, {s[name]['p95']:.2f} at the 95th percentile, {s[name]['max']:.2f} {unit} at most"
+
+    table(
+        f"{policy.name}: {s['hand_overs']} hand-overs from {result['tracker']}",
+        {
+            "came down gently and lies": f"{s['success']:.1%}",
+            "came down gently": f"{s['gentle']:.1%}",
+            "lies at the end": f"{s['lies']:.1%}",
+            "head on the ground": f"{s['head_contacts']}",
+            "trunk on the ground": f"{s['trunk_contacts']}",
+            "base speed when the trunk touches": told("impact_speed", "m/s"),
+            "downward base speed": told("sinking_speed", "m/s"),
+            "front toes meet the ground": told("toe_speed", "m/s"),
+            "joints off the lying pose": told("pose_error_rad", "rad"),
+            "about to fall before": f"{s['falling_before']} more, not counted",
             "written": str(out),
         },
     )

@@ -54,6 +54,22 @@ class Policy:
         return np.asarray(action, dtype=np.float64)[0]
 
 
-def load_policy(path: str | Path | None, description: RobotDescription) -> Policy:
-    """Load a policy; None takes the shipped one."""
-    return Policy(shipped("policies", "stand_track.onnx") if path is None else Path(path), description)
+def load_sit_down(description: RobotDescription) -> Policy | None:
+    """Load the shipped policy that sits down; None where none ships yet."""
+    try:
+        return load_policy(None, description, task="sit_down")
+    except AssetError:
+        return None
+
+
+def load_policy(path: str | Path | None, description: RobotDescription, *, task: str = "stand_track") -> Policy:
+    """Load a policy for a task; None takes the shipped one.
+
+    Raises:
+        AssetError: If the file is missing or is no ONNX model.
+        ContractError: If it declares no contract, or one that does not fit, or was trained for another task.
+    """
+    policy = Policy(shipped("policies", f"{task}.onnx") if path is None else Path(path), description)
+    if policy.contract.task != task:
+        raise ContractError(f"{policy.path} was trained for {policy.contract.task}; expected a policy for {task}")
+    return policy

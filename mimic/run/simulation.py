@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -29,6 +30,9 @@ def with_timestep(description: RobotDescription, timestep: float) -> RobotDescri
     return dataclasses.replace(description, timestep=timestep, decimation=decimation)
 
 
+Watch = Callable[[mujoco.MjModel, mujoco.MjData], None]
+
+
 class SimulatedPlant:
     """The robot in MuJoCo at full solver iterations, one variation of it at a time.
 
@@ -44,6 +48,7 @@ class SimulatedPlant:
         samples: bool = True,
         disturbance: Disturbance = CALM,
         solver: Solver | None = None,
+        watch: Watch | None = None,
     ) -> None:
         """Make a robot.
 
@@ -53,6 +58,7 @@ class SimulatedPlant:
             samples: Also record the joints at each physics step.
             disturbance: What happens to the robot besides.
             solver: How the physics is integrated; by default as the description says.
+            watch: Sees the physics after each of its steps.
 
         Raises:
             ConfigError: If the control step is no multiple of the solver's step.
@@ -68,6 +74,7 @@ class SimulatedPlant:
             option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
         self.data = mujoco.MjData(self.model)
         self._samples = samples
+        self._watch = watch
         self._ranges = ranges
         self.restart(seed)
 
@@ -151,6 +158,8 @@ class SimulatedPlant:
             )
             self.disturber.pull(data)
             mujoco.mj_step(model, data)
+            if self._watch is not None:
+                self._watch(model, data)
             if self._samples:
                 force = data.actuator_force.copy()
                 rows.append((data.time, data.qpos[7:].copy(), data.qvel[6:].copy(), force, command.q_des))

@@ -56,6 +56,8 @@ class Descent:
     """Angular velocity of the base (N, 3) [rad/s]."""
     acceleration: torch.Tensor
     """Of the base, mean over the control step (N,) [m/s^2]."""
+    slip: torch.Tensor
+    """Horizontal speed of the front toes that touch the ground, else 0 (N, 2) [m/s]."""
     landing: torch.Tensor
     """Downward speed of each front toe that has just met the ground, else 0 (N, 2) [m/s]."""
     trunk: torch.Tensor
@@ -89,7 +91,7 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
         "trunk": d.trunk.float() * (0.3 + speed.clamp(max=3.0)),
         "thighs": d.thighs,
         "head_low": torch.clamp((HEAD_ROOM - d.head) / HEAD_ROOM, 0.0, 1.0),
-        "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1),
+        "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1) + d.slip.clamp(max=2.0).sum(-1),
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
@@ -125,7 +127,7 @@ class SitDownEnv(StandTrackEnv):
         n, device = self.num_envs, self.device
         self._height_at_start, self._pitch_at_start = torch.zeros(n, device=device), torch.zeros(n, device=device)
         self._velocity_before = torch.zeros(n, 3, device=device)
-        self._front_before = torch.zeros(n, 2, device=device)
+        self._front_before = torch.zeros(n, 2, 3, device=device)
 
     @property
     def _rewards(self) -> Any:
@@ -140,9 +142,6 @@ class SitDownEnv(StandTrackEnv):
     def _command(self) -> None:
         """Nothing is asked for but neutral toes, no velocity and the heading at the start."""
 
-    def _front_heights(self) -> torch.Tensor:
-        return self.worlds.site_xpos[:, 1:3, 2] - self.description.toe_radius
-
     def _pitch(self) -> torch.Tensor:
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
@@ -156,9 +155,12 @@ class SitDownEnv(StandTrackEnv):
         velocity, turning = w.qvel[:, :3], w.qvel[:, 3:6]
         later = self.episode_length_buf > 1
         acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
-        front = self._front_heights()
-        landed = (front < 0.004) & (self._front_before > 0.004) & later[:, None]
-        landing = torch.where(landed, ((self._front_before - front) / dt).clamp(0.0, 4.0), torch.zeros_like(front))
+        front = w.site_xpos[:, 1:3]  # sites: imu, then a toe for each leg
+        motion = (front - self._front_before) / dt
+        down, none = front[..., 2] < self.description.toe_radius + 0.004, torch.zeros_like(front[..., 2])
+        landed = down & (self._front_before[..., 2] > self.description.toe_radius + 0.004) & later[:, None]
+        landing = torch.where(landed, (-motion[..., 2]).clamp(0.0, 4.0), none)
+        slip = torch.where(down & later[:, None], motion[..., :2].norm(dim=-1), none)
         trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
         left_up = 2 * (qy * qz + qw * qx)
         overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
@@ -174,6 +176,7 @@ class SitDownEnv(StandTrackEnv):
             velocity=velocity,
             turning=turning,
             acceleration=torch.where(later, acceleration, torch.zeros_like(acceleration)),
+            slip=slip,
             landing=landing,
             trunk=trunk,
             thighs=(low[:, self._thighs] < 0.002).float().sum(-1),
