@@ -1,0 +1,288 @@
+"""Logged commands through the model: what the machine would have done with these parameters. Pure and repeatable.
+
+The log is cut into segments that run side by side, each from its measured position after a time of settling: a joint
+under a position servo forgets its start in that time. So one replay of a long log is many short ones in one batch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from mimic.machine_log import MachineLog
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.law import Law, Parameters
+from mimic.robot.machine import SOLREF_STEPS, MachineModel, inertias, tilted_gravity
+from mimic.types import FloatArray, IntArray
+
+MOST_SIMULATIONS = 1536
+"""Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """What the model did; arrays (N, T, J), NaN where a segment was still settling."""
+
+    residual: FloatArray
+    """Measured - predicted position, single precision."""
+    torque_residual: FloatArray | None
+    """Measured - predicted torque of the motor, where the log has it."""
+
+
+class Replay:
+    """Replays of one log in one model."""
+
+    def __init__(
+        self,
+        machine: MachineModel,
+        log: MachineLog,
+        *,
+        timestep: float = 0.001,
+        segment: float = 6.0,
+        settle: float = 0.8,
+        threads: int = 0,
+        torque: bool = False,
+    ) -> None:
+        """Cut the log into segments.
+
+        Args:
+            machine: The model, with the gains of the log.
+            log: Readings of the machine's joints, in its order.
+            timestep: Physics step [s].
+            segment: Length of a segment [s].
+            settle: Time that a segment runs before its readings count [s].
+            threads: Of MuJoCo; 0 takes one for each core.
+            torque: Also predict the torque.
+        """
+        self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
+        self.torque = torque and log.tau is not None
+        t = log.t - log.t[0]
+        self.total = int(math.floor(t[-1] / timestep + 1e-6))
+        count = max(1, round(t[-1] / segment))
+        edges = np.linspace(0, self.total, count + 1).round().astype(int)
+        self._lead = round(settle / timestep)
+        self._begin = np.maximum(edges[:-1] - self._lead, 0)
+        self._edges = edges
+        self.length = int((edges[1:] - self._begin).max())
+        self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
+        self._part = t / timestep - self._rows
+        self.counts = t >= settle
+        """Readings that count: all but those of the first settling (T,)."""
+        self._grid = self._on_grid(log.q_des if log.q_des is not None else log.q * 0.0)
+        self._force = None if log.force is None else self._on_grid(log.force)
+        self.replays = 0
+        self._heat: FloatArray | None = None
+        self._batches: dict[int, Batch] = {}
+
+    @property
+    def segments(self) -> int:
+        """Number of segments."""
+        return len(self._begin)
+
+    def set_targets(self, targets: FloatArray) -> None:
+        """Replay with other targets (T, J): as they arrived, say."""
+        self._grid = self._on_grid(targets)
+
+    def set_heat(self, tau: FloatArray) -> None:
+        """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
+        self._heat = np.asarray(tau) ** 2
+
+    def _on_grid(self, values: FloatArray) -> FloatArray:
+        """Return the mean over each physics step of what holds from each reading to the next (steps, J)."""
+        t = self.log.t - self.log.t[0]
+        area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
+        at = np.arange(self.total + 1) * self.dt
+        row = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
+        integral = area[row] + (at - t[row])[:, None] * values[row]
+        return np.diff(integral, axis=0) / self.dt
+
+    # ------------------------------------------------------------------ running
+
+    def run(self, parameters: Parameters, count: int) -> Prediction:
+        """Return the predictions of ``count`` parameter sets, each value (count, J) or (count, 1)."""
+        size = max(1, MOST_SIMULATIONS // self.segments)
+        parts = []
+        for begin in range(0, count, size):
+            rows = slice(begin, min(begin + size, count))
+            parts.append(self._run({k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()}))
+        self.replays += count
+        joined = np.concatenate([p.residual for p in parts])
+        torque = (
+            np.concatenate([p.torque_residual for p in parts if p.torque_residual is not None]) if self.torque else None
+        )
+        return Prediction(residual=joined, torque_residual=torque)
+
+    def _batch(self, size: int) -> Batch:
+        if size not in self._batches:
+            model = self.machine.model
+            model.opt.timestep = self.dt
+            model.dof_solref[:] = [SOLREF_STEPS * self.dt, 1.0]
+            model.dof_solimp[:] = [0.99, 0.999, 0.001, 0.5, 2.0]
+            self._batches.clear()
+            self._batches[size] = Batch(model, size, self.threads)
+        return self._batches[size]
+
+    def _run(self, parameters: dict[tuple[str, str], FloatArray]) -> Prediction:
+        sets = len(next(iter(parameters.values()))) if parameters else 1
+        segments, joints = self.segments, len(self.machine.joints)
+        n = sets * segments
+        p = {key: np.repeat(value, segments, 0) for key, value in parameters.items()}
+        law = Law(self.machine.drives, p, self.dt, (n, joints), np)
+        batch = self._batch(n)
+        static_fields(batch, self.machine, law, p)
+        fields = Servo(batch)
+        begin = np.tile(self._begin, sets)
+        q, dq = batch.bind("qpos"), batch.bind("qvel")
+        start_q, start_dq = self._starts(begin)
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        law.reset(start_q, start_dq, None if self._heat is None else self._heat_at(begin, law))
+        q[:], dq[:] = law._unread(start_q), start_dq
+        shifts = self._shifts(p, joints)
+        out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
+        torque = np.full_like(out, np.nan) if self.torque else None
+        where = self._reading_plan()
+        before = law.reading(q)
+        order = np.arange(n).reshape(sets, segments)
+        if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
+            out[:, 0] = self.log.q[0] - before[order[:, 0]]
+            if torque is not None:
+                torque[:, 0] = 0.0
+        for k in range(self.length):
+            now = begin + k
+            target = self._target(now, shifts)
+            force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
+            inputs = law.step(q, dq, target, (now * self.dt)[:, None], force)
+            fields.write(inputs)
+            batch.step()
+            law.settle(dq)
+            reading = law.reading(q)
+            for segment, row, part in where.get(k, ()):
+                sims = order[:, segment]
+                value = before[sims] * (1 - part) + reading[sims] * part if part < 1 else reading[sims]
+                out[:, row] = self.log.q[row] - value
+                if torque is not None and self.log.tau is not None:
+                    torque[:, row] = self.log.tau[row] - inputs.tau[sims]
+            before = reading
+        out[~np.isfinite(out)] = np.nan
+        return Prediction(residual=out, torque_residual=torque)
+
+    def _reading_plan(self) -> dict[int, list[tuple[int, int, float]]]:
+        """Return for each step the readings that fall into it: segment, row, and how far into the step."""
+        plan: dict[int, list[tuple[int, int, float]]] = {}
+        for row in np.flatnonzero(self.counts):
+            step, part = int(self._rows[row]), float(self._part[row])
+            if part < 1e-6:  # at the end of the step before
+                step, part = step - 1, 1.0
+            segment = int(np.clip(np.searchsorted(self._edges, step + 1e-9, side="right") - 1, 0, self.segments - 1))
+            k = step - int(self._begin[segment])
+            if 0 <= k < self.length:
+                plan.setdefault(k, []).append((segment, int(row), part))
+        return plan
+
+    def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
+        t = self.log.t - self.log.t[0]
+        at = begin * self.dt
+        q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
+        ahead = np.stack([np.interp(at + 0.02, t, column) for column in self.log.q.T], -1)
+        return q, (ahead - q) / 0.02
+
+    def _heat_at(self, begin: IntArray, law: Law) -> FloatArray:
+        assert self._heat is not None
+        time = np.asarray(law.get("kt_heat", "time")) + np.zeros((len(begin), self._heat.shape[1]))
+        dt = float(np.median(np.diff(self.log.t)))
+        rows = np.clip(np.searchsorted(self.log.t - self.log.t[0], begin * self.dt), 0, len(self.log.t))
+        heat = np.zeros_like(time)
+        for i, row in enumerate(rows):
+            age = np.arange(row)[::-1, None] * dt
+            heat[i] = (self._heat[:row] * np.exp(-age / time[i]) * (dt / time[i])).sum(0) if row else 0.0
+        return heat
+
+    def _shifts(self, p: Parameters, joints: int) -> tuple[Any, Any]:
+        delay = np.zeros((1, 1))
+        if ("delay", "time") in p:
+            delay = delay + p["delay", "time"]
+        if ("joint_delay", "time") in p:
+            delay = delay + p["joint_delay", "time"]
+        steps = delay / self.dt
+        whole = np.floor(steps).astype(int)
+        return whole, steps - whole
+
+    def _target(self, now: IntArray, shifts: tuple[Any, Any]) -> FloatArray:
+        whole, part = shifts
+        last = len(self._grid) - 1
+        late = np.clip(now[:, None] - whole, 0, last)
+        if late.shape[1] == 1:
+            newer, older = self._grid[late[:, 0]], self._grid[np.maximum(late[:, 0] - 1, 0)]
+        else:
+            columns = np.arange(self._grid.shape[1])
+            newer, older = self._grid[late, columns], self._grid[np.maximum(late - 1, 0), columns]
+        return newer + part * (older - newer)
+
+
+class Servo:
+    """The fields of a batch that a law writes at every step."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._ctrl, self._applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
+        self._gain, self._bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
+        self._range, self._friction = batch.expand("actuator_forcerange"), batch.expand("dof_frictionloss")
+
+    def write(self, inputs: Any) -> None:
+        """Hand over the inputs of the next step."""
+        self._ctrl[:] = inputs.ctrl
+        self._gain[:, :, 0] = inputs.kp
+        self._bias[:, :, 0] = inputs.bias
+        self._bias[:, :, 1] = -inputs.kp
+        self._bias[:, :, 2] = -inputs.kd
+        self._range[:, :, 0] = inputs.low
+        self._range[:, :, 1] = inputs.high
+        self._friction[:] = inputs.friction
+        self._applied[:] = inputs.applied
+
+
+def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) -> None:
+    """Write what the effects change in the model once: damping, armature, masses, gravity."""
+    model = machine.model
+    damping = batch.expand("dof_damping")
+    damping[:] = p.get(("viscous", "coefficient"), model.dof_damping[None])
+    armature = batch.expand("dof_armature")
+    armature[:] = p.get(("armature", "inertia"), model.dof_armature[None])
+    if law.rotor is not None:
+        armature[law.rotor["there"]] = 0.0
+    parts = [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
+    names = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+    if any(part is not None for part in parts):
+        made = inertias(machine, *parts)
+        for name, value in zip(names, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
+            batch.expand(name)[:] = value
+    else:
+        for name in names:
+            if batch.expanded(name) is not None:
+                batch.expand(name)[:] = getattr(model, name)
+    gravity = batch.expand("opt.gravity")
+    gravity[:] = model.opt.gravity
+    if ("base_tilt", "roll") in p:
+        gravity[:] = tilted_gravity(p["base_tilt", "roll"][:, 0], p["base_tilt", "pitch"][:, 0], model.opt.gravity)
+    batch.set_const()
+
+
+def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
+    """Return the neutral value of a parameter for each joint (J,), or (1,) for the whole machine."""
+    spec = CATALOGUE[name]
+    value = spec.parameter(parameter).neutral
+    if value != "model":
+        return np.full(len(machine.joints) if spec.scope == "joint" else 1, float(value))
+    own: dict[tuple[str, str], Any] = {
+        ("coulomb", "level"): machine.drives.friction,
+        ("viscous", "coefficient"): machine.model.dof_damping,
+        ("armature", "inertia"): machine.drives.armature,
+        ("torque_speed", "torque"): machine.drives.torque,
+        ("torque_speed", "flat"): machine.drives.flat,
+        ("torque_speed", "speed"): machine.drives.speed,
+    }
+    return np.array(own[name, parameter], dtype=np.float64)

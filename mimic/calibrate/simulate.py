@@ -1,0 +1,129 @@
+"""A log from a robot with chosen effects, for tests, demonstrations and teaching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.calibrate.replay import Replay, neutral
+from mimic.errors import ConfigError
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.machine import MachineModel
+from mimic.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogSettings:
+    """How a log is simulated."""
+
+    noise: float = 0.00035
+    """Standard deviation of a position reading [rad]."""
+    resolution: float = 2 * 12.5 / 65535
+    """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
+    rate: float = 200.0
+    """Readings a second [Hz]."""
+    lost_samples: float = 0.0
+    """Share of readings that are missing from the log."""
+    jitter: float = 0.0
+    """Standard deviation of the times of the readings [s]."""
+    timestep: float = 0.0005
+    """Physics step [s]."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("noise", 0, 0.1), ("resolution", 0, 0.1), ("lost_samples", 0, 0.9), ("jitter", 0, 0.01)):
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"{name.replace('_', '-')} is {getattr(self, name):g}; it must be from {low:g} to {high:g}")
+        if not 20 <= self.rate <= 2000:
+            raise ConfigError(f"rate is {self.rate:g} Hz; it must be from 20 to 2000 Hz")
+
+
+def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:
+    """Return the applied effects as the law takes them: (1, J) for joints, (1, 1) for the whole machine.
+
+    Raises:
+        ConfigError: If an effect names a joint that the machine lacks.
+    """
+    found: dict[tuple[str, str], FloatArray] = {}
+    for e in effects.applied:
+        spec = CATALOGUE[e.name]
+        lacking = [j for j in e.joints if j not in machine.joints]
+        if lacking:
+            raise ConfigError(f"effect {e.name!r} names joint {lacking[0]!r}; the model has {', '.join(machine.joints)}")
+        for parameter in spec.parameters:
+            row = neutral(e.name, parameter.name, machine)
+            if parameter.fixed and parameter.starts:
+                row = np.full_like(row, parameter.starts[0])
+            if parameter.name in e.values:
+                index = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
+                row[index] = e.values[parameter.name]
+            found[e.name, parameter.name] = row[None]
+    return found
+
+
+def simulate_log(
+    machine: MachineModel, t: FloatArray, q_des: FloatArray, effects: EffectSet, settings: LogSettings
+) -> MachineLog:
+    """Return what a machine with these effects would log.
+
+    Args:
+        machine: The model.
+        t: Times at which targets are sent (T,) [s].
+        q_des: Targets (T, J) [rad].
+        effects: What the machine has.
+        settings: Noise, resolution, rate, losses.
+
+    Returns:
+        The log: q and q_des at the rate of the settings, tau as the motors give it.
+    """
+    rng = np.random.default_rng(settings.seed)
+    p = parameters_of(effects, machine)
+    spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
+    share = float(p.pop(("lost_commands", "share"), np.zeros((1, 1)))[0, 0])
+    times = np.arange(0.0, t[-1] + 1e-9, 1.0 / settings.rate)
+    rows = np.clip(np.searchsorted(t, times + 1e-9, side="right") - 1, 0, len(t) - 1)
+    kept = rng.random(len(t)) >= share
+    kept[0] = True
+    late = t + spread * rng.random(len(t))
+    late[0] = t[0]
+    fine = np.arange(0.0, t[-1] + 1e-9, settings.timestep)
+    command = MachineLog(joints=machine.joints, t=fine, q=np.zeros((len(fine), len(machine.joints))), tau=np.zeros((len(fine), len(machine.joints))), q_des=_arrived(fine, late, q_des, kept))
+    start = MachineLog(joints=machine.joints, t=fine, q=np.repeat(q_des[:1], len(fine), 0) * 0, tau=command.tau, q_des=command.q_des)
+    replay = Replay(machine, start, timestep=settings.timestep, segment=1e9, settle=0.0, threads=1, torque=True)
+    made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
+    q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]
+    read = times + settings.jitter * rng.standard_normal(len(times))
+    read = np.clip(read, 0.0, fine[-1])
+    q = np.stack([np.interp(read, fine, column) for column in q.T], -1)
+    tau = np.stack([np.interp(read, fine, column) for column in tau.T], -1)
+    q = q + settings.noise * rng.standard_normal(q.shape)
+    if settings.resolution > 0:
+        q = settings.resolution * np.round(q / settings.resolution)
+    there = rng.random(len(times)) >= settings.lost_samples
+    there[0] = True
+    drives = machine.drives
+    return MachineLog(
+        joints=machine.joints,
+        t=times[there],
+        q=q[there],
+        q_des=q_des[rows][there],
+        tau=tau[there],
+        metadata={
+            "kp": dict(zip(machine.joints, map(float, drives.kp), strict=True)),
+            "kd": dict(zip(machine.joints, map(float, drives.kd), strict=True)),
+            "simulated": True,
+        },
+    )
+
+
+def _arrived(fine: FloatArray, late: FloatArray, q_des: FloatArray, kept: FloatArray) -> FloatArray:
+    """Return the target in effect at each fine time: the newest that was not lost and has arrived."""
+    order = np.arange(len(late))[kept]
+    newest = np.full(len(fine), 0)
+    arrival = np.searchsorted(fine, late[order] - 1e-9)
+    for index, at in zip(order, arrival, strict=True):
+        newest[at:] = np.maximum(newest[at:], index)
+    return q_des[newest]

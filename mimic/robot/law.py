@@ -1,0 +1,350 @@
+"""What a drive does in one physics step: the laws of the catalogue, the same code in NumPy and in PyTorch.
+
+A step of the physics is given a position servo ``force = kp (ctrl - q) - kd v + bias`` for each joint, which MuJoCo
+integrates with an implicit ``kd``, limits of that force, dry friction and a torque from outside. :class:`Law` computes
+these seven from position, velocity and target. Damping acts on the mean of the velocities at both ends of a step
+(Crank and Nicolson), lags on its mean over the step, so that steps of 2.5 ms come within 0.2 mrad of steps of 0.25 ms;
+the rotor behind a gear is implicit in both of its velocities. All is stable at any step.
+
+Arrays are (N, J): N simulations, J joints; parameters of the whole machine are (N, 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mimic.robot.effects import effect
+
+Parameters = Mapping[tuple[str, str], Any]
+"""(effect, parameter) -> values (N, J), or (N, 1) for the whole machine. What is not there is neutral."""
+
+STIFFEST = 1e-3
+"""Compliance of a transmission that has backlash only [rad/(N m)]: stiff against any position gain in use."""
+
+DAMPING_RATIO = 0.2
+"""Of the rotor against its transmission; steel gears ring for a few periods."""
+
+SLOW = 1e-3
+"""Below this speed the direction of motion fades, so that friction has no jump [rad/s]."""
+
+UNLIMITED = 1e6
+"""Stands for no limit on a torque [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drives:
+    """Numbers of the drives that the laws start from; arrays (J,)."""
+
+    kp: Any
+    """[N m/rad]"""
+    kd: Any
+    """[N m s/rad]"""
+    torque: Any
+    """Peak torque [N m]."""
+    flat: Any
+    """Speed up to which it is there [rad/s]."""
+    speed: Any
+    """Speed at which none is left [rad/s]."""
+    friction: Any
+    """Dry friction [N m]."""
+    armature: Any
+    """[kg m^2]"""
+    neighbour: Any
+    """Index of the next joint of the chain; of the one before, for the last (J,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepInputs:
+    """What the physics gets for one step (N, J)."""
+
+    ctrl: Any
+    kp: Any
+    kd: Any
+    bias: Any
+    """Added to the servo's force [N m]."""
+    low: Any
+    """Least force of the servo [N m]."""
+    high: Any
+    """Greatest force of the servo [N m]."""
+    friction: Any
+    """Dry friction of the joint [N m]."""
+    applied: Any
+    """Torque on the joint from outside the servo [N m]."""
+    tau: Any
+    """Torque of the motor at the start of the step, limits included [N m]."""
+
+
+class Law:
+    """The laws of one batch of simulations, with the states they need from step to step."""
+
+    def __init__(
+        self, drives: Drives, parameters: Parameters, timestep: float, shape: tuple[int, int], xp: Any
+    ) -> None:
+        """Take numbers and make the states.
+
+        Args:
+            drives: Numbers of the drives, as arrays of ``xp``.
+            parameters: Values of the effects that any of the simulations has.
+            timestep: Physics step [s].
+            shape: (N, J).
+            xp: ``numpy``, or an object with its functions on tensors such as ``torch``.
+        """
+        self.dt, self.xp, self._d, self._p, self._shape = timestep, xp, drives, dict(parameters), shape
+        self._has = {name for name, _ in self._p}
+        self._zero = drives.kp * 0.0 + xp.zeros_like(drives.kp)[None] + self._full(0.0)
+        self.states: dict[str, Any] = {}
+        self._fixed()
+
+    # ------------------------------------------------------------------ set-up
+
+    def _full(self, value: float) -> Any:
+        return self.xp.stack([self._d.kp * 0.0 + value] * self._shape[0])
+
+    def get(self, name: str, parameter: str) -> Any:
+        """Return a parameter, or its neutral value where no simulation has the effect."""
+        if (name, parameter) in self._p:
+            return self._p[name, parameter]
+        neutral = effect(name).parameter(parameter).neutral
+        if neutral == "model":
+            own = {
+                ("coulomb", "level"): self._d.friction,
+                ("armature", "inertia"): self._d.armature,
+                ("torque_speed", "torque"): self._d.torque,
+                ("torque_speed", "flat"): self._d.flat,
+                ("torque_speed", "speed"): self._d.speed,
+            }
+            return own[name, parameter][None]
+        return neutral
+
+    def _fixed(self) -> None:
+        """Compute what does not change from step to step."""
+        xp, dt, has = self.xp, self.dt, self._has
+        kp, kd = self._zero + self._d.kp, self._zero + self._d.kd
+        if "gains" in has:
+            kp, kd = kp * self.get("gains", "kp"), kd * self.get("gains", "kd")
+        if "kt_gain" in has:
+            kp, kd = kp * self.get("kt_gain", "factor"), kd * self.get("kt_gain", "factor")
+        if "encoder_scale" in has:
+            kp, kd = kp * self.get("encoder_scale", "factor"), kd * self.get("encoder_scale", "factor")
+        self._kp, self._kd = kp, kd
+        self._level = self._zero + self.get("coulomb", "level")
+        self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
+        self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
+        state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
+        if "torque_lag" in has:
+            state += ["torque", "torque_open", "torque_kd", "velocity_before"]
+        if "kt_heat" in has:
+            state += ["heat"]
+        if "supply_sag" in has:
+            state += ["power"]
+        if self.rotor is not None:
+            state += ["theta", "omega", "omega_open", "omega_slope"]
+        for name in state:
+            self.states[name] = xp.zeros_like(self._zero)
+        self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
+
+    def _lag(self, name: str) -> tuple[Any, Any] | None:
+        """Return what is left of a first-order lag's state after a step, and its mean share during the step."""
+        if name not in self._has:
+            return None
+        time = self.xp.clip(self._zero + self.get(name, "time"), 1e-7, None)
+        left = self.xp.exp(-self.dt / time)
+        return left, time / self.dt * (1 - left)
+
+    def _rotor_constants(self) -> dict[str, Any]:
+        xp = self.xp
+        compliance = self._zero + self.get("compliance", "compliance")
+        half = (self._zero + self.get("backlash", "gap")) / 2
+        there = (compliance > 0) | (half > 0)
+        stiffness = 1.0 / xp.clip(compliance, STIFFEST, None)
+        inertia = xp.clip(self._zero + self.get("armature", "inertia"), 1e-5, None)
+        return {
+            "there": there,
+            "half": half,
+            "stiffness": stiffness,
+            "coupling": stiffness * self.dt + 2 * DAMPING_RATIO * xp.sqrt(stiffness * inertia),
+            "inertia": inertia,
+        }
+
+    # ------------------------------------------------------------------ a run
+
+    def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
+        """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
+        start = self._unread(q)
+        known = {"velocity": dq, "velocity_before": dq, "theta": start, "omega": dq, "omega_open": dq, "heat": heat}
+        for name in self.states:
+            value = known.get(name)
+            self.states[name] = self._zero + (0.0 if value is None else value)
+
+    def _unread(self, reading: Any) -> Any:
+        q = reading
+        if "encoder_offset" in self._has:
+            q = q - self.get("encoder_offset", "angle")
+        if "encoder_scale" in self._has:
+            q = q / self.get("encoder_scale", "factor")
+        return q
+
+    def reading(self, q: Any) -> Any:
+        """Return what the encoders read at link positions q; call it after :meth:`step` or :meth:`reset`."""
+        value = self._position(q)
+        if "encoder_scale" in self._has:
+            value = value * self.get("encoder_scale", "factor")
+        if "encoder_offset" in self._has:
+            value = value + self.get("encoder_offset", "angle")
+        if "encoder_step" in self._has:
+            value = self._rounded(value)
+        return value
+
+    def _position(self, q: Any) -> Any:
+        return q if self.rotor is None else self.xp.where(self.rotor["there"], self.states["theta"], q)
+
+    def _rounded(self, value: Any) -> Any:
+        xp, step = self.xp, self._zero + self.get("encoder_step", "angle")
+        safe = xp.clip(step, 1e-9, None)
+        return xp.where(step > 0, safe * xp.round(value / safe), value)
+
+    def settle(self, dq: Any) -> None:
+        """Bring the states to the end of the step just made, whose velocities are dq (N, J)."""
+        s, dt = self.states, self.dt
+        if self.rotor is not None:
+            s["omega"] = s["omega_open"] + s["omega_slope"] * dq
+            s["theta"] = s["theta"] + dt * s["omega"]
+            dq = self.xp.where(self.rotor["there"], s["omega"], dq)
+        if "velocity_before" not in s:
+            return
+        mean = (s["velocity_before"] + dq) / 2
+        if self._lag_t is not None:
+            left = self._lag_t[0]
+            s["torque"] = left * s["torque"] + (1 - left) * (s["torque_open"] - s["torque_kd"] * mean)
+        if self._lag_v is not None:
+            left = self._lag_v[0]
+            s["velocity"] = left * s["velocity"] + (1 - left) * mean
+
+    def step(self, q: Any, dq: Any, target: Any, time: Any, force: Any = None) -> StepInputs:
+        """Return what the physics gets for the next step; :meth:`settle` must follow once it is made.
+
+        Args:
+            q: Link positions (N, J) [rad].
+            dq: Link velocities (N, J) [rad/s].
+            target: Target of each drive in effect during the step (N, J) [rad].
+            time: Since the beginning of the log [s], (N, 1) or a number.
+            force: Torque put in besides the servo's (N, J) [N m].
+        """
+        xp, has, get, s = self.xp, self._has, self.get, self.states
+        theta, omega = self._position(q), dq
+        if self.rotor is not None:
+            omega = xp.where(self.rotor["there"], s["omega"], dq)
+        kp, kd, ctrl, bias = self._kp, self._kd, target + self._zero, self._zero
+        if "encoder_offset" in has:
+            ctrl = ctrl - get("encoder_offset", "angle")
+        if "encoder_scale" in has:
+            ctrl = ctrl / get("encoder_scale", "factor")
+        if has & {"kt_drift", "kt_heat"}:
+            factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
+            if "heat" in s:
+                factor = factor * (1.0 - get("kt_heat", "loss") * s["heat"])
+            factor = xp.clip(factor + self._zero, 0.05, None)
+            kp, kd = kp * factor, kd * factor
+        if "encoder_step" in has:
+            bias = bias - kp * (self._rounded(theta) - theta)
+        if "velocity_before" in s:
+            s["velocity_before"] = omega + self._zero
+        if self._lag_v is not None:
+            held = self._lag_v[1]
+            bias, kd = bias - kd * held * s["velocity"], kd * (1 - held)
+        if force is not None:
+            bias = bias + force
+        if self._lag_t is not None:
+            held = self._lag_t[1]
+            s["torque_open"], s["torque_kd"] = kp * (ctrl - theta) + bias, kd
+            kp, kd, bias = kp * (1 - held), kd * (1 - held), bias * (1 - held) + held * s["torque"]
+        low, high = self._torque_limits(omega)
+        tau = xp.minimum(xp.maximum(kp * (ctrl - theta) + bias - kd * omega, low), high)
+        if "heat" in s:
+            s["heat"] = s["heat"] + self.dt * (tau * tau - s["heat"]) / get("kt_heat", "time")
+        if "power" in s:
+            power = xp.clip(tau * omega, 0.0, None)
+            s["power"] = self._zero + power.sum(-1)[:, None]
+        friction, applied = self._friction(dq, tau), self._outside(q, dq, time)
+        bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
+        if self.rotor is not None:
+            kp, kd, bias, low, high = self._through_gear(q, dq, ctrl, kp, kd, bias, low, high, tau)
+        return StepInputs(
+            ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
+        )
+
+    def _torque_limits(self, omega: Any) -> tuple[Any, Any]:
+        xp, (torque, flat, speed) = self.xp, self._limits
+        if "power" in self.states:
+            left = xp.clip(1.0 - self.get("supply_sag", "drop") * self.states["power"], 0.1, 1.0)
+            torque, flat, speed = torque * left, flat * left, speed * left
+        slope = torque / (speed - flat)
+        high = xp.minimum(xp.clip((speed - omega) * slope, 0.0, None), torque)
+        low = -xp.minimum(xp.clip((speed + omega) * slope, 0.0, None), torque)
+        return low, high
+
+    def _direction(self, dq: Any) -> Any:
+        return dq / self.xp.sqrt(dq * dq + SLOW * SLOW)
+
+    def _friction(self, dq: Any, tau: Any) -> Any:
+        xp, get, level = self.xp, self.get, self._level
+        if "stribeck" in self._has:
+            level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
+        if "load_friction" in self._has:
+            level = level + get("load_friction", "ratio") * xp.abs(tau)
+        if "asymmetric_friction" in self._has:
+            level = xp.clip(level + get("asymmetric_friction", "level") * self._direction(dq), 0.0, None)
+        return level
+
+    def _outside(self, q: Any, dq: Any, time: Any) -> Any:
+        xp, get, has, applied = self.xp, self.get, self._has, self._zero
+        if "asymmetric_friction" in has:
+            applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
+        if "quadratic_drag" in has:
+            applied = applied - get("quadratic_drag", "coefficient") * dq * xp.abs(dq)
+        if "coupling" in has:
+            applied = applied - get("coupling", "coefficient") * dq[:, self._d.neighbour]
+        if "cogging" in has:
+            angle = get("cogging", "order") * q
+            applied = applied + get("cogging", "cosine") * xp.cos(angle) + get("cogging", "sine") * xp.sin(angle)
+        if "spring" in has:
+            applied = applied + get("spring", "moment") - get("spring", "stiffness") * q
+        if "periodic_force" in has:
+            angle = self._zero + get("periodic_force", "frequency") * time * 6.283185307179586
+            applied = applied + get("periodic_force", "cosine") * xp.cos(angle)
+            applied = applied + get("periodic_force", "sine") * xp.sin(angle)
+        return applied
+
+    def _through_gear(
+        self, q: Any, dq: Any, ctrl: Any, kp: Any, kd: Any, bias: Any, low: Any, high: Any, tau: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """Return the servo of the link when a rotor and its transmission stand between motor and link.
+
+        Rotor: J (w' - w) / dt = tau(w') - c(w', v'), with the torque of the transmission
+        c = k x + K (w' - v') where it is engaged, K = k dt + d, and x the twist beyond the gap; primes mark the end of
+        the step. Solved for w' = open + slope v', so that c enters the link as a bias and a damping.
+        """
+        xp, r, s, dt = self.xp, self.rotor, self.states, self.dt
+        assert r is not None
+        twist = s["theta"] - q
+        beyond = twist - xp.minimum(xp.maximum(twist, -r["half"]), r["half"])
+        engaged = xp.where((xp.abs(twist) > r["half"]) | (r["half"] <= 0), r["coupling"], 0.0 * r["coupling"])
+        free = kp * (ctrl - s["theta"]) + bias
+        limited = (tau <= low) | (tau >= high)
+        drive, damping = xp.where(limited, tau, free), xp.where(limited, 0.0 * kd, kd)
+        spring = r["stiffness"] * beyond
+        mass = r["inertia"] + dt * (damping + engaged)
+        opened = (r["inertia"] * s["omega"] + dt * (drive - spring)) / mass
+        slope = dt * engaged / mass
+        there = r["there"]
+        s["omega_open"] = xp.where(there, opened, 0.0 * opened)
+        s["omega_slope"] = xp.where(there, slope, 1.0 + 0.0 * slope)
+        return (
+            xp.where(there, 0.0 * kp, kp),
+            xp.where(there, engaged * (1 - slope), kd),
+            xp.where(there, spring + engaged * opened, bias),
+            xp.where(there, 0.0 * low - UNLIMITED, low),
+            xp.where(there, 0.0 * high + UNLIMITED, high),
+        )

@@ -1,0 +1,305 @@
+"""A machine with its base held: any MJCF, or the robot hung up, as joints with position servos that a law drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mimic.errors import AssetError, CalibrationError
+from mimic.robot.description import RobotDescription
+from mimic.robot.law import UNLIMITED, Drives
+from mimic.types import FloatArray, IntArray
+
+GRAVITY = 9.81
+"""[m/s^2]"""
+
+SOLREF_STEPS = 2.0
+"""Time constant of dry friction, in physics steps: MuJoCo's least. Longer ones let a joint creep that should stick."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MachineModel:
+    """A compiled machine and what calibration needs to know of it. Joint arrays are (J,)."""
+
+    model: mujoco.MjModel
+    """One position servo for each joint, in the order of ``joints``; no contacts, no limits but the joints'."""
+    joints: tuple[str, ...]
+    drives: Drives
+    chain: IntArray
+    """Which chain (leg) a joint belongs to; chains do not influence each other while the base is held."""
+    place: IntArray
+    """Place of a joint in its chain, from the base."""
+    body: IntArray
+    """Link that a joint moves."""
+    toward: FloatArray
+    """Unit vector along each link, from its joint to its end, link axes (J, 3)."""
+    tip: FloatArray
+    """End of each link, link axes (J, 3) [m]."""
+    low: FloatArray
+    """Lower joint limits; -inf where none."""
+    high: FloatArray
+    """Upper joint limits; inf where none."""
+    unit: str
+    """Unit of the positions: rad, or m where all joints slide."""
+
+    @property
+    def last(self) -> Any:
+        """True for the last joint of each chain (J,)."""
+        return np.array([self.place[i] == self.place[self.chain == c].max() for i, c in enumerate(self.chain)])
+
+
+def hung_robot(description: RobotDescription) -> MachineModel:
+    """Return the robot hung up by its trunk: base fixed, belly down, in the air."""
+    spec = mujoco.MjSpec.from_file(str(description.mjcf))
+    for joint in list(spec.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            spec.delete(joint)
+    count = 12
+    one = np.ones(count)
+    return _machine(
+        spec,
+        kp=description.kp * one,
+        kd=description.kd * one,
+        torque=description.torque_max * one,
+        flat=description.speed_flat * one,
+        speed=description.speed_max * one,
+    )
+
+
+def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineModel:
+    """Read any MJCF whose base is held.
+
+    Args:
+        path: MJCF with hinge and slide joints only.
+        gains: ``kp`` and ``kd``, a number each or one for each joint by name; without, those of the model's position
+            actuators; without these, joints are driven by force alone.
+
+    Raises:
+        AssetError: If the file cannot be compiled, or a joint is free or a ball.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        original = spec.compile()
+    except (ValueError, OSError) as reason:
+        raise AssetError(f"{path} is not an MJCF that MuJoCo compiles: {str(reason).strip()}") from None
+    single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    for j in range(original.njnt):
+        if original.jnt_type[j] not in single:
+            raise AssetError(
+                f"{path}: joint {original.joint(j).name!r} is free or a ball; "
+                "give a model whose base is held, with hinge and slide joints only"
+            )
+    if not original.njnt:
+        raise AssetError(f"{path} has no joints")
+    names = [original.joint(j).name for j in range(original.njnt)]
+    kp, kd, torque = np.zeros(len(names)), np.zeros(len(names)), np.full(len(names), UNLIMITED)
+    for a in range(original.nu):
+        if original.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        j = int(original.actuator_trnid[a, 0])
+        if original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE:
+            kp[j], kd[j] = original.actuator_gainprm[a, 0], -original.actuator_biasprm[a, 2]
+        if original.actuator_forcelimited[a]:
+            torque[j] = original.actuator_forcerange[a, 1]
+    for key, row in (("kp", kp), ("kd", kd)):
+        given = (gains or {}).get(key)
+        if isinstance(given, Mapping):
+            row[:] = [given.get(name, value) for name, value in zip(names, row, strict=True)]
+        elif given is not None:
+            row[:] = given
+    far = np.full(len(names), UNLIMITED)
+    return _machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far)
+
+
+def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
+    """Return the machine with the gains that a log was made with (see :func:`read_machine`)."""
+    from dataclasses import replace
+
+    rows = {}
+    for key in ("kp", "kd"):
+        given, own = gains.get(key), np.asarray(getattr(machine.drives, key))
+        if isinstance(given, Mapping):
+            rows[key] = np.array([given.get(name, v) for name, v in zip(machine.joints, own, strict=True)], dtype=float)
+        elif given is not None:
+            rows[key] = np.broadcast_to(np.asarray(given, dtype=float), own.shape).copy()
+    return replace(machine, drives=replace(machine.drives, **rows)) if rows else machine
+
+
+def _machine(
+    spec: Any, *, kp: FloatArray, kd: FloatArray, torque: FloatArray, flat: FloatArray, speed: FloatArray
+) -> MachineModel:
+    for group in (spec.actuators, spec.keys, spec.sensors, spec.equalities, spec.tendons):
+        for item in list(group):
+            spec.delete(item)
+    names = [joint.name for joint in spec.joints]
+    if len(set(names)) < len(names) or "" in names:
+        raise AssetError("every joint of the model needs a name of its own")
+    for name in names:
+        servo = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        servo.forcelimited, servo.ctrllimited = True, False
+        servo.forcerange = [-UNLIMITED, UNLIMITED]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model = spec.compile()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    joints = tuple(model.joint(j).name for j in range(model.njnt))
+    body = np.array(model.jnt_bodyid)
+    chain, place = _chains(model, body)
+    tip, toward = _ends(model, body)
+    limited = model.jnt_limited.astype(bool)
+    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    drives = Drives(
+        kp=kp,
+        kd=kd,
+        torque=torque,
+        flat=flat,
+        speed=speed,
+        friction=np.array(model.dof_frictionloss),
+        armature=np.array(model.dof_armature),
+        neighbour=_neighbours(chain, place),
+    )
+    return MachineModel(
+        model=model,
+        joints=joints,
+        drives=drives,
+        chain=chain,
+        place=place,
+        body=body,
+        toward=toward,
+        tip=tip,
+        low=np.where(limited, model.jnt_range[:, 0], -np.inf),
+        high=np.where(limited, model.jnt_range[:, 1], np.inf),
+        unit="m" if slides.all() else "rad",
+    )
+
+
+def _chains(model: mujoco.MjModel, body: IntArray) -> tuple[IntArray, IntArray]:
+    """Joints that share no moving link are in different chains."""
+    moving = set(int(b) for b in body)
+
+    def root(b: int) -> int:
+        first = b
+        while b != 0:
+            if b in moving:
+                first = b
+            b = int(model.body_parentid[b])
+        return first
+
+    roots = [root(int(b)) for b in body]
+    order = sorted(set(roots), key=roots.index)
+    chain = np.array([order.index(r) for r in roots])
+    place = np.array([int(np.sum(chain[:i] == c)) for i, c in enumerate(chain)])
+    return chain, place
+
+
+def _neighbours(chain: IntArray, place: IntArray) -> IntArray:
+    rows = []
+    for i, c in enumerate(chain):
+        mates = [j for j in range(len(chain)) if chain[j] == c]
+        at = mates.index(i)
+        rows.append(mates[at + 1] if at + 1 < len(mates) else mates[max(at - 1, 0)])
+    return np.array(rows)
+
+
+def _ends(model: mujoco.MjModel, body: IntArray) -> tuple[FloatArray, FloatArray]:
+    """End of each link: the next joint's body, else the farthest site, else twice the way to the centre of mass."""
+    tips = []
+    for b in body:
+        children = [int(c) for c in body if int(model.body_parentid[c]) == int(b)]
+        sites = model.site_pos[model.site_bodyid == b]
+        if children:
+            tip = model.body_pos[children[0]]
+        elif len(sites):
+            tip = sites[np.argmax(np.linalg.norm(sites, axis=1))]
+        else:
+            tip = 2 * model.body_ipos[b]
+        tips.append(np.array(tip))
+    tip = np.array(tips)
+    length = np.linalg.norm(tip, axis=1, keepdims=True)
+    toward = np.where(length > 1e-9, tip / np.maximum(length, 1e-9), np.array([0.0, 0.0, -1.0]))
+    return tip, toward
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inertias:
+    """Inertial numbers of all bodies for N simulations."""
+
+    mass: FloatArray
+    """(N, B) [kg]"""
+    ipos: FloatArray
+    """(N, B, 3) [m]"""
+    inertia: FloatArray
+    """(N, B, 3) [kg m^2]"""
+    iquat: FloatArray
+    """(N, B, 4)"""
+
+
+def inertias(
+    machine: MachineModel, factor: FloatArray | None, shift: FloatArray | None, payload: FloatArray | None
+) -> Inertias:
+    """Return the inertial numbers with links scaled, centres of mass shifted and tips loaded; each (N, J) or None."""
+    model = machine.model
+    count = next(len(v) for v in (factor, shift, payload) if v is not None)
+    mass = np.repeat(model.body_mass[None], count, 0)
+    ipos = np.repeat(model.body_ipos[None], count, 0)
+    inertia = np.repeat(model.body_inertia[None], count, 0)
+    iquat = np.repeat(model.body_iquat[None], count, 0)
+    for j, b in enumerate(machine.body):
+        if factor is not None:
+            mass[:, b] *= factor[:, j]
+            inertia[:, b] *= factor[:, j, None]
+        if shift is not None:
+            ipos[:, b] += shift[:, j, None] * machine.toward[j]
+        if payload is not None:
+            for i in np.flatnonzero(payload[:, j]):
+                _load(mass, ipos, inertia, iquat, i, b, float(payload[i, j]), machine.tip[j])
+    return Inertias(mass=mass, ipos=ipos, inertia=inertia, iquat=iquat)
+
+
+def _load(mass: Any, ipos: Any, inertia: Any, iquat: Any, i: int, b: int, load: float, tip: FloatArray) -> None:
+    """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
+    m, c = mass[i, b], ipos[i, b].copy()
+    total = m + load
+    centre = (m * c + load * tip) / total
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, iquat[i, b])
+    rotation = rotation.reshape(3, 3)
+    whole = rotation @ np.diag(inertia[i, b]) @ rotation.T
+
+    def point(r: FloatArray) -> FloatArray:
+        return float(r @ r) * np.eye(3) - np.outer(r, r)
+
+    whole = whole + m * point(c - centre) + load * point(tip - centre)
+    values, axes = np.linalg.eigh(whole)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.reshape(-1))
+    mass[i, b], ipos[i, b], inertia[i, b], iquat[i, b] = total, centre, values, quat
+
+
+def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
+    """Return gravity (N, 3) in the axes of a base turned by roll about x, then pitch about y [rad]; roll, pitch (N,)."""
+    g = np.asarray(gravity, dtype=np.float64)
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    # R = Ry(pitch) Rx(roll) takes base to world; gravity in the base is R^T g
+    zero, one = 0.0 * cr, 1.0 + 0.0 * cr
+    ry = np.stack([np.stack([cp, zero, sp], -1), np.stack([zero, one, zero], -1), np.stack([-sp, zero, cp], -1)], -2)
+    rx = np.stack([np.stack([one, zero, zero], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr, cr], -1)], -2)
+    return np.einsum("nji,j->ni", ry @ rx, g)
+
+
+def resolve(machine: MachineModel, log_joints: Sequence[str]) -> None:
+    """Refuse a log that lacks a joint of the model.
+
+    Raises:
+        CalibrationError: With what each has.
+    """
+    lacking = [j for j in machine.joints if j not in log_joints]
+    if lacking:
+        raise CalibrationError(f"the log lacks joint {lacking[0]!r} of the model; it has {', '.join(log_joints)}")
