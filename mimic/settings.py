@@ -570,3 +570,32 @@ class LearnSettings:
     """On a GPU, replay inference and update as captured graphs instead of launching them piece by piece."""
     mixed_precision: bool = False
     """Networks of the update in bfloat16."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrateSettings:
+    """How a log is explained."""
+
+    method: Literal["least-squares", "random"] = "least-squares"
+    """Least squares and diagnosis, or the paper's search: random samples of the declared numbers, the best wins."""
+    declared: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
+    """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
+    effects: tuple[str, ...] = ()
+    """Effects that may be named; empty for the whole catalogue."""
+    most_effects: int = 5
+    """Most effects that are added."""
+    torque: bool = True
+    """Explain measured torque too, where the log has it."""
+    samples: int = 8192
+    """Samples of the random search; paper: 8192."""
+    timestep: float = 0.0
+    """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
+    threads: int = 0
+    """Threads; 0 takes one for each core."""
+    seed: int = 0
+    """Seed of the random search."""
+
+    def __post_init__(self) -> None:
+        _check_range("most-effects", self.most_effects, 0, 20)
+        _check_range("samples", self.samples, 1, 10_000_000)
+        _check_range("timestep", self.timestep, 0.0, 0.005, "s")

@@ -62,7 +62,7 @@ class Replay:
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
-        self.total = int(math.floor(t[-1] / timestep + 1e-6))
+        self.total = math.floor(t[-1] / timestep + 1e-6)
         count = max(1, round(t[-1] / segment))
         edges = np.linspace(0, self.total, count + 1).round().astype(int)
         self._lead = round(settle / timestep)
@@ -203,7 +203,7 @@ class Replay:
         return heat
 
     def _shifts(self, p: Parameters, joints: int) -> tuple[Any, Any]:
-        delay = np.zeros((1, 1))
+        delay = np.full((1, 1), self.dt / 2)  # a position read at the start of a step is half a step old
         if ("delay", "time") in p:
             delay = delay + p["delay", "time"]
         if ("joint_delay", "time") in p:

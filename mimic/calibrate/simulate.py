@@ -34,9 +34,16 @@ class LogSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low, high in (("noise", 0, 0.1), ("resolution", 0, 0.1), ("lost_samples", 0, 0.9), ("jitter", 0, 0.01)):
+        for name, low, high in (
+            ("noise", 0, 0.1),
+            ("resolution", 0, 0.1),
+            ("lost_samples", 0, 0.9),
+            ("jitter", 0, 0.01),
+        ):
             if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"{name.replace('_', '-')} is {getattr(self, name):g}; it must be from {low:g} to {high:g}")
+                raise ConfigError(
+                    f"{name.replace('_', '-')} is {getattr(self, name):g}; it must be from {low:g} to {high:g}"
+                )
         if not 20 <= self.rate <= 2000:
             raise ConfigError(f"rate is {self.rate:g} Hz; it must be from 20 to 2000 Hz")
 
@@ -52,7 +59,9 @@ def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, 
         spec = CATALOGUE[e.name]
         lacking = [j for j in e.joints if j not in machine.joints]
         if lacking:
-            raise ConfigError(f"effect {e.name!r} names joint {lacking[0]!r}; the model has {', '.join(machine.joints)}")
+            raise ConfigError(
+                f"effect {e.name!r} names joint {lacking[0]!r}; the model has {', '.join(machine.joints)}"
+            )
         for parameter in spec.parameters:
             row = neutral(e.name, parameter.name, machine)
             if parameter.fixed and parameter.starts:
@@ -90,8 +99,16 @@ def simulate_log(
     late = t + spread * rng.random(len(t))
     late[0] = t[0]
     fine = np.arange(0.0, t[-1] + 1e-9, settings.timestep)
-    command = MachineLog(joints=machine.joints, t=fine, q=np.zeros((len(fine), len(machine.joints))), tau=np.zeros((len(fine), len(machine.joints))), q_des=_arrived(fine, late, q_des, kept))
-    start = MachineLog(joints=machine.joints, t=fine, q=np.repeat(q_des[:1], len(fine), 0) * 0, tau=command.tau, q_des=command.q_des)
+    command = MachineLog(
+        joints=machine.joints,
+        t=fine,
+        q=np.zeros((len(fine), len(machine.joints))),
+        tau=np.zeros((len(fine), len(machine.joints))),
+        q_des=_arrived(fine, late, q_des, kept),
+    )
+    start = MachineLog(
+        joints=machine.joints, t=fine, q=np.repeat(q_des[:1], len(fine), 0) * 0, tau=command.tau, q_des=command.q_des
+    )
     replay = Replay(machine, start, timestep=settings.timestep, segment=1e9, settle=0.0, threads=1, torque=True)
     made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
     q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]

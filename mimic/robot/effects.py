@@ -41,7 +41,10 @@ class Parameter:
     step: float
     """A difference that matters: scale of the fit and size of its finite differences."""
     starts: tuple[float, ...] = ()
-    """Values from which a fit begins; empty where it begins at neutral."""
+    """Values from which a fit begins; empty where it begins at neutral. Of a torque limit: shares of the largest torque
+    and speed of the log."""
+    shape: bool = False
+    """Says where or when the effect acts, not how much: at any value it is none while the others are neutral."""
     fixed: bool = False
     """Never fitted: it has its value from ``starts`` or from a person."""
 
@@ -125,7 +128,7 @@ _ALL = (
         name="delay",
         title="command delay",
         equation="the target acts time later",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.002),),
+        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=-0.01, high=0.1, step=0.002),),
         scope="machine",
         declared=True,
         signature="residual in proportion to the speed of the target",
@@ -165,7 +168,15 @@ _ALL = (
             Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.3, starts=(0.5, 0.75, 1.2)),
             Parameter(name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.5, starts=(0.7, 1.2, 2.5)),
             Parameter(
-                name="flat", unit="rad/s", neutral=MODEL, low=0.0, high=100.0, step=1.0, starts=(0.0,), fixed=True
+                name="flat",
+                unit="rad/s",
+                neutral=MODEL,
+                low=0.0,
+                high=100.0,
+                step=1.0,
+                starts=(0.0,),
+                fixed=True,
+                shape=True,
             ),
         ),
         structural=True,
@@ -214,7 +225,16 @@ _ALL = (
         equation="tau = (1 - loss h) tau_cmd, dh/dt = (tau^2 - h) / time",
         parameters=(
             Parameter(name="loss", unit="1/(N m)^2", neutral=0.0, low=0.0, high=0.5, step=0.01),
-            Parameter(name="time", unit="s", neutral=40.0, low=5.0, high=300.0, step=10.0, starts=(15.0, 40.0, 100.0)),
+            Parameter(
+                name="time",
+                unit="s",
+                neutral=40.0,
+                low=5.0,
+                high=300.0,
+                step=10.0,
+                starts=(15.0, 40.0, 100.0),
+                shape=True,
+            ),
         ),
         signature="slow growth after work, recovery after rest",
         experiment="the same motion before and after hard work, and after a pause",
@@ -248,7 +268,16 @@ _ALL = (
         equation="tau = -level exp(-(v/speed)^2) sgn(v), beside dry friction",
         parameters=(
             Parameter(name="level", unit="N m", neutral=0.0, low=0.0, high=50.0, step=0.02, starts=(0.1,)),
-            Parameter(name="speed", unit="rad/s", neutral=0.1, low=0.005, high=2.0, step=0.03, starts=(0.03, 0.1, 0.3)),
+            Parameter(
+                name="speed",
+                unit="rad/s",
+                neutral=0.1,
+                low=0.005,
+                high=2.0,
+                step=0.03,
+                starts=(0.03, 0.1, 0.3),
+                shape=True,
+            ),
         ),
         structural=True,
         signature="spikes at each start, stick-slip",
@@ -370,7 +399,7 @@ _ALL = (
         parameters=(
             Parameter(name="cosine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
             Parameter(name="sine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="order", unit="1/rad", neutral=20.0, low=4.0, high=400.0, step=0.05, fixed=True),
+            Parameter(name="order", unit="1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True),
         ),
         signature="a peak in the spectrum over position",
         experiment="slow ramps over the whole range",
@@ -431,7 +460,7 @@ _ALL = (
         parameters=(
             Parameter(name="cosine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
             Parameter(name="sine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="frequency", unit="Hz", neutral=1.0, low=0.05, high=50.0, step=0.01, fixed=True),
+            Parameter(name="frequency", unit="Hz", neutral=1.0, low=0.05, high=50.0, step=0.002, shape=True),
         ),
         signature="a narrow peak in the spectrum over time, whatever the robot does",
         experiment="hold still and log",

@@ -1,0 +1,235 @@
+"""Residual -> which effect is missing, with held-out evidence, or "unexplained"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.calibrate.fit import Fit, deviations, fit, left_out
+from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.replay import neutral
+from mimic.calibrate.screen import Motion, Start, screen
+from mimic.calibration import Candidate
+from mimic.robot.effects import CATALOGUE
+from mimic.types import BoolArray, FloatArray
+
+LEAST_GAIN = 0.01
+"""Share by which the error of a block judged without itself must fall."""
+
+LEAST_Z = 3.0
+"""Gain over its standard error; about Holm's correction over 25 candidates at 5 %."""
+
+LEAST_IMPROVEMENT = 0.35
+"""What leaves the error of some joint, over its noise floor. Smaller crumbs are differences between integrators."""
+
+LEAST_PARAMETER = 2.0
+"""How far an effect's number is from none, in standard deviations."""
+
+RIVAL_Z = 2.0
+"""A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
+
+MASS_RANGE = (0.6, 1.6)
+"""A link whose mass leaves this range, as a factor of the CAD, is not a mass: three deviations of 15 %."""
+
+REFINED = 6
+"""Effects that are refitted at each stage by rank, besides all with a threshold."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tried:
+    """An effect that was refitted, with its evidence."""
+
+    name: str
+    fitted: Fit
+    squares: FloatArray
+    """Each fitted block judged without itself (B,)."""
+    gain: float
+    z: float
+    improvement: float
+    """Of the joint that gains most, in noise floors."""
+    joints: BoolArray
+    """Joints where the effect is there (J,)."""
+    why: str
+    """Why it is not accepted; empty where it is."""
+
+    def candidate(self, problem: Problem, best: Tried | None) -> Candidate:
+        """Return the record of it."""
+        machine, spec = problem.machine, CATALOGUE[self.name]
+        names = tuple(np.array(machine.joints)[self.joints]) if spec.scope == "joint" else ()
+        values = {p.name: self.fitted.point.values[self.name, p.name] for p in spec.parameters}
+        return Candidate(
+            name=self.name,
+            gain=self.gain,
+            z=self.z,
+            improvement=self.improvement,
+            values=values,
+            joints=names,
+            accepted=best is self,
+            why="" if best is self else self.why or "another effect explains more",
+            rival_z=0.0 if best is None or best is self else paired(best.squares, self.squares)[1],
+        )
+
+
+def paired(better: FloatArray, worse: FloatArray) -> tuple[float, float]:
+    """Return the mean over blocks of log(worse / better) / 2, and that over its standard error."""
+    d = 0.5 * np.log(np.maximum(worse, 1e-12) / np.maximum(better, 1e-12))
+    error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
+    return float(d.mean()), float(d.mean() / max(error, 1e-9))
+
+
+def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray) -> BoolArray:
+    """Return the joints where an effect's main number differs from none by more than LEAST_PARAMETER deviations."""
+    spec = CATALOGUE[name]
+    deviation = deviations(fitted, problem)
+    there = np.zeros(len(problem.machine.joints), dtype=bool)
+    sized = [p for p in spec.parameters if not p.fixed and not p.shape]
+    for i, knob in enumerate(fitted.knobs):
+        if knob.key[0] != name or knob.key[1] not in [p.name for p in sized]:
+            continue
+        value = fitted.point.values[knob.key][max(knob.joint, 0)]
+        if abs(value - _none(problem, knob.key, knob.joint)) > LEAST_PARAMETER * deviation[i]:
+            there[slice(None) if knob.joint < 0 else knob.joint] = True
+    return there & joints if spec.scope == "joint" else there
+
+
+def _none(problem: Problem, key: tuple[str, str], joint: int) -> float:
+    return float(neutral(*key, problem.machine)[max(joint, 0)])
+
+
+def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: BoolArray) -> Tried:
+    """Compare a fit that has one more effect with the one that lacks it."""
+    before, _ = left_out(incumbent, problem)
+    after, _ = left_out(fitted, problem)
+    gain, z = paired(after, before)
+    fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
+    improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
+    there = present(fitted, problem, name, joints)
+    there &= _improved(problem, fell) if CATALOGUE[name].structural else True
+    why = ""
+    if gain < LEAST_GAIN:
+        why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
+    elif z < LEAST_Z:
+        why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
+    elif improvement < LEAST_IMPROVEMENT:
+        why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
+    elif not there.any():
+        why = f"no number differs from none by {LEAST_PARAMETER:.0f} deviations"
+    else:
+        why = _pushed(problem, incumbent, fitted, name)
+    return Tried(
+        name=name, fitted=fitted, squares=after, gain=gain, z=z, improvement=improvement, joints=there, why=why
+    )
+
+
+def _improved(problem: Problem, fell: FloatArray) -> BoolArray:
+    """Joints whose chain gains; a threshold that is never reached has no derivative, so no deviation says so."""
+    joints = len(problem.machine.joints)
+    gained = np.zeros(joints, dtype=bool)
+    np.logical_or.at(gained, problem.channel_joint, fell > 0.04)
+    return gained
+
+
+def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, name: str) -> str:
+    """Return why declared numbers forbid the effect, or nothing."""
+    for knob in fitted.knobs:
+        if not CATALOGUE[knob.key[0]].declared:
+            continue
+        at = max(knob.joint, 0)
+        value, old = fitted.point.values[knob.key][at], incumbent.point.values[knob.key][at]
+        low, high = knob.bounds
+        label = f"{knob.key[0]}.{knob.key[1]}" + ("" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}")
+        for bound in (low, high):
+            if abs(value - bound) < 1e-9 and abs(old - bound) > 1e-9:
+                return f"it pushes {label} onto its bound {bound:g}"
+        if (
+            knob.key[0] == "link_mass"
+            and not MASS_RANGE[0] < value < MASS_RANGE[1]
+            and MASS_RANGE[0] < old < MASS_RANGE[1]
+        ):
+            return f"it makes {label} {value:.2f}, which is no mass"
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """What one stage of the search found."""
+
+    tried: tuple[Tried, ...]
+    """Refitted effects, best first."""
+    best: Tried | None
+    """The accepted one."""
+    rivals: tuple[str, ...]
+    """Effects that this log cannot tell from it."""
+
+
+def search(
+    problem: Problem,
+    incumbent: Fit,
+    names: Sequence[str],
+    joints: dict[str, BoolArray],
+    motion: Motion,
+    candidates: Sequence[str],
+    tick: Callable[[str], None],
+) -> Found:
+    """Look for the one effect that explains most of what is left.
+
+    Args:
+        problem: Log and model.
+        incumbent: The best fit so far.
+        names: Effects that it fits.
+        joints: Joints that have each of them.
+        motion: What the model does.
+        candidates: Effects to try.
+        tick: Called with what is being done.
+    """
+    tick("screening")
+    starts = screen(problem, incumbent, candidates, motion)
+    picked = _pick(starts)
+    everywhere = np.ones(len(problem.machine.joints), dtype=bool)
+    tried: list[Tried] = []
+    for start in picked:
+        tick(CATALOGUE[start.name].title)
+        fitted = fit(problem, start.point, [*names, start.name], joints, most=2, frozen=incumbent)
+        tried.append(judge(problem, incumbent, start.name, fitted, everywhere))
+    tried.sort(key=lambda t: -t.gain)
+    strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z][:4]
+    for t in strong:
+        tick(CATALOGUE[t.name].title)
+        fitted = fit(problem, t.fitted.point, [*names, t.name], joints, most=4)
+        tried[tried.index(t)] = judge(problem, incumbent, t.name, fitted, everywhere)
+    tried.sort(key=lambda t: -t.gain)
+    good = [t for t in tried if not t.why]
+    if not good:
+        return Found(tried=tuple(tried), best=None, rivals=())
+    best = good[0]
+    rivals = tuple(t.name for t in good[1:] if paired(best.squares, t.squares)[1] < RIVAL_Z)
+    return Found(tried=tuple(tried), best=best, rivals=rivals)
+
+
+def _pick(starts: Sequence[Start]) -> list[Start]:
+    best: dict[str, Start] = {}
+    for s in starts:
+        if s.name not in best:
+            best[s.name] = s
+    ranked = list(best.values())
+    return [s for i, s in enumerate(ranked) if (i < REFINED and s.gain > 0.002) or CATALOGUE[s.name].structural]
+
+
+def pruned(problem: Problem, best: Tried, incumbent: Fit, names: Sequence[str], joints: dict[str, BoolArray]) -> Fit:
+    """Return the accepted fit with the effect only where it is there."""
+    spec = CATALOGUE[best.name]
+    if spec.scope == "machine" or best.joints.all():
+        return best.fitted
+    values = dict(best.fitted.point.values)
+    for p in spec.parameters:
+        none = neutral(best.name, p.name, problem.machine)
+        values[best.name, p.name] = np.where(best.joints, values[best.name, p.name], none)
+    return fit(problem, Point(values), [*names, best.name], {**joints, best.name: best.joints}, most=3)
+
+
+def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:
+    """Return whether an effect still pays beside the ones found after it."""
+    gain, z = paired(left_out(whole, problem)[0], left_out(without, problem)[0])
+    return gain >= LEAST_GAIN and z >= LEAST_Z

@@ -1,0 +1,193 @@
+"""Values that explain the log: Levenberg and Marquardt's steps on batched replays, and how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.calibrate.problem import PRIOR_STEPS, Key, Knob, Point, Problem, Sums
+from mimic.types import BoolArray, FloatArray
+
+DAMPINGS = (0.0, 0.03, 1.0, 30.0)
+"""Values of Levenberg's parameter that are tried side by side."""
+
+CONVERGED = 2e-3
+"""A fit has converged when the sum of squares falls by less than this share."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """A point that was fitted, with what is known about it."""
+
+    point: Point
+    knobs: tuple[Knob, ...]
+    residual: FloatArray
+    """Whitened residuals (T, C)."""
+    columns: tuple[FloatArray, ...]
+    """Derivatives of the predictions, whitened (T, C) each."""
+    sums: Sums
+    replays: int = 0
+
+    def train_square(self, problem: Problem) -> float:
+        """Return the sum of squares over the fitted blocks."""
+        return float(problem.block_squares(self.residual)[problem.blocks.train].sum())
+
+
+def prior(knobs: Sequence[Knob]) -> FloatArray:
+    """Return the weight of each knob's prior (P,)."""
+    return np.array([(1.0 / (PRIOR_STEPS * k.step)) ** 2 for k in knobs])
+
+
+def solve(
+    hessian: FloatArray, gradient: FloatArray, knobs: Sequence[Knob], at: FloatArray, damping: float
+) -> FloatArray:
+    """Return a damped step that stays inside the bounds: knobs that would leave them stop there, the rest solve again."""
+    low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
+    free = np.ones(len(knobs), dtype=bool)
+    step = np.zeros(len(knobs))
+    scale = np.diag(hessian) * damping + prior(knobs) + 1e-12
+    for _ in range(4):
+        if not free.any():
+            break
+        index = np.flatnonzero(free)
+        h = hessian[np.ix_(index, index)] + np.diag(scale[index])
+        g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~free))] @ step[~free]
+        d = 1.0 / np.sqrt(np.diag(h))
+        step[index] = d * np.linalg.lstsq(h * d[:, None] * d[None], g * d, rcond=1e-12)[0]
+        out = free & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
+        if not out.any():
+            break
+        step[out] = np.clip(at[out] + step[out], low[out], high[out]) - at[out]
+        free &= ~out
+    return np.clip(at + step, low, high) - at
+
+
+def fit(
+    problem: Problem,
+    start: Point,
+    names: Sequence[str],
+    joints: Mapping[str, BoolArray],
+    *,
+    most: int = 6,
+    frozen: Fit | None = None,
+    tick: Callable[[int], None] | None = None,
+) -> Fit:
+    """Fit the numbers of the named effects.
+
+    Args:
+        problem: Log and model.
+        start: Where to begin; has the effects.
+        names: Effects that are fitted.
+        joints: Which joints have an effect.
+        most: Most iterations.
+        frozen: Keep this fit's derivatives for the knobs it has, instead of new ones.
+        tick: Called with the number of replays after each batch of them.
+    """
+    knobs = problem.knobs(start, joints, names)
+    point, begin = start, problem.replay.replays
+    residual = problem.residuals([point])[0]
+    best = problem.block_squares(residual)[problem.blocks.train].sum()
+    columns: list[FloatArray] = []
+    for iteration in range(most):
+        columns = _columns(problem, point, residual, knobs, frozen)
+        sums = problem.sums(residual, columns, knobs)
+        train = problem.blocks.train
+        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+        at = point.read(knobs)
+        trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
+        replayed = problem.residuals(trials)
+        squares = [problem.block_squares(r)[train].sum() for r in replayed]
+        if tick:
+            tick(problem.replay.replays)
+        winner = int(np.argmin(squares))
+        if not squares[winner] < best:
+            break
+        fell = 1 - squares[winner] / best
+        point, residual, best = trials[winner], replayed[winner], squares[winner]
+        if fell < CONVERGED and iteration > 0:
+            break
+    columns = _columns(problem, point, residual, knobs, frozen)
+    return Fit(
+        point=point,
+        knobs=tuple(knobs),
+        residual=residual,
+        columns=tuple(columns),
+        sums=problem.sums(residual, columns, knobs),
+        replays=problem.replay.replays - begin,
+    )
+
+
+def _columns(
+    problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob], frozen: Fit | None
+) -> list[FloatArray]:
+    known: dict[tuple[Key, int], FloatArray] = {}
+    if frozen is not None:
+        known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
+    fresh = [k for k in knobs if (k.key, k.joint) not in known]
+    if fresh:
+        points, groups, sizes = problem.difference_points(point, fresh)
+        made = problem.columns(residual, problem.residuals(points), groups, fresh, sizes)
+        known |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
+    return [known[k.key, k.joint] for k in knobs]
+
+
+def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """Return each fitted block's sum of squares when it is judged by a fit without it, and the values of those fits.
+
+    Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models.
+
+    Returns:
+        Squares (B_train,), and changes of the knobs (B_train, P).
+    """
+    train, s = problem.blocks.train, fitted.sums
+    weight = np.diag(prior(fitted.knobs)) if fitted.knobs else np.zeros((0, 0))
+    total = s.hessian[train].sum(0) + weight
+    low_high = np.array([k.bounds for k in fitted.knobs]).reshape(-1, 2)
+    at = fitted.point.read(fitted.knobs) if fitted.knobs else np.zeros(0)
+    free = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
+    index = np.flatnonzero(free)
+    squares, moves = np.zeros(len(train)), np.zeros((len(train), len(at)))
+    for row, b in enumerate(train):
+        squares[row] = s.square[b]
+        if not len(index):
+            continue
+        h_b = s.hessian[b][np.ix_(index, index)]
+        rest = total[np.ix_(index, index)] - h_b
+        g_b = s.gradient[b][index]
+        d = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
+        change = d * np.linalg.lstsq(rest * d[:, None] * d[None], g_b * d, rcond=1e-10)[0]
+        squares[row] += 2 * change @ g_b + change @ h_b @ change
+        moves[row, index] = -change
+    return squares, moves
+
+
+def deviations(fitted: Fit, problem: Problem) -> FloatArray:
+    """Return the standard deviation of each knob by the jackknife over blocks (P,), robust to coloured residuals."""
+    _, moves = left_out(fitted, problem)
+    count = len(moves)
+    if count < 2 or not fitted.knobs:
+        return np.full(len(fitted.knobs), np.inf)
+    jackknife = np.sqrt((count - 1) / count * ((moves - moves.mean(0)) ** 2).sum(0))
+    train = problem.blocks.train
+    hessian = fitted.sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
+    return np.maximum(jackknife, np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0)))
+
+
+def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> list[dict[Key, list[int]]]:
+    """Return directions in the knobs that the log does not determine, as the knobs that make them up."""
+    if not fitted.knobs:
+        return []
+    hessian = fitted.sums.hessian[problem.blocks.train].sum(0)
+    scale = np.array([k.step for k in fitted.knobs])
+    values, vectors = np.linalg.eigh(hessian * scale[:, None] * scale[None])
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value * condition > values[-1]:
+            break
+        heavy: dict[Key, list[int]] = {}
+        for i in np.flatnonzero(np.abs(vector) > 0.3):
+            heavy.setdefault(fitted.knobs[i].key, []).append(fitted.knobs[i].joint)
+        found.append(heavy)
+    return found

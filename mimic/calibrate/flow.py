@@ -1,0 +1,382 @@
+"""Log + model -> what the model lacked, with evidence, and a better model."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.calibrate.diagnose import Found, earns_its_keep, pruned, search
+from mimic.calibrate.fit import Fit, deviations, fit, prior, solve, weak_directions
+from mimic.calibrate.noise import noise_floor
+from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.remainder import remainders
+from mimic.calibrate.replay import Replay
+from mimic.calibrate.screen import Motion
+from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.machine import MachineModel, with_gains
+from mimic.settings import CalibrateSettings
+from mimic.types import BoolArray, FloatArray
+
+Progress = Callable[[str, int], None]
+"""Called with what is being done and the number of replays so far."""
+
+FINE = 5
+"""A fine replay has this many times more steps."""
+
+UNRELATED = 0.5
+"""Error over the spread of the positions from which on log and model have nothing to do with each other."""
+
+LONGEST_STEP = 0.0025
+"""[s]"""
+
+
+def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
+    """Return the longest step up to ``longest`` [s] that divides the time between readings at ``rate`` [Hz]."""
+    between = 1.0 / rate
+    return between / max(1, int(np.ceil(between / longest - 1e-6)))
+
+
+@dataclass
+class _Search:
+    """The state of one calibration."""
+
+    problem: Problem
+    settings: CalibrateSettings
+    progress: Progress
+    joints: dict[str, BoolArray]
+    names: list[str]
+    current: Fit
+    floor: FloatArray
+
+    def tick(self, text: str) -> None:
+        self.progress(text, self.problem.replay.replays)
+
+
+def calibrate(
+    log: MachineLog, model: MachineModel, settings: CalibrateSettings, progress: Progress | None = None
+) -> Calibration:
+    """Explain a log.
+
+    Args:
+        log: What a machine did.
+        model: What it should have done; its base is held.
+        settings: How.
+        progress: Called with what is being done and the number of replays so far.
+
+    Raises:
+        CalibrationError: If log and model do not fit together in joints, or the log cannot be used.
+    """
+    began = time.monotonic()
+    report = progress or (lambda text, replays: None)
+    log = log.of(model.joints)
+    machine = with_gains(model, log.metadata)
+    problem = _problem(log, machine, settings)
+    names = list(settings.declared)
+    start = Point()
+    for name in names:
+        start = start.with_effect(name, machine)
+    report("replaying", 0)
+    nominal = _errors(problem, problem.residuals([start])[0])
+    report("fitting the declared model", problem.replay.replays)
+    fitted = fit(problem, start, names, {})
+    spread = np.nanstd(log.q, axis=0)
+    joints = len(machine.joints)
+    error = Errors.total(_errors(problem, fitted.residual).train / np.maximum(spread, 1e-9))
+    belongs = error < UNRELATED
+    floor = _floor(problem, fitted)
+    state = _Search(
+        problem=problem, settings=settings, progress=report, joints={}, names=names, current=fitted, floor=floor
+    )
+    stages = [Stage(added="declared", errors=_errors(problem, fitted.residual))]
+    before = fitted
+    if belongs:
+        stages += _grow(state)
+    final = _polished(state)
+    stages[-1] = replace(stages[-1], errors=_errors(problem, final.residual))
+    motion = _motion(problem, final)
+    target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
+    rest = remainders(
+        machine.joints,
+        final.residual[:, :joints] / state.floor[:joints].astype(np.float32),
+        motion,
+        target,
+        problem.blocks.index,
+        np.asarray(machine.drives.neighbour),
+    )
+    effects = _effect_set(state, final)
+    scale = problem.noise[:joints]
+    traces = Traces(
+        t=log.t - log.t[0],
+        held_out=problem.blocks.held_out[np.maximum(problem.blocks.index, 0)] & (problem.blocks.index >= 0),
+        q=log.q,
+        dq=motion.dq,
+        tau=motion.tau,
+        before=before.residual[:, :joints] * scale,
+        after=final.residual[:, :joints] * scale,
+    )
+    return Calibration(
+        joints=machine.joints,
+        unit=machine.unit,
+        noise=scale,
+        nominal=nominal,
+        stages=tuple(stages),
+        effects=effects,
+        unexplained=rest,
+        sentence=_sentence(stages, rest, scale, machine, belongs, effects),
+        belongs=belongs,
+        experiments=_experiments(stages),
+        warnings=(),
+        not_identifiable=_weak(final, problem),
+        traces=traces,
+        replays=problem.replay.replays,
+        seconds=time.monotonic() - began,
+        metadata={"log": dict(log.metadata), "rate": log.rate, "duration": log.duration},
+    )
+
+
+def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
+    step = settings.timestep or physics_step(log.rate)
+    replay = Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
+    noise = np.maximum(noise_floor(log.q), 1e-9)
+    torque = np.maximum(noise_floor(log.tau), 1e-9) if log.tau is not None and replay.torque else None
+    return Problem(replay, noise, torque, make_blocks(log.t, replay.counts))
+
+
+def _errors(problem: Problem, residual: FloatArray) -> Errors:
+    joints = len(problem.machine.joints)
+    scale = problem.noise[:joints]
+    train, held = (np.sqrt(problem.mean_squares(residual, side)[:joints]) * scale for side in (False, True))
+    return Errors(train=train, held_out=held)
+
+
+def _fine(problem: Problem, point: Point) -> FloatArray:
+    """Return whitened residuals (T, C) of a replay with FINE times more steps."""
+    coarse = problem.replay
+    replay = Replay(
+        problem.machine, coarse.log, timestep=coarse.dt / FINE, threads=coarse.threads, torque=coarse.torque
+    )
+    fine = Problem(
+        replay,
+        problem.noise[: len(problem.machine.joints)],
+        problem.noise[len(problem.machine.joints) :],
+        problem.blocks,
+    )
+    residual = fine.residuals([point])[0]
+    coarse.replays += FINE
+    return residual
+
+
+def _corrected(problem: Problem, fitted: Fit) -> tuple[Fit, FloatArray]:
+    """Return the fit after a step from the residuals of a fine replay, and what the coarse one was wrong by (T, C)."""
+    fine = _fine(problem, fitted.point)
+    wrong = fine - fitted.residual
+    sums = problem.sums(fine, fitted.columns, fitted.knobs)
+    train = problem.blocks.train
+    hessian = sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
+    step = solve(hessian, sums.gradient[train].sum(0), fitted.knobs, fitted.point.read(fitted.knobs), 0.0)
+    moved = fitted.point.moved(fitted.knobs, step)
+    after = _fine(problem, moved)
+    squares = [problem.block_squares(r)[train].sum() for r in (fine, after)]
+    point, residual = (moved, after) if squares[1] < squares[0] else (fitted.point, fine)
+    return replace(
+        fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs)
+    ), wrong
+
+
+def _floor(problem: Problem, fitted: Fit) -> FloatArray:
+    """Return the least error that a replay can have, in noise floors of each channel (C,): noise and coarse steps."""
+    _, wrong = _corrected(problem, fitted)
+    # what a step of the parameters takes up is no floor
+    train = problem.blocks.train
+    sums = problem.sums(wrong, fitted.columns, fitted.knobs)
+    hessian = sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
+    step = np.linalg.lstsq(hessian, sums.gradient[train].sum(0), rcond=1e-12)[0]
+    left = wrong - sum(s * c for s, c in zip(step.astype(np.float32), fitted.columns, strict=True))
+    squares = problem.mean_squares(left, False)
+    return np.sqrt(1.0 + np.minimum(squares, 1.0))
+
+
+def _motion(problem: Problem, fitted: Fit) -> Motion:
+    """Return what the model does; velocities from the predicted positions, torques from the servo."""
+    machine, log = problem.machine, problem.replay.log
+    joints = len(machine.joints)
+    residual = np.nan_to_num(fitted.residual[:, :joints].astype(np.float64)) * problem.noise[:joints]
+    q = log.q - residual
+    t = log.t - log.t[0]
+    dq = np.gradient(q, t, axis=0)
+    target = log.q_des if log.q_des is not None else q
+    delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
+    late = np.stack([np.interp(t - max(delay, 0.0), t, column) for column in target.T], -1)
+    tau = np.asarray(machine.drives.kp) * (late - q) - np.asarray(machine.drives.kd) * dq
+    if log.force is not None:
+        tau = tau + log.force
+    limit = np.asarray(machine.drives.torque)
+    return Motion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))
+
+
+def _candidates(state: _Search) -> list[str]:
+    allowed = state.settings.effects or tuple(CATALOGUE)
+    return [n for n in allowed if n not in state.names and not CATALOGUE[n].random and not CATALOGUE[n].declared]
+
+
+def _explained(state: _Search) -> bool:
+    """Nothing that could still be found would be large enough to count."""
+    from mimic.calibrate.diagnose import LEAST_IMPROVEMENT
+
+    squares = state.problem.mean_squares(state.current.residual, False)
+    return bool(np.all(squares < state.floor**2 + LEAST_IMPROVEMENT**2))
+
+
+def _grow(state: _Search) -> list[Stage]:
+    stages: list[Stage] = []
+    for _ in range(state.settings.most_effects):
+        if _explained(state):
+            break
+        motion = _motion(state.problem, state.current)
+        state.problem.replay.set_heat(motion.tau)
+        found = search(state.problem, state.current, state.names, state.joints, motion, _candidates(state), state.tick)
+        if found.best is None:
+            if stages:
+                break
+            stages.append(_nothing(state, found))
+            break
+        state.current = pruned(state.problem, found.best, state.current, state.names, state.joints)
+        state.names.append(found.best.name)
+        state.joints[found.best.name] = found.best.joints
+        stages.append(
+            Stage(
+                added=found.best.name,
+                errors=_errors(state.problem, state.current.residual),
+                candidates=tuple(t.candidate(state.problem, found.best) for t in found.tried),
+                rivals=found.rivals,
+            )
+        )
+    return _kept(state, stages)
+
+
+def _nothing(state: _Search, found: Found) -> Stage:
+    return Stage(
+        added="",
+        errors=_errors(state.problem, state.current.residual),
+        candidates=tuple(t.candidate(state.problem, None) for t in found.tried),
+    )
+
+
+def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
+    """Drop effects that no longer pay beside those found after them."""
+    added = [s.added for s in stages if s.added]
+    for name in added[:-1] if len(added) > 1 else []:
+        state.tick(f"is {CATALOGUE[name].title} still needed")
+        rest = [n for n in state.names if n != name]
+        without = fit(state.problem, state.current.point.without(name), rest, state.joints, most=3)
+        if not earns_its_keep(state.problem, state.current, without):
+            state.current, state.names = without, rest
+            stages = [s for s in stages if s.added != name]
+    return stages
+
+
+def _polished(state: _Search) -> Fit:
+    state.tick("polishing")
+    refined = fit(state.problem, state.current.point, state.names, state.joints, most=2)
+    final, _ = _corrected(state.problem, refined)
+    return final
+
+
+def _effect_set(state: _Search, final: Fit) -> EffectSet:
+    deviation = deviations(final, state.problem)
+    spread = {(k.key, k.joint): d for k, d in zip(final.knobs, deviation, strict=True)}
+    effects = []
+    for name in state.names:
+        spec = CATALOGUE[name]
+        mask = state.joints.get(name, np.ones(len(state.problem.machine.joints), dtype=bool))
+        index = [-1] if spec.scope == "machine" else [int(j) for j in np.flatnonzero(mask)]
+        if not index:
+            continue
+        values, intervals = {}, {}
+        for p in spec.parameters:
+            row = final.point.values[name, p.name]
+            values[p.name] = np.array([row[max(j, 0)] for j in index])
+            if not p.fixed:
+                half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
+                low, high = values[p.name] - half, values[p.name] + half
+                intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
+        joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)
+        effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
+    return EffectSet(tuple(effects))
+
+
+def _weak(final: Fit, problem: Problem) -> tuple[str, ...]:
+    lines = []
+    for direction in weak_directions(final, problem):
+        parts = []
+        for (name, parameter), joints in direction.items():
+            where = "" if joints == [-1] else " of " + ", ".join(problem.machine.joints[j] for j in joints)
+            parts.append(f"{name}.{parameter}{where}")
+        if parts:
+            lines.append(" with ".join(parts))
+    return tuple(dict.fromkeys(lines))
+
+
+def _experiments(stages: list[Stage]) -> tuple[str, ...]:
+    lines = []
+    for stage in stages:
+        for name in (stage.added, *stage.rivals) if stage.rivals else ():
+            lines.append(f"{CATALOGUE[name].title}: {CATALOGUE[name].experiment}")
+    return tuple(dict.fromkeys(lines))
+
+
+def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
+    if not joints or len(joints) == len(machine.joints):
+        return "" if not joints else " in all joints"
+    return f" in {', '.join(joints)}"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.1f} um"
+
+
+def _sentence(
+    stages: list[Stage],
+    rest: tuple[Remainder, ...],
+    noise: FloatArray,
+    machine: MachineModel,
+    belongs: bool,
+    effects: EffectSet,
+) -> str:
+    if not belongs:
+        return "Log and model do not belong together: what was asked does not explain what was measured."
+    unit = machine.unit
+    first, last = Errors.total(stages[0].errors.held_out), Errors.total(stages[-1].errors.held_out)
+    errors = f"held-out error {_number(first, unit)} → {_number(last, unit)}, noise floor {_number(Errors.total(noise), unit)}"
+    added = [s for s in stages if s.added not in ("", "declared")]
+    left = [r for r in rest if r.verdict != "explained"]
+    unexplained = _left(left)
+    if not added:
+        if not left:
+            return f"The model lacks nothing that this log shows ({errors})."
+        return f"Nothing in the catalogue explains what is left ({errors}). Unexplained: {unexplained}."
+    joints = {e.name: e.joints for e in effects}
+    named = " and ".join(f"{CATALOGUE[s.added].title}{_where(joints.get(s.added, ()), machine)}" for s in added)
+    rivals = sorted({CATALOGUE[r].title for s in added for r in s.rivals})
+    return (
+        f"The model lacked {named} ({errors}); not told apart from: {', '.join(rivals) or 'none'}; "
+        f"still unexplained: {unexplained or 'none'}."
+    )
+
+
+def _left(left: list[Remainder]) -> str:
+    groups: dict[str, list[str]] = {}
+    for r in left:
+        what = {
+            "state-dependent": f"depends on {' and '.join(r.depends_on) or 'the state'}",
+            "periodic": f"periodic near {r.peak_hz:.1f} Hz, whatever the robot does",
+            "broadband": "broadband, depends on nothing logged",
+        }[r.verdict]
+        groups.setdefault(what, []).append(r.joint)
+    return "; ".join(f"{', '.join(names)} ({what})" for what, names in groups.items())

@@ -1,0 +1,278 @@
+"""Residuals and their derivatives: which numbers are fitted, what a change of each does, and the sums over blocks.
+
+While the base is held, the legs (chains) do not influence each other. So the same parameter of all first joints is
+changed in one replay, and the column of each leg is read from that leg's own joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mimic.calibrate.replay import Replay, neutral
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.machine import MachineModel
+from mimic.types import BoolArray, FloatArray, IntArray
+
+Key = tuple[str, str]
+"""(effect, parameter)"""
+
+PRIOR_STEPS = 300.0
+"""Standard deviation of the prior of a fitted number, in steps of its parameter: it only decides what the log does not."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knob:
+    """One fitted number."""
+
+    key: Key
+    joint: int
+    """Index of the joint; -1 for the whole machine."""
+
+    @property
+    def step(self) -> float:
+        """Scale of the number."""
+        return CATALOGUE[self.key[0]].parameter(self.key[1]).step
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest value."""
+        p = CATALOGUE[self.key[0]].parameter(self.key[1])
+        return p.low, p.high
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Values of all effects that are in the model: (effect, parameter) -> (J,) or (1,)."""
+
+    values: Mapping[Key, FloatArray] = field(default_factory=dict)
+
+    def with_effect(self, name: str, machine: MachineModel, start: Mapping[str, object] | None = None) -> Point:
+        """Return the point with an effect added, neutral or at ``start`` (numbers or rows)."""
+        values = dict(self.values)
+        for p in CATALOGUE[name].parameters:
+            row = neutral(name, p.name, machine)
+            if p.fixed and p.starts:
+                row = np.full_like(row, p.starts[0])
+            if start and p.name in start:
+                row = np.broadcast_to(np.asarray(start[p.name], dtype=np.float64), row.shape).copy()
+            values[name, p.name] = row
+        return Point(values)
+
+    def without(self, name: str) -> Point:
+        """Return the point without an effect."""
+        return Point({k: v for k, v in self.values.items() if k[0] != name})
+
+    def moved(self, knobs: Sequence[Knob], by: FloatArray) -> Point:
+        """Return the point with each knob changed, inside its bounds."""
+        values = {k: v.copy() for k, v in self.values.items()}
+        for knob, delta in zip(knobs, by, strict=True):
+            at = max(knob.joint, 0)
+            values[knob.key][at] = np.clip(values[knob.key][at] + delta, *knob.bounds)
+        return Point(values)
+
+    def read(self, knobs: Sequence[Knob]) -> FloatArray:
+        """Return the values of the knobs."""
+        return np.array([self.values[k.key][max(k.joint, 0)] for k in knobs])
+
+
+def stack(points: Sequence[Point], machine: MachineModel) -> dict[Key, FloatArray]:
+    """Return points as the replay takes them; effects that a point lacks are neutral there."""
+    keys = {key for point in points for key in point.values}
+    return {
+        key: np.stack([p.values[key] if key in p.values else neutral(*key, machine) for p in points])
+        for key in sorted(keys)
+    }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blocks:
+    """Blocks of time, and which are held out."""
+
+    index: IntArray
+    """Block of each reading, -1 where it does not count (T,)."""
+    held_out: BoolArray
+    """True for blocks that nothing is fitted to (B,)."""
+
+    @property
+    def train(self) -> IntArray:
+        """Blocks that are fitted."""
+        return np.flatnonzero(~self.held_out)
+
+
+def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 2.0, every: int = 4) -> Blocks:
+    """Cut time into blocks and hold every fourth out.
+
+    Args:
+        t: Time of each reading (T,) [s].
+        counts: Readings that count (T,).
+        seconds: Length of a block [s].
+        every: One block in this many is held out.
+    """
+    index = np.floor((t - t[0]) / seconds).astype(int)
+    count = int(index.max()) + 1
+    if np.sum(index == count - 1) < 0.5 * np.sum(index == 0) and count > 1:
+        index[index == count - 1] = count - 2
+        count -= 1
+    return Blocks(index=np.where(counts, index, -1), held_out=np.arange(count) % every == every // 2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sums:
+    """Normal equations of each block over whitened residuals."""
+
+    hessian: FloatArray
+    """(B, P, P)"""
+    gradient: FloatArray
+    """(B, P)"""
+    square: FloatArray
+    """Sum of squares (B,)."""
+
+
+class Problem:
+    """One log and model as a least-squares problem."""
+
+    def __init__(self, replay: Replay, noise: FloatArray, torque_noise: FloatArray | None, blocks: Blocks) -> None:
+        """Take the replay and what its residuals are measured in.
+
+        Args:
+            replay: Of the log in the model.
+            noise: Noise floor of each joint's position (J,).
+            torque_noise: Of each joint's torque (J,), where that is a channel.
+            blocks: Blocks of the readings.
+        """
+        self.replay, self.machine, self.blocks = replay, replay.machine, blocks
+        joints = len(self.machine.joints)
+        self.channel_joint = np.arange(joints)
+        self.noise = noise
+        if replay.torque and torque_noise is not None:
+            self.channel_joint = np.concatenate([self.channel_joint, self.channel_joint])
+            self.noise = np.concatenate([noise, torque_noise])
+        self.channel_chain = self.machine.chain[self.channel_joint]
+        self.channels = len(self.channel_joint)
+
+    def residuals(self, points: Sequence[Point]) -> FloatArray:
+        """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
+        made = self.replay.run(
+            stack(points, self.machine) or {("delay", "time"): np.zeros((len(points), 1))}, len(points)
+        )
+        parts = [made.residual]
+        if made.torque_residual is not None and self.channels > len(self.machine.joints):
+            parts.append(made.torque_residual)
+        joined = np.concatenate(parts, -1) / self.noise.astype(np.float32)
+        joined[:, self.blocks.index < 0] = np.nan
+        return joined
+
+    def block_squares(self, residual: FloatArray) -> FloatArray:
+        """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
+        there = self.blocks.index >= 0
+        squares = np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2
+        out = np.zeros((len(self.blocks.held_out), residual.shape[-1]))
+        np.add.at(out, self.blocks.index[there], squares[there])
+        return out
+
+    def mean_squares(self, residual: FloatArray, held_out: bool) -> FloatArray:
+        """Return the mean square of each channel (C,), over the fitted or the held-out blocks."""
+        inside = self.blocks.held_out[np.maximum(self.blocks.index, 0)] == held_out
+        rows = (self.blocks.index >= 0) & inside
+        return np.mean(residual[rows].astype(np.float64) ** 2, axis=0)
+
+    # ------------------------------------------------------------------ derivatives
+
+    def knobs(self, point: Point, joints: Mapping[str, BoolArray], names: Sequence[str]) -> list[Knob]:
+        """Return the fitted numbers of the named effects at a point.
+
+        Args:
+            point: Has the effects.
+            joints: For an effect, which joints have it (J,); all where it is not there.
+            names: Effects.
+        """
+        found = []
+        for name in names:
+            spec = CATALOGUE[name]
+            for p in spec.parameters:
+                if p.fixed:
+                    continue
+                if spec.scope == "machine":
+                    found.append(Knob(key=(name, p.name), joint=-1))
+                    continue
+                mask = joints.get(name, np.ones(len(self.machine.joints), dtype=bool))
+                found += [Knob(key=(name, p.name), joint=int(j)) for j in np.flatnonzero(mask)]
+        return found
+
+    def groups(self, knobs: Sequence[Knob]) -> list[list[int]]:
+        """Return indices of knobs that one replay can change together."""
+        found: dict[tuple[Key, int], list[int]] = {}
+        for i, knob in enumerate(knobs):
+            place = -1 if knob.joint < 0 else int(self.machine.place[knob.joint])
+            found.setdefault((knob.key, place), []).append(i)
+        return list(found.values())
+
+    def difference_points(self, point: Point, knobs: Sequence[Knob]) -> tuple[list[Point], list[list[int]], FloatArray]:
+        """Return the points of one-sided differences, the knobs of each, and the step of each knob."""
+        groups = self.groups(knobs)
+        sizes = np.zeros(len(knobs))
+        points = []
+        for group in groups:
+            by = np.zeros(len(knobs))
+            for i in group:
+                high = knobs[i].bounds[1]
+                value = point.values[knobs[i].key][max(knobs[i].joint, 0)]
+                size = 0.25 * knobs[i].step
+                by[i] = size if value + size <= high else -size
+                sizes[i] = by[i]
+            points.append(point.moved(knobs, by))
+        return points, groups, sizes
+
+    def columns(
+        self,
+        base: FloatArray,
+        moved: FloatArray,
+        groups: Sequence[Sequence[int]],
+        knobs: Sequence[Knob],
+        sizes: FloatArray,
+    ) -> list[FloatArray]:
+        """Return d(prediction)/d(knob) (T, C) of each knob, whitened, zero outside its chain."""
+        found: list[FloatArray | None] = [None] * len(knobs)
+        for replayed, group in zip(moved, groups, strict=True):
+            change = base - replayed
+            for i in group:
+                column = change / np.float32(sizes[i])
+                if knobs[i].joint >= 0:
+                    mine = self.channel_chain == self.machine.chain[knobs[i].joint]
+                    column = np.where(mine, column, np.float32(0.0))
+                found[i] = column
+        return [c for c in found if c is not None]
+
+    def sums(self, residual: FloatArray, columns: Sequence[FloatArray], knobs: Sequence[Knob]) -> Sums:
+        """Return the normal equations of each block."""
+        count, blocks = len(knobs), len(self.blocks.held_out)
+        hessian, gradient = np.zeros((blocks, count, count)), np.zeros((blocks, count))
+        square = np.zeros(blocks)
+        chains = np.unique(self.channel_chain)
+        of = np.array([-1 if k.joint < 0 else self.machine.chain[k.joint] for k in knobs])
+        members = {c: np.flatnonzero((of == c) | (of < 0)) for c in chains}
+        rows_of = [np.flatnonzero(self.blocks.index == b) for b in range(blocks)]
+        for c in chains:
+            mine = np.flatnonzero(self.channel_chain == c)
+            index = members[c]
+            stacked = (
+                np.stack([columns[i][:, mine] for i in index])
+                if len(index)
+                else np.zeros((0, len(residual), len(mine)))
+            )
+            own = residual[:, mine]
+            for b, rows in enumerate(rows_of):
+                if not len(rows):
+                    continue
+                a = stacked[:, rows].reshape(len(index), -1).astype(np.float64)
+                r = own[rows].reshape(-1).astype(np.float64)
+                good = np.isfinite(r)
+                if not good.all() or not np.isfinite(a).all():
+                    a, r = np.nan_to_num(a), np.where(good, r, 0.0)
+                hessian[b][np.ix_(index, index)] += a @ a.T
+                gradient[b][index] += a @ r
+                square[b] += r @ r
+        return Sums(hessian=hessian, gradient=gradient, square=square)

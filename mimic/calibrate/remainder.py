@@ -1,0 +1,138 @@
+"""What is left when nothing in the catalogue pays: does it depend on the state, on time alone, or on nothing?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import signal
+
+from mimic.calibrate.screen import Motion
+from mimic.calibration import Remainder
+from mimic.types import FloatArray
+
+EXPLAINED = 1.2
+"""Error over noise floor up to which nothing is left to explain."""
+
+STATE_R2 = 0.1
+"""Share that the state predicts on blocks that were not used, from which on the rest depends on the state."""
+
+PEAK = 40.0
+"""Height of a spectral peak over the median, from which on the rest is periodic. Effects in the model leave 2 to 8."""
+
+FEATURES = 160
+"""Random Fourier features of the regression on the state."""
+
+
+def remainders(
+    joints: Sequence[str],
+    residual: FloatArray,
+    motion: Motion,
+    target: FloatArray,
+    blocks: FloatArray,
+    neighbour: FloatArray,
+) -> tuple[Remainder, ...]:
+    """Return what is left of each joint.
+
+    Args:
+        joints: Names.
+        residual: In noise floors (T, J); NaN where a reading does not count.
+        motion: What the model does.
+        target: Targets (T, J).
+        blocks: Block of each reading, -1 where it does not count (T,).
+        neighbour: Index of the joint next to each (J,).
+    """
+    return tuple(
+        _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
+        for j, name in enumerate(joints)
+    )
+
+
+def _state(j: int, motion: Motion, target: FloatArray, n: int) -> dict[str, FloatArray]:
+    error = target[:, j] - motion.q[:, j]
+    late = np.concatenate([error[:10], error[:-10]])
+    v = motion.dq[:, j]
+    return {
+        "position": motion.q[:, [j]],
+        "velocity": np.stack([v, np.tanh(v / 0.05)], -1),
+        "torque": np.stack([motion.tau[:, j], error, late], -1),
+        "another joint": np.stack([motion.q[:, n], motion.dq[:, n]], -1),
+    }
+
+
+def _remainder(
+    name: str, residual: FloatArray, state: dict[str, FloatArray], blocks: FloatArray, t: FloatArray
+) -> Remainder:
+    rows = (blocks >= 0) & np.isfinite(residual)
+    r = residual[rows].astype(np.float64)
+    ratio = float(np.sqrt(np.mean(r**2)))
+    dt = float(np.median(np.diff(t)))
+    peak_hz, peak_ratio = _peak(r, dt)
+    slow = _low_pass(r, dt)
+    inputs = {k: v[rows] for k, v in state.items()}
+    r2 = predicted(slow, inputs, blocks[rows])
+    depends: tuple[str, ...] = ()
+    if ratio >= EXPLAINED and r2 > STATE_R2:
+        alone = {k: predicted(slow, {k: v}, blocks[rows]) for k, v in inputs.items()}
+        lost = {k: r2 - predicted(slow, {n: v for n, v in inputs.items() if n != k}, blocks[rows]) for k in inputs}
+        score = {k: max(alone[k], 0.0) + max(lost[k], 0.0) for k in inputs}
+        top = max(score.values())
+        depends = tuple(sorted((k for k in score if score[k] > 0.4 * top), key=lambda k: -score[k]))
+    if ratio < EXPLAINED:
+        verdict = "explained"
+    elif r2 > STATE_R2:
+        verdict = "state-dependent"
+    elif peak_ratio > PEAK:
+        verdict = "periodic"
+        depends = ("time",)
+    else:
+        verdict = "broadband"
+    return Remainder(
+        joint=name,
+        ratio=ratio,
+        state_r2=r2,
+        depends_on=depends,
+        peak_hz=peak_hz,
+        peak_ratio=peak_ratio,
+        verdict=verdict,
+    )
+
+
+def _peak(r: FloatArray, dt: float) -> tuple[float, float]:
+    size = min(len(r), int(10.0 / dt))
+    frequency, power = signal.welch(r - r.mean(), 1 / dt, nperseg=size)
+    inside = frequency > 0.15
+    at = int(np.argmax(power[inside]))
+    return float(frequency[inside][at]), float(power[inside][at] / max(np.median(power[inside]), 1e-12))
+
+
+def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:
+    if cutoff >= 0.45 / dt or len(r) < 60:
+        return r
+    return signal.sosfiltfilt(signal.butter(2, cutoff, fs=1 / dt, output="sos"), r)
+
+
+def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: FloatArray, folds: int = 5) -> float:
+    """Return the share of the variance of r (T,) that inputs predict on blocks left out; negative where they mislead.
+
+    Ridge regression on random Fourier features of the scaled inputs; whole blocks are left out, because neighbouring
+    readings are alike.
+    """
+    x = np.concatenate(list(inputs.values()), -1)
+    x = (x - x.mean(0)) / (x.std(0) + 1e-9)
+    rng = np.random.default_rng(0)
+    weights = rng.standard_normal((x.shape[1], FEATURES)) / np.sqrt(x.shape[1]) * rng.choice([0.5, 1.5, 4.0], FEATURES)
+    a = np.concatenate([x, np.cos(x @ weights + rng.uniform(0, 2 * np.pi, FEATURES)), np.ones((len(x), 1))], -1)
+    every = max(1, len(r) // 12000)
+    fold = (blocks % folds).astype(int)
+    error, total = 0.0, 0.0
+    for k in range(folds):
+        train, test = (fold != k), (fold == k)
+        if not test.any() or not train.any():
+            continue
+        b = a[train][::every]
+        ridge = 1e-3 * len(b) * np.eye(a.shape[1])
+        w = np.linalg.solve(b.T @ b + ridge, b.T @ r[train][::every])
+        error += float(np.sum((r[test] - a[test] @ w) ** 2))
+        total += float(np.sum((r[test] - r[train].mean()) ** 2))
+    return 1.0 - error / max(total, 1e-12)

@@ -1,0 +1,133 @@
+"""Where the search for a missing effect begins: starting points of each effect, ranked by one linear step from each.
+
+Ranking only. A linear step from neutral is blind to effects with a threshold, so those start from a small grid away
+from neutral, and are refitted whatever their rank.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.calibrate.fit import Fit, left_out, prior, solve
+from mimic.calibrate.problem import Point, Problem
+from mimic.robot.effects import CATALOGUE
+from mimic.types import FloatArray
+
+FINEST_ORDER = 0.25
+"""Spacing of the orders at which cogging is looked for [1/rad]: below the width of a peak over a range of 2 rad."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """One place from which an effect may be fitted."""
+
+    name: str
+    point: Point
+    """After one linear step."""
+    gain: float
+    """Predicted gain, each block judged without itself."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """What the model does at the incumbent; arrays (T, J)."""
+
+    t: FloatArray
+    q: FloatArray
+    dq: FloatArray
+    tau: FloatArray
+
+
+def starts_of(name: str, incumbent: Fit, problem: Problem, motion: Motion) -> list[Point]:
+    """Return the points from which an effect is tried."""
+    spec, machine = CATALOGUE[name], problem.machine
+    if name == "torque_speed":
+        torque, speed = spec.parameter("torque").starts, spec.parameter("speed").starts
+        peak, fast = np.abs(motion.tau).max(0), np.abs(motion.dq).max(0)
+        grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
+        return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
+    if name == "cogging":
+        best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
+        return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
+    if name == "periodic_force":
+        best = [_best_frequency(problem, incumbent, motion, j) for j in range(len(machine.joints))]
+        return [incumbent.point.with_effect(name, machine, {"frequency": np.array(best)})]
+    axes = [[(p.name, v) for v in p.starts] for p in spec.parameters if p.starts and not p.fixed]
+    return [incumbent.point.with_effect(name, machine, dict(values)) for values in itertools.product(*axes)]
+
+
+def _clipped(point: Point) -> Point:
+    values = {}
+    for (name, parameter), row in point.values.items():
+        p = CATALOGUE[name].parameter(parameter)
+        values[name, parameter] = np.clip(row, p.low, p.high)
+    return Point(values)
+
+
+def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
+    residual = incumbent.residual[:, joint].astype(np.float64)
+    return np.where(np.isfinite(residual), residual, 0.0)
+
+
+def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
+    """Order whose sine and cosine over position explain most of the residual."""
+    r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
+    orders = np.arange(2.0, 120.0, FINEST_ORDER)
+    calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
+    r, q = r[calm], q[calm]
+    r = r - r.mean()
+    power = np.zeros(len(orders))
+    for i, n in enumerate(orders):
+        a = np.stack([np.cos(n * q), np.sin(n * q)], -1)
+        a = a - a.mean(0)
+        x, *_ = np.linalg.lstsq(a, r, rcond=None)
+        power[i] = float(np.sum((a @ x) ** 2)) * (1.0 if n > 6 else 0.3)  # slow waves are also made by gravity
+    return float(orders[int(np.argmax(power))])
+
+
+def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
+    r = _slow(problem, incumbent, joint)
+    dt = float(np.median(np.diff(motion.t)))
+    size = 8 * len(r)
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
+    frequency = np.fft.rfftfreq(size, dt)
+    inside = (frequency > 0.1) & (frequency < 20.0)
+    return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
+
+
+def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:
+    """Return every start of the named effects after one linear step, best first."""
+    points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
+    plans = []
+    for name, point in points:
+        knobs = problem.knobs(point, {}, [name])
+        moved, groups, sizes = problem.difference_points(point, knobs)
+        plans.append((name, point, knobs, moved, groups, sizes))
+    replayed = problem.residuals([p for plan in plans for p in (plan[1], *plan[3])])
+    before, _ = left_out(incumbent, problem)
+    train = problem.blocks.train
+    found, at = [], 0
+    for name, point, knobs, moved, groups, sizes in plans:
+        base, rest = replayed[at], replayed[at + 1 : at + 1 + len(moved)]
+        at += 1 + len(moved)
+        if not np.isfinite(problem.block_squares(base)).all():
+            continue
+        columns = problem.columns(base, rest, groups, knobs, sizes)
+        columns = [np.nan_to_num(c) for c in columns]
+        everything = (*incumbent.knobs, *knobs)
+        sums = problem.sums(base, [*incumbent.columns, *columns], everything)
+        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+        step = solve(hessian + np.diag(prior(everything)), gradient, everything, point.read(everything), 1e-3)
+        # the same residual after the step, were the model linear
+        moved_square = sums.square - 2 * sums.gradient @ step + np.einsum("i,bij,j->b", step, sums.hessian, step)
+        moved_gradient = sums.gradient - sums.hessian @ step
+        linear = replace(sums, square=np.maximum(moved_square, 1e-9), gradient=moved_gradient)
+        trial = Fit(point=point.moved(everything, step), knobs=everything, residual=base, columns=(), sums=linear)
+        after, _ = left_out(trial, problem)
+        gain = float(np.mean(0.5 * np.log(before / np.maximum(after, 1e-9))))
+        found.append(Start(name=name, point=trial.point, gain=gain))
+    return sorted(found, key=lambda s: -s.gain)
