@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, deviations, fit, left_out
+from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.problem import Point, Problem
 from mimic.calibrate.replay import neutral
 from mimic.calibrate.screen import Motion, Start, screen
@@ -32,6 +32,9 @@ RIVAL_Z = 2.0
 
 MASS_RANGE = (0.6, 1.6)
 """A link whose mass leaves this range, as a factor of the CAD, is not a mass: three deviations of 15 %."""
+
+STRONG = 4
+"""Effects that are fitted to the end and compared."""
 
 REFINED = 6
 """Effects that are refitted at each stage by rank, besides all with a threshold."""
@@ -172,6 +175,7 @@ def search(
     motion: Motion,
     candidates: Sequence[str],
     tick: Callable[[str], None],
+    refine: Callable[[Fit], Fit],
 ) -> Found:
     """Look for the one effect that explains most of what is left.
 
@@ -183,22 +187,24 @@ def search(
         motion: What the model does.
         candidates: Effects to try.
         tick: Called with what is being done.
+        refine: Returns a fit judged at finer steps.
     """
     tick("screening")
-    starts = screen(problem, incumbent, candidates, motion)
-    picked = _pick(starts)
+    picked = _pick(screen(problem, incumbent, candidates, motion))
     everywhere = np.ones(len(problem.machine.joints), dtype=bool)
-    tried: list[Tried] = []
-    for start in picked:
-        tick(CATALOGUE[start.name].title)
-        fitted = fit(problem, start.point, [*names, start.name], joints, most=2, frozen=incumbent)
-        tried.append(judge(problem, incumbent, start.name, fitted, everywhere))
+    tick(f"refitting {len(picked)} effects")
+    fits = fit_all(
+        problem,
+        [fitting(problem, s.point, [*names, s.name], joints, most=2, frozen=incumbent) for s in picked],
+    )
+    tried = [judge(problem, incumbent, s.name, f, everywhere) for s, f in zip(picked, fits, strict=True)]
     tried.sort(key=lambda t: -t.gain)
-    strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z][:4]
-    for t in strong:
-        tick(CATALOGUE[t.name].title)
-        fitted = fit(problem, t.fitted.point, [*names, t.name], joints, most=4)
-        tried[tried.index(t)] = judge(problem, incumbent, t.name, fitted, everywhere)
+    strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z][:STRONG]
+    if strong:
+        tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
+        fits = fit_all(problem, [fitting(problem, t.fitted.point, [*names, t.name], joints, most=4) for t in strong])
+        for t, f in zip(strong, fits, strict=True):
+            tried[tried.index(t)] = judge(problem, incumbent, t.name, refine(f), everywhere)
     tried.sort(key=lambda t: -t.gain)
     good = [t for t in tried if not t.why]
     if not good:
@@ -214,14 +220,14 @@ def _pick(starts: Sequence[Start]) -> list[Start]:
         if s.name not in best:
             best[s.name] = s
     ranked = list(best.values())
-    return [s for i, s in enumerate(ranked) if (i < REFINED and s.gain > 0.002) or CATALOGUE[s.name].structural]
+    return [s for i, s in enumerate(ranked) if (i < REFINED and s.gain > 0.004) or CATALOGUE[s.name].structural]
 
 
-def pruned(problem: Problem, best: Tried, incumbent: Fit, names: Sequence[str], joints: dict[str, BoolArray]) -> Fit:
+def pruned(problem: Problem, best: Tried, names: Sequence[str], joints: dict[str, BoolArray]) -> Fit:
     """Return the accepted fit with the effect only where it is there."""
     spec = CATALOGUE[best.name]
     if spec.scope == "machine" or best.joints.all():
-        return best.fitted
+        return fit(problem, best.fitted.point, [*names, best.name], joints, most=2)
     values = dict(best.fitted.point.values)
     for p in spec.parameters:
         none = neutral(best.name, p.name, problem.machine)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from mimic.calibrate.problem import PRIOR_STEPS, Key, Knob, Point, Problem, Sums
 from mimic.types import BoolArray, FloatArray
 
-DAMPINGS = (0.0, 0.03, 1.0, 30.0)
+DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""
 
 CONVERGED = 2e-3
@@ -28,11 +28,6 @@ class Fit:
     columns: tuple[FloatArray, ...]
     """Derivatives of the predictions, whitened (T, C) each."""
     sums: Sums
-    replays: int = 0
-
-    def train_square(self, problem: Problem) -> float:
-        """Return the sum of squares over the fitted blocks."""
-        return float(problem.block_squares(self.residual)[problem.blocks.train].sum())
 
 
 def prior(knobs: Sequence[Knob]) -> FloatArray:
@@ -64,6 +59,10 @@ def solve(
     return np.clip(at + step, low, high) - at
 
 
+Asking = Generator[Sequence[Point], FloatArray, "Fit"]
+"""Yields points, is sent their whitened residuals (N, T, C), returns the fit."""
+
+
 def fit(
     problem: Problem,
     start: Point,
@@ -72,7 +71,6 @@ def fit(
     *,
     most: int = 6,
     frozen: Fit | None = None,
-    tick: Callable[[int], None] | None = None,
 ) -> Fit:
     """Fit the numbers of the named effects.
 
@@ -83,54 +81,71 @@ def fit(
         joints: Which joints have an effect.
         most: Most iterations.
         frozen: Keep this fit's derivatives for the knobs it has, instead of new ones.
-        tick: Called with the number of replays after each batch of them.
     """
-    knobs = problem.knobs(start, joints, names)
-    point, begin = start, problem.replay.replays
-    residual = problem.residuals([point])[0]
-    best = problem.block_squares(residual)[problem.blocks.train].sum()
-    columns: list[FloatArray] = []
-    for iteration in range(most):
-        columns = _columns(problem, point, residual, knobs, frozen)
-        sums = problem.sums(residual, columns, knobs)
-        train = problem.blocks.train
-        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-        at = point.read(knobs)
-        trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
-        replayed = problem.residuals(trials)
-        squares = [problem.block_squares(r)[train].sum() for r in replayed]
-        if tick:
-            tick(problem.replay.replays)
-        winner = int(np.argmin(squares))
-        if not squares[winner] < best:
-            break
-        fell = 1 - squares[winner] / best
-        point, residual, best = trials[winner], replayed[winner], squares[winner]
-        if fell < CONVERGED and iteration > 0:
-            break
-    columns = _columns(problem, point, residual, knobs, frozen)
-    return Fit(
-        point=point,
-        knobs=tuple(knobs),
-        residual=residual,
-        columns=tuple(columns),
-        sums=problem.sums(residual, columns, knobs),
-        replays=problem.replay.replays - begin,
-    )
+    return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen)])[0]
 
 
-def _columns(
-    problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob], frozen: Fit | None
-) -> list[FloatArray]:
+def fit_all(problem: Problem, fits: Sequence[Asking]) -> list[Fit]:
+    """Return the results of several fits that share their replays: what all ask for next runs as one batch."""
+    asked: dict[int, Sequence[Point]] = {}
+    done: dict[int, Fit] = {}
+    for i, one in enumerate(fits):
+        asked[i] = next(one)
+    while asked:
+        order = sorted(asked)
+        answers = problem.residuals([p for i in order for p in asked[i]])
+        at = 0
+        for i in order:
+            count = len(asked[i])
+            try:
+                asked[i] = fits[i].send(answers[at : at + count])
+            except StopIteration as end:
+                done[i] = end.value
+                del asked[i]
+            at += count
+    return [done[i] for i in range(len(fits))]
+
+
+def fitting(
+    problem: Problem,
+    start: Point,
+    names: Sequence[str],
+    joints: Mapping[str, BoolArray],
+    *,
+    most: int = 6,
+    frozen: Fit | None = None,
+) -> Asking:
+    """Ask for the replays of a fit, step by step; see :func:`fit` and :func:`fit_all`."""
+    knobs, train = problem.knobs(start, joints, names), problem.blocks.train
+    point = start
+    residual = (yield [point])[0]
+    best = problem.block_squares(residual)[train].sum()
     known: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
         known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
     fresh = [k for k in knobs if (k.key, k.joint) not in known]
-    if fresh:
-        points, groups, sizes = problem.difference_points(point, fresh)
-        made = problem.columns(residual, problem.residuals(points), groups, fresh, sizes)
-        known |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
-    return [known[k.key, k.joint] for k in knobs]
+    converged = False
+    for iteration in range(most + 1):
+        columns = dict(known)
+        if fresh:
+            points, groups, sizes = problem.difference_points(point, fresh)
+            made = problem.columns(residual, (yield points), groups, fresh, sizes)
+            columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
+        stacked = [columns[k.key, k.joint] for k in knobs]
+        sums = problem.sums(residual, stacked, knobs)
+        if converged or iteration == most:
+            break
+        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+        at = point.read(knobs)
+        trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
+        replayed = yield trials
+        squares = [problem.block_squares(r)[train].sum() for r in replayed]
+        winner = int(np.argmin(squares))
+        if not squares[winner] < best:
+            break
+        converged = 1 - squares[winner] / best < CONVERGED
+        point, residual, best = trials[winner], replayed[winner], squares[winner]
+    return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
 
 
 def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:

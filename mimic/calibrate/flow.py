@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.calibrate.diagnose import Found, earns_its_keep, pruned, search
-from mimic.calibrate.fit import Fit, deviations, fit, prior, solve, weak_directions
-from mimic.calibrate.noise import noise_floor
+from mimic.calibrate.fit import Fit, deviations, fit, solve, weak_directions
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.screen import Motion
+from mimic.calibrate.signals import noise_floor
 from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -52,7 +52,6 @@ class _Search:
     joints: dict[str, BoolArray]
     names: list[str]
     current: Fit
-    floor: FloatArray
 
     def tick(self, text: str) -> None:
         self.progress(text, self.problem.replay.replays)
@@ -89,10 +88,10 @@ def calibrate(
     joints = len(machine.joints)
     error = Errors.total(_errors(problem, fitted.residual).train / np.maximum(spread, 1e-9))
     belongs = error < UNRELATED
-    floor = _floor(problem, fitted)
-    state = _Search(
-        problem=problem, settings=settings, progress=report, joints={}, names=names, current=fitted, floor=floor
-    )
+    report("comparing with fine steps", problem.replay.replays)
+    _correct(problem, fitted.point)
+    fitted = fit(problem, fitted.point, names, {}, most=2)
+    state = _Search(problem=problem, settings=settings, progress=report, joints={}, names=names, current=fitted)
     stages = [Stage(added="declared", errors=_errors(problem, fitted.residual))]
     before = fitted
     if belongs:
@@ -103,7 +102,7 @@ def calibrate(
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
     rest = remainders(
         machine.joints,
-        final.residual[:, :joints] / state.floor[:joints].astype(np.float32),
+        final.residual[:, :joints],
         motion,
         target,
         problem.blocks.index,
@@ -143,8 +142,8 @@ def calibrate(
 def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     step = settings.timestep or physics_step(log.rate)
     replay = Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
-    noise = np.maximum(noise_floor(log.q), 1e-9)
-    torque = np.maximum(noise_floor(log.tau), 1e-9) if log.tau is not None and replay.torque else None
+    noise = np.maximum(noise_floor(log.q, log.rate), 1e-9)
+    torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
     return Problem(replay, noise, torque, make_blocks(log.t, replay.counts))
 
 
@@ -172,34 +171,25 @@ def _fine(problem: Problem, point: Point) -> FloatArray:
     return residual
 
 
-def _corrected(problem: Problem, fitted: Fit) -> tuple[Fit, FloatArray]:
-    """Return the fit after a step from the residuals of a fine replay, and what the coarse one was wrong by (T, C)."""
+def _correct(problem: Problem, point: Point) -> None:
+    """Correct all residuals from here on by what coarse steps are wrong by at this point."""
+    problem.correction = None
+    problem.correction = _fine(problem, point) - problem.residuals([point])[0]
+
+
+def _refined(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit after one step from the residuals of a fine replay."""
     fine = _fine(problem, fitted.point)
-    wrong = fine - fitted.residual
     sums = problem.sums(fine, fitted.columns, fitted.knobs)
     train = problem.blocks.train
-    hessian = sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
-    step = solve(hessian, sums.gradient[train].sum(0), fitted.knobs, fitted.point.read(fitted.knobs), 0.0)
+    step = solve(
+        sums.hessian[train].sum(0), sums.gradient[train].sum(0), fitted.knobs, fitted.point.read(fitted.knobs), 0.0
+    )
     moved = fitted.point.moved(fitted.knobs, step)
     after = _fine(problem, moved)
     squares = [problem.block_squares(r)[train].sum() for r in (fine, after)]
     point, residual = (moved, after) if squares[1] < squares[0] else (fitted.point, fine)
-    return replace(
-        fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs)
-    ), wrong
-
-
-def _floor(problem: Problem, fitted: Fit) -> FloatArray:
-    """Return the least error that a replay can have, in noise floors of each channel (C,): noise and coarse steps."""
-    _, wrong = _corrected(problem, fitted)
-    # what a step of the parameters takes up is no floor
-    train = problem.blocks.train
-    sums = problem.sums(wrong, fitted.columns, fitted.knobs)
-    hessian = sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
-    step = np.linalg.lstsq(hessian, sums.gradient[train].sum(0), rcond=1e-12)[0]
-    left = wrong - sum(s * c for s, c in zip(step.astype(np.float32), fitted.columns, strict=True))
-    squares = problem.mean_squares(left, False)
-    return np.sqrt(1.0 + np.minimum(squares, 1.0))
+    return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 
 
 def _motion(problem: Problem, fitted: Fit) -> Motion:
@@ -230,7 +220,7 @@ def _explained(state: _Search) -> bool:
     from mimic.calibrate.diagnose import LEAST_IMPROVEMENT
 
     squares = state.problem.mean_squares(state.current.residual, False)
-    return bool(np.all(squares < state.floor**2 + LEAST_IMPROVEMENT**2))
+    return bool(np.all(squares < 1.0 + LEAST_IMPROVEMENT**2))
 
 
 def _grow(state: _Search) -> list[Stage]:
@@ -246,7 +236,8 @@ def _grow(state: _Search) -> list[Stage]:
                 break
             stages.append(_nothing(state, found))
             break
-        state.current = pruned(state.problem, found.best, state.current, state.names, state.joints)
+        _correct(state.problem, found.best.fitted.point)
+        state.current = pruned(state.problem, found.best, state.names, state.joints)
         state.names.append(found.best.name)
         state.joints[found.best.name] = found.best.joints
         stages.append(
@@ -284,8 +275,7 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
     refined = fit(state.problem, state.current.point, state.names, state.joints, most=2)
-    final, _ = _corrected(state.problem, refined)
-    return final
+    return _refined(state.problem, refined)
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:

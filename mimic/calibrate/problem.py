@@ -152,6 +152,8 @@ class Problem:
             self.noise = np.concatenate([noise, torque_noise])
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
+        self.correction: FloatArray | None = None
+        """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
@@ -163,7 +165,7 @@ class Problem:
             parts.append(made.torque_residual)
         joined = np.concatenate(parts, -1) / self.noise.astype(np.float32)
         joined[:, self.blocks.index < 0] = np.nan
-        return joined
+        return joined if self.correction is None else joined + self.correction
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
@@ -199,6 +201,7 @@ class Problem:
                     found.append(Knob(key=(name, p.name), joint=-1))
                     continue
                 mask = joints.get(name, np.ones(len(self.machine.joints), dtype=bool))
+                mask = mask & self.machine.last if spec.tip else mask
                 found += [Knob(key=(name, p.name), joint=int(j)) for j in np.flatnonzero(mask)]
         return found
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.calibrate.fit import Fit, left_out, prior, solve
-from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.problem import Knob, Point, Problem, Sums
+from mimic.calibrate.replay import neutral
 from mimic.robot.effects import CATALOGUE
 from mimic.types import FloatArray
 
@@ -100,34 +101,62 @@ def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int
 
 
 def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:
-    """Return every start of the named effects after one linear step, best first."""
-    points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
-    plans = []
-    for name, point in points:
-        knobs = problem.knobs(point, {}, [name])
-        moved, groups, sizes = problem.difference_points(point, knobs)
-        plans.append((name, point, knobs, moved, groups, sizes))
-    replayed = problem.residuals([p for plan in plans for p in (plan[1], *plan[3])])
-    before, _ = left_out(incumbent, problem)
+    """Return the best start of each of the named effects after one linear step, best first.
+
+    First each start alone, with the numbers of the incumbent free; then the numbers of the effect from its best start.
+    """
     train = problem.blocks.train
-    found, at = [], 0
-    for name, point, knobs, moved, groups, sizes in plans:
-        base, rest = replayed[at], replayed[at + 1 : at + 1 + len(moved)]
-        at += 1 + len(moved)
-        if not np.isfinite(problem.block_squares(base)).all():
+    points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
+    moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
+    replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
+    best: dict[str, tuple[float, Point, FloatArray]] = {}
+    for i, (name, point) in enumerate(points):
+        residual = replayed.get(i, incumbent.residual)
+        if not np.isfinite(problem.block_squares(residual)).all():
             continue
-        columns = problem.columns(base, rest, groups, knobs, sizes)
-        columns = [np.nan_to_num(c) for c in columns]
-        everything = (*incumbent.knobs, *knobs)
-        sums = problem.sums(base, [*incumbent.columns, *columns], everything)
+        sums = problem.sums(residual, incumbent.columns, incumbent.knobs)
         hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-        step = solve(hessian + np.diag(prior(everything)), gradient, everything, point.read(everything), 1e-3)
-        # the same residual after the step, were the model linear
-        moved_square = sums.square - 2 * sums.gradient @ step + np.einsum("i,bij,j->b", step, sums.hessian, step)
-        moved_gradient = sums.gradient - sums.hessian @ step
-        linear = replace(sums, square=np.maximum(moved_square, 1e-9), gradient=moved_gradient)
-        trial = Fit(point=point.moved(everything, step), knobs=everything, residual=base, columns=(), sums=linear)
-        after, _ = left_out(trial, problem)
-        gain = float(np.mean(0.5 * np.log(before / np.maximum(after, 1e-9))))
-        found.append(Start(name=name, point=trial.point, gain=gain))
+        step = np.linalg.lstsq(hessian + np.diag(prior(incumbent.knobs)), gradient, rcond=1e-12)[0]
+        left = float(sums.square[train].sum() - gradient @ step)
+        if name not in best or left < best[name][0]:
+            best[name] = (left, point, residual)
+    plans = []
+    for name, (_, point, residual) in best.items():
+        shapes = not _acts(name, point, problem)  # where an effect is has no meaning while it is none
+        parameters = {p.name for p in CATALOGUE[name].parameters if p.shape and shapes}
+        knobs = [k for k in problem.knobs(point, {}, [name]) if k.key[1] not in parameters]
+        plans.append((name, point, residual, knobs, *problem.difference_points(point, knobs)))
+    moved = problem.residuals([p for plan in plans for p in plan[4]])
+    before, _ = left_out(incumbent, problem)
+    found, at = [], 0
+    for name, point, base, knobs, asked, groups, sizes in plans:
+        made = problem.columns(base, moved[at : at + len(asked)], groups, knobs, sizes)
+        at += len(asked)
+        everything = (*incumbent.knobs, *knobs)
+        sums = problem.sums(base, [*incumbent.columns, *(np.nan_to_num(c) for c in made)], everything)
+        found.append(_predicted(problem, name, point, base, everything, sums, before))
     return sorted(found, key=lambda s: -s.gain)
+
+
+def _acts(name: str, point: Point, problem: Problem) -> bool:
+    """Return whether any number of an effect that is not a shape differs from none."""
+    return any(
+        not np.array_equal(point.values[name, p.name], neutral(name, p.name, problem.machine))
+        for p in CATALOGUE[name].parameters
+        if not p.shape and not p.fixed
+    )
+
+
+def _predicted(
+    problem: Problem, name: str, point: Point, base: FloatArray, knobs: tuple[Knob, ...], sums: Sums, before: FloatArray
+) -> Start:
+    """Return the start after one linear step, with the gain that a linear model would have there."""
+    train = problem.blocks.train
+    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+    step = solve(hessian, gradient, knobs, point.read(knobs), 1e-3)
+    square = sums.square - 2 * sums.gradient @ step + np.einsum("i,bij,j->b", step, sums.hessian, step)
+    linear = replace(sums, square=np.maximum(square, 1e-9), gradient=sums.gradient - sums.hessian @ step)
+    trial = Fit(point=point.moved(knobs, step), knobs=knobs, residual=base, columns=(), sums=linear)
+    after, _ = left_out(trial, problem)
+    gain = float(np.mean(0.5 * np.log(before / np.maximum(after, 1e-9))))
+    return Start(name=name, point=trial.point, gain=gain)

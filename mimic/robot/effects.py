@@ -64,6 +64,8 @@ class Effect:
     """Part of every model; fitted first."""
     structural: bool = False
     """A threshold or an added state: a derivative at neutral does not see it, so it is always refitted."""
+    tip: bool = False
+    """Only the last joint of a chain can have it."""
     random: bool = False
     """Drawn anew in every run, so it can be simulated but not replayed."""
     signature: str
@@ -437,6 +439,7 @@ _ALL = (
         name="payload",
         title="payload at the end of the limb",
         equation="a point of mass at the tip of the last link",
+        tip=True,
         parameters=(Parameter(name="mass", unit="kg", neutral=0.0, low=-0.5, high=5.0, step=0.01),),
         signature="follows gravity over the pose of the whole limb, and acceleration",
         experiment="static poses and a chirp",
