@@ -1,6 +1,7 @@
 """``python -m mimic.train OUT [--resume CHECKPOINT] [name=value ...]``: training without the command-line library.
 
-For a GPU machine that has little more than PyTorch, and for torchrun. ``name=value`` sets a field of MdpSettings,
+For a GPU machine that has little more than PyTorch, and for several GPUs: ``torchrun --nproc-per-node 2 -m mimic.train
+OUT worlds=8192`` gives each of two GPUs 8192 worlds of its own. ``name=value`` sets a field of MdpSettings,
 LearnSettings, RewardWeights or Randomisation, such as ``worlds=4096 seed=2 rewards.slip=-0.4``.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
 from pathlib import Path
 
@@ -45,7 +47,8 @@ def main() -> int:
     except MimicError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    sys.stderr.write(f"wrote {path}\n")
+    if os.environ.get("RANK", "0") == "0":
+        sys.stderr.write(f"wrote {path}\n")
     return 0
 
 

@@ -154,9 +154,6 @@ class CapturedPPO(PPO):
         self.critic.update_normalization(seen)  # type: ignore[arg-type]
         with torch.no_grad():  # the spread after the update, and no tensor of a graph kept alive
             self.actor.distribution.update(torch.zeros(1, self.storage.actions_shape[0], device=self.device))  # type: ignore
-        if self.is_multi_gpu:
-            torch.distributed.all_reduce(self._sums)
-            self._sums /= self.gpu_world_size
         *sums, self.learning_rate = torch.cat([self._sums, self._rate[None]]).tolist()  # waits for the device
         self.storage.clear()
         steps = self.num_learning_epochs * self.num_mini_batches

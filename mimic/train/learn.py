@@ -7,98 +7,24 @@ import io
 import json
 import logging
 import math
-import os
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.runners import OnPolicyRunner
-from rsl_rl.utils.logger import Logger
 
-from mimic.errors import ConfigError, MimicError
 from mimic.policy.contract import METADATA_KEY, PolicyContract
 from mimic.robot.description import RobotDescription, load_description
 from mimic.settings import LearnSettings, MdpSettings
 from mimic.store import plain, save_json, written_whole
 from mimic.train.environment import StandTrackEnv, make_contract
 from mimic.train.mirror import with_mirrored
+from mimic.train.runner import Enough, QuietLogger, Ranks, Report, Runner, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 
 log = logging.getLogger(__name__)
-
-Report = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number and the figures of the run."""
-
-
-class TrainingDiverged(MimicError):
-    """A loss is not finite; the last checkpoint is whole."""
-
-
-class _Enough(Exception):
-    """The time is over."""
-
-
-class _Logger(Logger):
-    """rsl_rl's logger without its console table and without waiting for the device at each step."""
-
-    def attach(self, report: Report | None, deadline: float, progressed: Callable[[float], None]) -> None:
-        self._report, self._deadline, self._begin = report, deadline, time.monotonic()
-        self._progressed = progressed
-        self._ended = torch.zeros(3, device=self.device)
-
-    def _store_code_state(self) -> list[str]:
-        return []  # the settings and their hash are stored; a copy of the user's git state is not asked for
-
-    def process_env_step(self, rewards: Any, dones: Any, extras: Any, intrinsic_rewards: Any = None) -> None:
-        if self.writer is None:
-            return
-        if "log" in extras:
-            self.ep_extras.append(extras["log"])
-        self.cur_reward_sum += rewards
-        self.cur_episode_length += 1
-        done = dones > 0
-        self._ended += torch.stack(
-            [(self.cur_reward_sum * done).sum(), (self.cur_episode_length * done).sum(), done.sum()]
-        )
-        self.cur_reward_sum *= ~done
-        self.cur_episode_length *= ~done
-
-    def log(self, it: int, **figures: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        if self.writer is None:
-            return
-        rewards, lengths, count = self._ended.tolist()
-        self._ended.zero_()
-        if count:
-            self.rewbuffer.clear()
-            self.lenbuffer.clear()
-            self.rewbuffer.append(rewards / count)
-            self.lenbuffer.append(lengths / count)
-        losses = figures["loss_dict"]
-        if not all(math.isfinite(v) for v in losses.values()):
-            raise TrainingDiverged(f"the losses of update {it} are {losses}; resume from the last checkpoint")
-        row = {k: float(v) for extras in self.ep_extras for k, v in extras.items()}
-        with contextlib.redirect_stdout(io.StringIO()):
-            super().log(it=it, **figures)
-        row |= {
-            "reward": rewards / count if count else float("nan"),
-            "episode": lengths / count if count else float("nan"),
-            "std": float(figures["action_std"].detach().mean()),
-            "learning_rate": figures["learning_rate"],
-            "collect_s": figures["collect_time"],
-            "learn_s": figures["learn_time"],
-            "steps": self.tot_timesteps,
-            "elapsed_s": time.monotonic() - self._begin,
-        }
-        done, span = it + 1 - figures["start_it"], figures["total_it"] - figures["start_it"]
-        self._progressed(max(done / span, row["elapsed_s"] / max(self._deadline - self._begin, 1e-9)))
-        if self._report is not None:
-            self._report(it, row)
-        if time.monotonic() > self._deadline:
-            raise _Enough
 
 
 def runner_config(settings: LearnSettings) -> dict[str, Any]:
@@ -162,6 +88,9 @@ def train(
 ) -> Path:
     """Train a policy and export it.
 
+    Started by torchrun, every process has worlds of its own, drawn from a seed of its own, on a GPU of its own; all
+    learn one policy, and the first process writes.
+
     Args:
         folder: Receives checkpoints, TensorBoard files, settings.json and policy.onnx.
         resume: Checkpoint to go on from; the settings must shape the same networks.
@@ -174,21 +103,17 @@ def train(
         ConfigError: If the device is not there.
     """
     description = description or load_description()
-    device = learn.device if learn.device != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-    rank = int(os.environ.get("LOCAL_RANK", "0"))
-    if "WORLD_SIZE" in os.environ and int(os.environ["WORLD_SIZE"]) > 1:
-        device = f"cuda:{rank}"
-        torch.cuda.set_device(rank)
-    folder.mkdir(parents=True, exist_ok=True)
+    ranks = Ranks.of_environment()
+    device = ranks.device(learn.device)
     torch.backends.cuda.matmul.allow_tf32 = True
-    save_json({"mdp": plain(mdp), "learn": plain(learn)}, folder / "settings.json")
+    if ranks.first:
+        folder.mkdir(parents=True, exist_ok=True)
+        save_json({"mdp": plain(mdp), "learn": plain(learn)}, folder / "settings.json")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
-    env = kind(description, mdp, device, learn.seed + 1000 * rank)
+    env = kind(description, mdp, device, learn.seed + 1000 * ranks.rank)
     with contextlib.redirect_stdout(io.StringIO()):
-        runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
-    runner.logger.__class__ = _Logger
+        runner = Runner(env, runner_config(learn), str(folder), device)
+    runner.logger.__class__ = QuietLogger
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
     contract = make_contract(description, mdp, settings_hash(mdp, learn))
@@ -196,7 +121,7 @@ def train(
 
     def progressed(share: float) -> None:
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
-        if due and time.monotonic() - begin > 60 * due[-1]:
+        if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:
             export(runner, contract, folder / f"policy_{due.pop():g}min.onnx")
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
@@ -206,17 +131,21 @@ def train(
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     try:
         runner.learn(learn.iterations)
-    except _Enough:
+    except Enough:
         log.info("stopped after %.1f min", learn.minutes)
     except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
         if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):
             raise
         raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
-    runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
-    return export(runner, contract, folder / "policy.onnx")
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
+    if ranks.first:
+        runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
+        export(runner, contract, folder / "policy.onnx")
+    return folder / "policy.onnx"
 
 
-def export(runner: OnPolicyRunner, contract: PolicyContract, path: Path) -> Path:
+def export(runner: Runner, contract: PolicyContract, path: Path) -> None:
     """Write the policy as ONNX with its contract in the metadata."""
     import onnx
 
@@ -239,4 +168,3 @@ def export(runner: OnPolicyRunner, contract: PolicyContract, path: Path) -> Path
     onnx.checker.check_model(graph)
     with written_whole(path) as part:
         onnx.save(graph, str(part))
-    return path

@@ -1,0 +1,182 @@
+"""The runner and the logger of rsl_rl for one process or several (torchrun), and what all processes agree on."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils.logger import Logger
+
+from mimic.errors import ConfigError, MimicError
+
+Report = Callable[[int, dict[str, float]], None]
+"""Called after each update with its number and the figures of the run."""
+
+
+class TrainingDiverged(MimicError):
+    """A loss is not finite; the last checkpoint is whole."""
+
+
+class Enough(Exception):
+    """The time is over."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranks:
+    """Which of the processes of a training this is; the first one writes."""
+
+    rank: int
+    local: int
+    """Among those of this machine, which is the number of its GPU."""
+    count: int
+
+    @classmethod
+    def of_environment(cls) -> Ranks:
+        """Return what torchrun says; without it, one process."""
+        rank, local, count = (int(os.environ.get(k, d)) for k, d in (("RANK", 0), ("LOCAL_RANK", 0), ("WORLD_SIZE", 1)))
+        return cls(rank=rank, local=local, count=count)
+
+    @property
+    def first(self) -> bool:
+        """True for the process that writes."""
+        return self.rank == 0
+
+    def device(self, wanted: str) -> str:
+        """Return the device of this process.
+
+        Raises:
+            ConfigError: If it is not there.
+        """
+        device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
+        if not device.startswith("cuda"):
+            return device
+        if not torch.cuda.is_available():
+            raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+        if self.count == 1:
+            return device
+        if self.local >= torch.cuda.device_count():
+            raise ConfigError(
+                f"process {self.local} of this machine has no GPU of its own, there are {torch.cuda.device_count()}; "
+                "start as many processes as there are GPUs"
+            )
+        torch.cuda.set_device(self.local)
+        return f"cuda:{self.local}"
+
+
+class Runner(OnPolicyRunner):
+    """rsl_rl's runner, with processes on CPUs too."""
+
+    def _configure_multi_gpu(self) -> None:
+        if str(self.device).startswith("cuda"):
+            super()._configure_multi_gpu()
+            return
+        ranks = Ranks.of_environment()
+        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = ranks.count, ranks.local, ranks.rank
+        self.is_distributed = ranks.count > 1
+        self.cfg["multi_gpu"] = None
+        if self.is_distributed:
+            self.cfg["multi_gpu"] = {
+                "global_rank": ranks.rank,
+                "local_rank": ranks.local,
+                "world_size": ranks.count,
+            }
+            torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
+
+
+class QuietLogger(Logger):
+    """rsl_rl's logger without its console table and without waiting for the device at each step.
+
+    Every process of a training has one; only the first writes, but all stop together.
+    """
+
+    def attach(self, report: Report | None, deadline: float, progressed: Callable[[float], None]) -> None:
+        """Say what to call, and when the time is over (of ``time.monotonic``) [s]."""
+        self._report, self._deadline, self._begin = report, deadline, time.monotonic()
+        self._progressed = progressed
+        self._ended = torch.zeros(3, device=self.device)
+
+    def _store_code_state(self) -> list[str]:
+        return []  # the settings and their hash are stored; a copy of the user's git state is not asked for
+
+    def process_env_step(self, rewards: Any, dones: Any, extras: Any, intrinsic_rewards: Any = None) -> None:
+        """Add up what has ended."""
+        if self.writer is None:
+            return
+        if "log" in extras:
+            self.ep_extras.append(extras["log"])
+        self.cur_reward_sum += rewards
+        self.cur_episode_length += 1
+        done = dones > 0
+        self._ended += torch.stack(
+            [(self.cur_reward_sum * done).sum(), (self.cur_episode_length * done).sum(), done.sum()]
+        )
+        self.cur_reward_sum *= ~done
+        self.cur_episode_length *= ~done
+
+    def log(self, it: int, **figures: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Write the figures of an update; stop the training when it is over.
+
+        Raises:
+            TrainingDiverged: In every process, if a loss is not finite in one.
+            Enough: In every process, if the time is over in one.
+        """
+        losses = figures["loss_dict"]
+        elapsed = time.monotonic() - self._begin
+        broken = not all(math.isfinite(v) for v in losses.values())
+        done, span = it + 1 - figures["start_it"], figures["total_it"] - figures["start_it"]
+        share = max(done / span, elapsed / max(self._deadline - self._begin, 1e-9))
+        broken, over, share = self._agreed(broken, time.monotonic() > self._deadline, share)
+        if broken:
+            raise TrainingDiverged(
+                f"the losses of update {it} are not finite (here {losses}); resume from the last checkpoint"
+            )
+        if self.writer is not None:
+            self._write(it, elapsed, figures)
+        self._progressed(share)
+        if over:
+            raise Enough
+
+    def _agreed(self, *values: float) -> list[float]:
+        """Return the largest of each value over all processes."""
+        if not torch.distributed.is_initialized():
+            return list(values)
+        tensor = torch.tensor(values, dtype=torch.float64, device=self.device)
+        torch.distributed.all_reduce(tensor, op=torch.distributed.ReduceOp.MAX)
+        return tensor.tolist()
+
+    def _write(self, it: int, elapsed: float, figures: dict[str, Any]) -> None:
+        rewards, lengths, count = self._ended.tolist()
+        self._ended.zero_()
+        if count:
+            self.rewbuffer.clear()
+            self.lenbuffer.clear()
+            self.rewbuffer.append(rewards / count)
+            self.lenbuffer.append(lengths / count)
+        row: dict[str, float] = {}
+        for extras in self.ep_extras:  # one wait for the device instead of one a figure
+            row |= dict(zip(extras, torch.stack([v.float() for v in extras.values()]).tolist(), strict=True))
+        for name, value in row.items():
+            self.writer.add_scalar(name, value, it)  # type: ignore[union-attr]
+        self.ep_extras.clear()
+        with contextlib.redirect_stdout(io.StringIO()):
+            super().log(it=it, **figures)
+        row |= {
+            "reward": rewards / count if count else float("nan"),
+            "episode": lengths / count if count else float("nan"),
+            "std": float(figures["action_std"].detach().mean()),
+            "learning_rate": figures["learning_rate"],
+            "collect_s": figures["collect_time"],
+            "learn_s": figures["learn_time"],
+            "steps": self.tot_timesteps,
+            "elapsed_s": elapsed,
+        }
+        if self._report is not None:
+            self._report(it, row)

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mimic.errors import ConfigError
+from mimic.settings import LearnSettings, MdpSettings
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
+    pytest.importorskip(library, reason="training needs the extra 'train'")
+from mimic.robot.description import load_description  # noqa: E402
+from mimic.train.environment import StandTrackEnv  # noqa: E402
+from mimic.train.learn import runner_config  # noqa: E402
+from mimic.train.runner import Ranks, Runner  # noqa: E402
+
+together = pytest.mark.skipif(
+    not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="PyTorch without gloo"
+)
+MDP = MdpSettings(worlds=4)
+LEARN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=2, minibatches=2, captured=True)
+
+
+def learned(seed: int, learn: LearnSettings) -> torch.Tensor:
+    """Learn once from a storage full of noise of a seed; return the policy's parameters."""
+    torch.set_num_threads(1)
+    env = StandTrackEnv(load_description(), MDP, "cpu", 0)
+    torch.manual_seed(3)
+    runner = Runner(env, runner_config(learn), None, "cpu")
+    if runner.is_distributed:
+        runner.alg.broadcast_parameters()
+    noise = torch.Generator().manual_seed(seed)
+    for update in range(2):
+        torch.manual_seed(100 * seed + update)
+        with torch.inference_mode():
+            for _ in range(learn.steps):
+                seen = env.get_observations()
+                for tensor in seen.values():
+                    tensor.copy_(torch.randn(tensor.shape, generator=noise))
+                runner.alg.act(seen)
+                ended = torch.zeros(env.num_envs, dtype=torch.long)
+                runner.alg.process_env_step(seen, torch.randn(env.num_envs, generator=noise), ended, {})
+            runner.alg.compute_returns(seen)
+        runner.alg.update()
+    state = runner.alg.actor.state_dict()
+    return torch.cat([v.double().flatten() for name, v in state.items() if "count" not in name])
+
+
+def process(rank: int, port: int, seeds: tuple[int, int], captured: bool, folder: str) -> None:
+    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": "2"}
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    torch.save(learned(seeds[rank], dataclasses.replace(LEARN, captured=captured)), f"{folder}/{rank}.pt")
+    torch.distributed.destroy_process_group()
+
+
+def two(seeds: tuple[int, int], folder: Path, captured: bool = True) -> list[torch.Tensor]:
+    """Return the parameters that two processes end with."""
+    import socket
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    torch.multiprocessing.spawn(process, args=(port, seeds, captured, str(folder)), nprocs=2)
+    return [torch.load(folder / f"{rank}.pt") for rank in (0, 1)]
+
+
+@together
+def test_two_processes_that_see_the_same_learn_what_one_learns(tmp_path):
+    first, second = two((1, 1), tmp_path)
+    assert torch.equal(first, second)
+    assert (first - learned(1, LEARN)).abs().max() < 2e-5
+
+
+@together
+def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
+    first, second = two((1, 2), tmp_path)
+    assert torch.equal(first, second)
+    for seed in (1, 2):
+        assert (first - learned(seed, LEARN)).abs().max() > 1e-3
+    plain, _ = two((1, 2), tmp_path, captured=False)
+    assert (first - plain).abs().max() < 2e-5
+
+
+@together
+@pytest.mark.parametrize("captured", [False, True])
+def test_torchrun_trains_one_policy_and_the_first_process_writes_it(captured, tmp_path):
+    words = ["worlds=4", "iterations=2", "steps=8", "hidden=[32,16]", "device=cpu", f"captured={captured}"]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command = [*torchrun, "-m", "mimic.train", str(tmp_path / "out"), "--every", "1", *words]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, env=os.environ | {"MUJOCO_GL": "disable"}
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("wrote ") == 1
+    assert {"policy.onnx", "last.pt", "settings.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert len(list((tmp_path / "out").glob("events.*"))) == 1
+    saved = torch.load(tmp_path / "out" / "last.pt", weights_only=False)
+    seen_by_both = 2 * 2 * 4 * 8
+    assert saved["actor_state_dict"]["obs_normalizer.count"] == seen_by_both
+
+
+def test_the_first_process_writes_and_each_has_a_gpu_of_its_own(monkeypatch):
+    assert Ranks.of_environment() == Ranks(rank=0, local=0, count=1)
+    for name, value in (("RANK", "5"), ("LOCAL_RANK", "1"), ("WORLD_SIZE", "8")):
+        monkeypatch.setenv(name, value)
+    ranks = Ranks.of_environment()
+    assert not ranks.first
+    assert ranks.device("cpu") == "cpu"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    with pytest.raises(ConfigError, match="as many processes as there are GPUs"):
+        ranks.device("auto")
