@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -105,6 +105,9 @@ def train(
     description = description or load_description()
     ranks = Ranks.of_environment()
     device = ranks.device(learn.device)
+    if mdp.task == "sit_down" and learn.mirror:
+        log.info("sitting down is trained without the mirror loss: its clock tells the time, which has no mirror image")
+        learn = replace(learn, mirror=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
     if ranks.first:
         folder.mkdir(parents=True, exist_ok=True)
