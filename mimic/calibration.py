@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from mimic.store import plain
 from mimic.types import FloatArray
+
+FORMAT = 1
+"""Version of the keys of :meth:`Calibration.to_json`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,3 +134,56 @@ class Calibration:
     """Time taken [s]."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Log, model, settings."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything but the traces as plain data; the keys are described in docs/calibration.md."""
+        declared = self.stages[0].errors if self.stages else self.nominal
+        final = self.stages[-1].errors if self.stages else self.nominal
+        return plain(
+            {
+                "format": FORMAT,
+                "sentence": self.sentence,
+                "belongs": self.belongs,
+                "found": [s.added for s in self.stages if s.added not in ("", "declared")],
+                "joints": self.joints,
+                "unit": self.unit,
+                "noise": dict(zip(self.joints, self.noise, strict=True)),
+                "errors": {
+                    "nominal": self._errors(self.nominal),
+                    "declared": self._errors(declared),
+                    "final": self._errors(final),
+                },
+                "stages": [
+                    {
+                        "added": s.added,
+                        "errors": self._errors(s.errors),
+                        "rivals": s.rivals,
+                        "candidates": s.candidates,
+                    }
+                    for s in self.stages
+                ],
+                "effects": [
+                    {
+                        "name": e.name,
+                        "joints": e.joints,
+                        "role": e.role,
+                        "values": e.values,
+                        "intervals": e.intervals,
+                    }
+                    for e in self.effects
+                ],
+                "unexplained": self.unexplained,
+                "experiments": self.experiments,
+                "not_identifiable": self.not_identifiable,
+                "warnings": self.warnings,
+                "replays": self.replays,
+                "seconds": self.seconds,
+                "metadata": self.metadata,
+            }
+        )
+
+    def _errors(self, errors: Errors) -> dict[str, Any]:
+        return {
+            side: {**dict(zip(self.joints, values, strict=True)), "all": Errors.total(values)}
+            for side, values in (("train", errors.train), ("held_out", errors.held_out))
+        }
