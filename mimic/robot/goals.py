@@ -12,7 +12,7 @@ from mimic.robot.description import RobotDescription
 from mimic.robot.leg import front_legs, front_toes
 from mimic.types import FloatArray
 
-MARGIN = np.deg2rad(5.0)
+MARGIN = float(np.deg2rad(5.0))
 """Distance kept from every joint limit [rad]; the paper ends an episode there."""
 
 CLEARANCE = 0.03

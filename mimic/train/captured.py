@@ -150,8 +150,11 @@ class CapturedPPO(PPO):
         for _ in range(self.num_learning_epochs):
             self._epoch()
         seen = self.storage.observations.flatten(0, 1)
-        self.actor.update_normalization(seen)  # type: ignore[arg-type]
-        self.critic.update_normalization(seen)  # type: ignore[arg-type]
+        for model in (self.actor, self.critic):
+            spread = model.obs_normalizer._std
+            model.update_normalization(seen)  # type: ignore[arg-type]
+            spread.copy_(model.obs_normalizer._std)  # rsl_rl puts another tensor here, which no graph would know
+            model.obs_normalizer._std = spread
         with torch.no_grad():  # the spread after the update, and no tensor of a graph kept alive
             self.actor.distribution.update(torch.zeros(1, self.storage.actions_shape[0], device=self.device))  # type: ignore
         *sums, self.learning_rate = torch.cat([self._sums, self._rate[None]]).tolist()  # waits for the device

@@ -117,6 +117,7 @@ class StandTrackEnv(VecEnv):
             self._tensor(d.q_min + self.soft_margin),
             self._tensor(d.q_max - self.soft_margin),
         )
+        self._upright = tuple(d.upright_direction.tolist())
         w = self.worlds
         self._front = w.geom_columns(
             "FL_thigh", "FL_shank", "FL_rubber", "FL_toe", "FR_thigh", "FR_shank", "FR_rubber", "FR_toe"
@@ -255,7 +256,7 @@ class StandTrackEnv(VecEnv):
         return torch.arctan2(sine, cosine)
 
     def _up(self, heading: torch.Tensor) -> torch.Tensor:
-        return upright_cosine(*self._quat(), heading=heading, direction=self.description.upright_direction, xp=torch)
+        return upright_cosine(*self._quat(), heading=heading, direction=self._upright, xp=torch)
 
     def _velocity(self, heading: torch.Tensor) -> torch.Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s]."""

@@ -42,6 +42,9 @@ RANDOMISED = (
 )
 """Model fields that differ from world to world."""
 
+_KINDS = mujoco.mjtGeom
+BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
+
 VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
 
@@ -157,10 +160,9 @@ class Worlds:
         box = (up.abs() * size).sum(-1)
         round_ = size[:, 1] * up[..., 2].abs() + size[:, 0] * torch.sqrt(torch.clamp(1 - up[..., 2] ** 2, min=0.0))
         capsule = size[:, 1] * up[..., 2].abs() + size[:, 0]
-        kinds = mujoco.mjtGeom
-        drop = torch.where(s.kind == int(kinds.mjGEOM_BOX), box, size[:, 0])
-        drop = torch.where(s.kind == int(kinds.mjGEOM_CYLINDER), round_, drop)
-        drop = torch.where(s.kind == int(kinds.mjGEOM_CAPSULE), capsule, drop)
+        drop = torch.where(s.kind == BOX, box, size[:, 0])
+        drop = torch.where(s.kind == CYLINDER, round_, drop)
+        drop = torch.where(s.kind == CAPSULE, capsule, drop)
         return self.geom_xpos[:, s.geoms, 2] - drop
 
     def _run(self) -> None:

@@ -135,6 +135,24 @@ def test_a_captured_training_runs_from_start_to_policy(tmp_path):
     assert resumed.exists()
 
 
+def test_what_a_graph_reads_stays_where_it_is(env, tmp_path):
+    """A graph replays addresses: a tensor that is replaced would go on being read as it was."""
+    one = runner(env, CAPTURED)
+
+    def places() -> list[int]:
+        models = (one.alg.actor, one.alg.critic)
+        return [t.data_ptr() for model in models for t in (*model.parameters(), *model.buffers())]
+
+    before, values = places(), weights(one)
+    for seed in range(2):
+        rollout(one, seed)
+        update(one, seed)
+    one.save(str(tmp_path / "one.pt"))
+    one.load(str(tmp_path / "one.pt"))
+    assert places() == before
+    assert not torch.equal(weights(one), values)
+
+
 def test_what_cannot_be_captured_is_refused(env):
     with pytest.raises(ConfigError, match="use PPO"):
         runner(env, CAPTURED, normalize_advantage_per_mini_batch=True)
