@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mimic.frames import heading_from_quat, upright_cosine, wrap_angle
+from mimic.heat import seconds_to_limit, winding_rise
 from mimic.robot.description import RobotDescription
 from mimic.types import JOINTS, PHASES, FloatArray, RunLog
 
@@ -15,9 +16,6 @@ UPRIGHT_COSINE = 0.9
 
 UPRIGHT_HEIGHT = 0.35
 """… and the base at least this high [m], where height is measured; the paper's factor is 1 from here on."""
-
-HEAT_WINDOW = 10.0
-"""Torques are averaged (root mean square) over this long before the overload table is read [s]."""
 
 
 def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArray:
@@ -66,32 +64,6 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     return best * dt, float(errors[best])
 
 
-def overload_seconds(torque: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return how long a motor bears a torque from 25 degC [s]: the overload table, infinite at the rated torque.
-
-    Between the table's points the logarithm of the time is linear in the torque. Source: CyberGear manual, section 2.1.
-    """
-    table_torque = np.concatenate([[description.torque_rated], description.overload_torque])
-    table_time = np.concatenate([[1e6], description.overload_seconds])
-    seconds = np.exp(np.interp(np.abs(torque), table_torque, np.log(table_time)))
-    return np.where(np.abs(torque) <= description.torque_rated, np.inf, seconds)
-
-
-def thermal_load(log: RunLog, description: RobotDescription) -> FloatArray:
-    """Return the share of its overload time that each motor used (12,); 1 is the winding limit.
-
-    Cooling is not counted, so this is the upper end.
-    """
-    tau, dt = log.tau, _step(log)
-    window = max(1, min(len(tau), round(HEAT_WINDOW / dt)))
-    used = np.zeros(tau.shape[1])
-    for begin in range(0, len(tau), window):
-        piece = tau[begin : begin + window]
-        effective = np.sqrt(np.mean(piece**2, axis=0))
-        used += len(piece) * dt / overload_seconds(effective, description)
-    return used
-
-
 def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     """Return the figures of a run as plain data; lengths in cm where the name says so."""
     error = 100 * toe_error(log)
@@ -99,12 +71,12 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
     stood = standing(log, description)
     stand_up = stand_up_time(log, description)
     rows = log.aimed
-    heat = thermal_load(log, description)
-    hottest = int(np.argmax(heat))
     dt = _step(log)
+    lasting = log.tau[rows] if rows.any() else log.tau
+    rise, limit = winding_rise(log.tau, dt, description)[-1], seconds_to_limit(lasting, dt, description)
+    hottest = int(np.argmax(np.mean(lasting**2, axis=0)))
     knees = [i for i, name in enumerate(JOINTS) if name.startswith("R") and name.endswith("knee")]
     duration = len(log.t) * dt
-    rate = heat[hottest] / duration
     heading = heading_from_quat(log.quat_WB)
     aimed = np.flatnonzero(rows)
     drift = np.linalg.norm(np.diff(log.p_WB[aimed[[0, -1]], :2], axis=0)) if len(aimed) else float("nan")
@@ -131,7 +103,7 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
             "knee_rms": float(np.sqrt(np.mean(log.tau[rows][:, knees] ** 2))) if rows.any() else float("nan"),
         },
         "joint_speed_max_rad_s": float(np.abs(log.dq).max()),
-        "thermal_load": {name: float(heat[i]) for i, name in enumerate(JOINTS)},
+        "winding_rise": {name: float(rise[i]) for i, name in enumerate(JOINTS)},
         "hottest_motor": JOINTS[hottest],
-        "minutes_to_limit": float(1 / rate / 60) if rate > 0 else float("inf"),
+        "minutes_to_limit": float(limit[hottest] / 60),
     }

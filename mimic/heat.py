@@ -1,0 +1,76 @@
+"""How warm the motors get: a winding inside a housing, each warmed by the square of the torque, fitted to the manual.
+
+The winding's rise above the surroundings is the sum of two first-order responses to the torque squared, a fast one (the
+winding over its housing) and a slow one (the housing over the air). Parameters and their source: robot.toml,
+``[motor.thermal]``. Everything is linear in the torque squared, so a log that repeats has a closed form.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.robot.description import RobotDescription
+from mimic.types import FloatArray
+
+LONGEST = 1e6
+"""A limit that is not reached within this is never reached [s]; 11 days."""
+
+
+def _modes(description: RobotDescription) -> tuple[FloatArray, FloatArray]:
+    """Return the share of each response (2,) and its time constant (2,) [s], fast and slow."""
+    thermal = description.raw["motor"]["thermal"]
+    share = float(thermal["winding_share"])
+    return np.array([share, 1.0 - share]), np.array([thermal["winding_seconds"], thermal["housing_seconds"]])
+
+
+def _responses(tau: FloatArray, dt: float, description: RobotDescription) -> tuple[FloatArray, FloatArray]:
+    """Return both responses after each tick of a cold start (2, ticks, motors), and what a tick leaves of them (2,)."""
+    from scipy.signal import lfilter
+
+    share, seconds = _modes(description)
+    heat = np.square(np.asarray(tau) / description.torque_rated)
+    left = np.exp(-dt / seconds)
+    gains = share * (1 - left)
+    warmed = [lfilter([gain], [1.0, -keep], heat, axis=0) for gain, keep in zip(gains, left, strict=True)]
+    return np.stack(warmed), left
+
+
+def winding_rise(tau: FloatArray, dt: float, description: RobotDescription) -> FloatArray:
+    """Return the rise of each winding after each tick, from cold; 1 is the limit.
+
+    Args:
+        tau: Torques (ticks, motors) [N m].
+        dt: Time between two ticks [s].
+        description: The robot.
+    """
+    return _responses(tau, dt, description)[0].sum(axis=0)
+
+
+def seconds_to_limit(tau: FloatArray, dt: float, description: RobotDescription) -> FloatArray:
+    """Return when each winding first reaches its limit if these torques repeat for ever (motors,) [s]; infinite if never.
+
+    Args:
+        tau: Torques (ticks, motors) [N m].
+        dt: Time between two ticks [s].
+        description: The robot.
+    """
+    once, left = _responses(tau, dt, description)
+    ticks = once.shape[1]
+    kept = left[:, None] ** np.arange(1, ticks + 1)  # of what there was at the beginning of a repetition
+    settled = once[:, -1] / (1 - kept[:, -1:])  # at the beginning of a repetition, after many
+
+    def rise(motor: int, repetition: int) -> FloatArray:
+        before = settled[:, motor] * (1 - kept[:, -1] ** repetition)
+        return (before[:, None] * kept + once[:, :, motor]).sum(axis=0)
+
+    most = int(LONGEST / (ticks * dt)) + 1
+    found = np.full(once.shape[2], np.inf)
+    for motor in range(once.shape[2]):
+        if rise(motor, most).max() < 1.0:
+            continue
+        low, high = 0, most  # the first repetition that reaches the limit: each is warmer than the one before
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (low, middle) if rise(motor, middle).max() >= 1.0 else (middle + 1, high)
+        found[motor] = (low * ticks + int(np.argmax(rise(motor, low) >= 1.0)) + 1) * dt
+    return found
