@@ -599,3 +599,31 @@ class CalibrateSettings:
         _check_range("most-effects", self.most_effects, 0, 20)
         _check_range("samples", self.samples, 1, 10_000_000)
         _check_range("timestep", self.timestep, 0.0, 0.005, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogSettings:
+    """How a log is simulated."""
+
+    noise: float = 0.00035
+    """Standard deviation of a position reading [rad]."""
+    resolution: float = 2 * 12.5 / 65535
+    """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
+    rate: float = 200.0
+    """Readings a second [Hz]."""
+    lost_samples: float = 0.0
+    """Share of readings that are missing from the log."""
+    jitter: float = 0.0
+    """Standard deviation of the times of the readings [s]."""
+    timestep: float = 0.0005
+    """Physics step [s]."""
+    seed: int = 0
+    """Seed of noise and losses."""
+
+    def __post_init__(self) -> None:
+        _check_range("noise", self.noise, 0.0, 0.1, "rad")
+        _check_range("resolution", self.resolution, 0.0, 0.1, "rad")
+        _check_range("rate", self.rate, 20.0, 2000.0, "Hz")
+        _check_range("lost-samples", self.lost_samples, 0.0, 0.9)
+        _check_range("jitter", self.jitter, 0.0, 0.01, "s")
+        _check_range("timestep", self.timestep, 0.0001, 0.005, "s")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mimic.calibrate.replay import Replay, neutral
@@ -12,40 +10,8 @@ from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.machine import MachineModel
+from mimic.settings import LogSettings
 from mimic.types import FloatArray
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LogSettings:
-    """How a log is simulated."""
-
-    noise: float = 0.00035
-    """Standard deviation of a position reading [rad]."""
-    resolution: float = 2 * 12.5 / 65535
-    """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
-    rate: float = 200.0
-    """Readings a second [Hz]."""
-    lost_samples: float = 0.0
-    """Share of readings that are missing from the log."""
-    jitter: float = 0.0
-    """Standard deviation of the times of the readings [s]."""
-    timestep: float = 0.0005
-    """Physics step [s]."""
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("noise", 0, 0.1),
-            ("resolution", 0, 0.1),
-            ("lost_samples", 0, 0.9),
-            ("jitter", 0, 0.01),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(
-                    f"{name.replace('_', '-')} is {getattr(self, name):g}; it must be from {low:g} to {high:g}"
-                )
-        if not 20 <= self.rate <= 2000:
-            raise ConfigError(f"rate is {self.rate:g} Hz; it must be from 20 to 2000 Hz")
 
 
 def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:

@@ -13,8 +13,10 @@ from cyclopts.exceptions import CycloptsError
 from mimic import __version__
 from mimic.errors import ConfigError, MimicError
 from mimic.settings import (
+    CalibrateSettings,
     EvaluateSettings,
     LearnSettings,
+    LogSettings,
     MdpSettings,
     PoseSettings,
     RetargetSettings,
@@ -192,6 +194,75 @@ def train(
 
     mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"))
     return train_policy(out, resume, mdp, learn or LearnSettings(), set or [])
+
+
+@app.command
+def calibrate(
+    log: Path,
+    /,
+    *,
+    model: Path | None = None,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+    settings: Annotated[CalibrateSettings | None, Flat] = None,
+) -> int:
+    """Explain a log of a machine: what its model lacks, with evidence, and a model that has it.
+
+    Parameters
+    ----------
+    log
+        Parquet or CSV with a row a reading: t, q.JOINT and q_des.JOINT; see docs/log-format.md.
+    model
+        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    out
+        Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
+    """
+    from mimic.cli.calibrate import calibrate_log
+
+    return calibrate_log(log, model, out or Path("calibration") / log.stem, settings or CalibrateSettings())
+
+
+log_app = App(name="log", help="Logs of machines.")
+app.command(log_app)
+
+
+@log_app.command
+def simulate(
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    effects: Path | None = None,
+    model: Path | None = None,
+    motion: Literal["probe", "random"] = "probe",
+    seconds: float = 120.0,
+    size: float = 1.0,
+    kp: float | None = None,
+    kd: float | None = None,
+    settings: Annotated[LogSettings | None, Flat] = None,
+) -> int:
+    """Log a simulated machine with hidden effects, as a real one would be logged.
+
+    Parameters
+    ----------
+    out
+        Parquet or CSV file to write.
+    effects
+        effects.toml with what the machine has; without, it is as its model says.
+    model
+        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    motion
+        probe shows every effect; random is for a second log.
+    seconds
+        Length [s].
+    size
+        Share of the joints' ranges that the motion uses.
+    kp
+        Position gain of the drives [N m/rad]; by default the model's.
+    kd
+        Velocity gain of the drives [N m s/rad]; by default the model's.
+    """
+    from mimic.cli.calibrate import MotionOptions, simulate_to
+
+    options = MotionOptions(kind=motion, seconds=seconds, size=size, kp=kp, kd=kd)
+    return simulate_to(out, effects, model, options, settings or LogSettings())
 
 
 @app.command

@@ -1,0 +1,192 @@
+"""Explaining logs and simulating them, from the command line."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from mimic import store
+from mimic.cli import COMMAND
+from mimic.cli.app import DONE, USER
+from mimic.cli.console import console, matrix, note, table, warn, working
+from mimic.errors import AssetError, ConfigError
+from mimic.settings import CalibrateSettings, LogSettings
+
+if TYPE_CHECKING:
+    from mimic.calibration import Calibration
+    from mimic.robot.machine import MachineModel
+
+REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
+"""Files of a calibration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """The motion of a simulated log."""
+
+    kind: Literal["probe", "random"]
+    seconds: float
+    """[s]"""
+    size: float
+    """Share of the joints' ranges."""
+    kp: float | None
+    """[N m/rad]; None for the model's."""
+    kd: float | None
+    """[N m s/rad]; None for the model's."""
+
+
+def machine_of(model: Path | None, gains: Mapping[str, Any]) -> MachineModel:
+    """Return the machine of an MJCF, or the robot hung up, with these gains."""
+    from mimic.robot.machine import hung_robot, read_machine, with_gains
+
+    if model is None:
+        from mimic.robot.description import load_description
+
+        return with_gains(hung_robot(load_description()), gains)
+    if not model.is_file():
+        raise AssetError(f"there is no model {model}; give an MJCF whose base is held")
+    return read_machine(model, gains)
+
+
+def calibrate_log(path: Path, model: Path | None, out: Path, settings: CalibrateSettings) -> int:
+    """Explain a log, print what was found, and write report, numbers and effects."""
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is a file; name a folder with --out")
+    with working("replays") as tell:
+        tell("reading", 0)
+        import numpy as np
+
+        from mimic.calibrate.checks import check_log
+        from mimic.calibrate.flow import calibrate
+        from mimic.machine_log import read_log
+
+        log = read_log(path)
+        machine = machine_of(model, log.metadata)
+        log = log.of(machine.joints)
+        tell("checking the log", 0)
+        limits = np.stack([machine.low, machine.high], -1)
+        facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+        result = calibrate(facts.log, machine, settings, tell)
+    inputs = {"log": path} | ({"model": model} if model else {})
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
+    warnings = tuple(dict.fromkeys((*facts.warnings, *result.warnings)))
+    metadata = {"name": path.name, **result.metadata, "provenance": store.plain(made_by)}
+    result = replace(result, warnings=warnings, metadata=metadata)
+    written = _write(result, out)
+    _tell(result, written)
+    return DONE if result.belongs else USER
+
+
+def _write(result: Calibration, out: Path) -> list[Path]:
+    """Write all files of a calibration, or none; effects only where log and model belong together."""
+    from mimic.robot.effect_set import write_effects
+    from mimic.view.report import write_report
+
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".part") as folder:
+        part = Path(folder)
+        made = [write_report(result, part / REPORT)]
+        store.save_json(result.to_json(), part / RESULT)
+        made.append(part / RESULT)
+        if result.belongs:
+            comment = (result.sentence, f"Made by: {COMMAND.get()}")
+            made.append(write_effects(result.effects, part / EFFECTS, comment))
+        else:
+            (out / EFFECTS).unlink(missing_ok=True)  # of an earlier log
+        return [file.replace(out / file.name) for file in made]
+
+
+def _tell(result: Calibration, written: list[Path]) -> None:
+    from mimic.calibration import Errors
+    from mimic.view.report_plots import unit_for
+    from mimic.view.svg import figure
+
+    for text in result.warnings:
+        warn(text)
+    unit = unit_for(result)
+    stages = {"as given": result.nominal}
+    if result.stages:
+        stages["declared fitted"] = result.stages[0].errors
+    if len(result.stages) > 1:
+        stages["final"] = result.stages[-1].errors
+    rows: dict[str, dict[str, str]] = {}
+    for i, joint in enumerate(result.joints):
+        rows[joint] = {name: figure(unit.factor * float(e.held_out[i])) for name, e in stages.items()}
+        rows[joint]["noise floor"] = figure(unit.factor * float(result.noise[i]))
+    if len(result.joints) > 1:
+        rows["all"] = {name: figure(unit.factor * Errors.total(e.held_out)) for name, e in stages.items()}
+        rows["all"]["noise floor"] = figure(unit.factor * Errors.total(result.noise))
+    matrix(f"Held-out error [{unit.name}]", rows)
+    found = _found(result)
+    if found:
+        table("Found", found)
+    console.print()
+    console.print(result.sentence, style="bold", markup=False, soft_wrap=True)
+    for line in result.experiments:
+        note(f"log next: {line}")
+    note(f"wrote {', '.join(map(str, written))} ({result.replays} replays, {result.seconds:.0f} s)")
+
+
+def _found(result: Calibration) -> dict[str, str]:
+    """Return the values of what was added to the declared model, the range over the joints."""
+    from mimic.robot.effects import CATALOGUE
+    from mimic.view.svg import number
+
+    added = {s.added for s in result.stages}
+    rows = {}
+    for e in result.effects:
+        if e.name not in added:
+            continue
+        spec, parts = CATALOGUE[e.name], []
+        for name, values in e.values.items():
+            unit = spec.parameter(name).unit
+            low, high = number(float(values.min())), number(float(values.max()))
+            parts.append(f"{name} {low if low == high else f'{low} … {high}'}{'' if unit == '1' else ' ' + unit}")
+        where = f" ({len(e.joints)} joints)" if len(e.joints) > 1 else f" ({e.joints[0]})" if e.joints else ""
+        rows[spec.title + where] = ", ".join(parts)
+    return rows
+
+
+def simulate_to(
+    out: Path, effects: Path | None, model: Path | None, motion: MotionOptions, settings: LogSettings
+) -> int:
+    """Write the log of a simulated machine."""
+    import numpy as np
+
+    from mimic.calibrate.simulate import simulate_log
+    from mimic.machine_log import write_log
+    from mimic.robot.description import load_description
+    from mimic.robot.effect_set import EffectSet, read_effects
+    from mimic.robot.excitation import hung_ranges, probe_targets
+
+    if out.suffix.lower() not in (".parquet", ".csv"):
+        raise ConfigError(f"{out} is neither .parquet nor .csv; name a log that can be written")
+    hidden = read_effects(effects) if effects else EffectSet()
+    given = {"kp": motion.kp, "kd": motion.kd}
+    machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
+    if model is None:
+        low, high, centre = hung_ranges(load_description())
+    else:
+        low, high = np.asarray(machine.low), np.asarray(machine.high)
+        open_ended = [j for j, a, b in zip(machine.joints, low, high, strict=True) if not np.isfinite(b - a)]
+        if open_ended:
+            raise ConfigError(
+                f"joint {open_ended[0]!r} of {model} has no range; give it one, so that the motion is known"
+            )
+        centre = (low + high) / 2
+    if not np.asarray(machine.drives.kp).all():
+        raise ConfigError(f"{model} has no position gain; give --kp and --kd, or position actuators in the model")
+    moved = probe_targets(
+        low, high, centre, seconds=motion.seconds, seed=settings.seed, kind=motion.kind, size=motion.size
+    )
+    with working("") as tell:
+        tell(f"simulating {motion.seconds:g} s", 0)
+        log = simulate_log(machine, moved.t, moved.q_des, hidden, settings)
+    sections = [[name, moved.t[a], moved.t[min(b, len(moved.t) - 1)]] for name, a, b in moved.sections]
+    note_ = {"motion": motion.kind, "sections": sections, "seed": settings.seed}
+    write_log(replace(log, metadata={**log.metadata, **note_}), out)
+    note(f"wrote {out}: {len(log.t)} readings of {len(log.joints)} joints; explain it with: mimic calibrate {out}")
+    return DONE
