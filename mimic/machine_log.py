@@ -66,8 +66,9 @@ class MachineLog:
 
     @property
     def rate(self) -> float:
-        """Readings per second [Hz]."""
-        return float(1.0 / np.median(np.diff(self.t)))
+        """Readings per second [Hz], gaps left out."""
+        steps = np.diff(self.t)
+        return float(1.0 / steps[steps < 1.5 * np.median(steps)].mean())
 
     @property
     def duration(self) -> float:

@@ -124,3 +124,10 @@ def test_missing_values_become_nan(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,q.a,q_des.a\n0,1,2\n0.01,,2\n")
     assert np.isnan(read_log(path).q[1, 0])
+
+
+def test_the_rate_is_that_of_the_clock_without_gaps() -> None:
+    t = np.cumsum(np.tile([0.000998, 0.000998, 0.001004], 1000))  # a median of 0.998 ms, a mean of 1 ms
+    t[2000:] += 0.7
+    log = MachineLog(joints=("a",), t=t, q=np.zeros((3000, 1)), q_des=np.zeros((3000, 1)))
+    assert log.rate == pytest.approx(1000.0, rel=1e-5)

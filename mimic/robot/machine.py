@@ -89,7 +89,7 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
         raise AssetError(f"{path} is not an MJCF that MuJoCo compiles: {str(reason).strip()}") from None
     single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     for j in range(original.njnt):
-        if original.jnt_type[j] not in single:
+        if int(original.jnt_type[j]) not in single:
             raise AssetError(
                 f"{path}: joint {original.joint(j).name!r} is free or a ball; "
                 "give a model whose base is held, with hinge and slide joints only"
@@ -144,6 +144,8 @@ def _machine(
         servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         servo.forcelimited, servo.ctrllimited = True, False
         servo.forcerange = [-UNLIMITED, UNLIMITED]
+    for body in spec.bodies:
+        body.simple = 0  # effects move its centre of mass
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
