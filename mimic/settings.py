@@ -362,6 +362,7 @@ UNDISTURBED = DisturbanceRanges(
 class RewardWeights:
     """Weight of each reward term, per control step; see mimic.train.rewards for the terms."""
 
+    alive: float = 0.5
     height: float = 0.6
     upright: float = 1.0
     velocity: float = 1.4
@@ -369,7 +370,7 @@ class RewardWeights:
     toes: float = 1.4
     toes_fine: float = 1.0
     gait: float = 1.2
-    slip: float = -0.5
+    slip: float = -1.0
     foot_shift: float = -2.0
     rules: float = -1.0
     flight: float = -0.5
@@ -384,8 +385,12 @@ class RewardWeights:
     fall: float = -2.0
 
 
-REGULARISERS = ("action_rate", "torque", "overload", "joint_velocity", "joint_acceleration", "slip")
+REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 """Reward terms that grow during training, once the robot stands."""
+
+LATE = ("slip", "foot_shift", "rules", "flight", "overload", "joint_speed")
+"""Reward terms that hardly count before the robot stands. With all of them from the beginning a world loses more by each
+step than by falling, and a policy learns to fall at once; that was tried."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -505,10 +510,12 @@ class MdpSettings:
     command_margin: float = 0.1
     """Commanded joint positions keep this far from the joint limits [rad]: a little more than the 5 degrees at which the
     paper ends an episode, so that a joint gets there only when something pushes it."""
-    rules_ramp: tuple[float, float] = (2_400.0, 14_400.0)
+    rules_ramp: tuple[float, float] = (9_600.0, 19_200.0)
     """Control steps of a world between which the paper's terminations come in: none ends an episode before the first,
     each does from the second on, with a probability a step that grows with the square in between. Imposed from the
     beginning they end every episode within the first tenth of a second, before anything is learned."""
+    late_share: float = 0.05
+    """Share of their weight that the LATE reward terms have before that ramp; it grows to 1 over it."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.05

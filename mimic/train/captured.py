@@ -151,10 +151,10 @@ class CapturedPPO(PPO):
             self._epoch()
         seen = self.storage.observations.flatten(0, 1)
         for model in (self.actor, self.critic):
-            spread = model.obs_normalizer._std
+            normalizer: Any = model.obs_normalizer
+            spread = normalizer._std  # the graphs read this tensor, but rsl_rl puts another in its place
             model.update_normalization(seen)  # type: ignore[arg-type]
-            spread.copy_(model.obs_normalizer._std)  # rsl_rl puts another tensor here, which no graph would know
-            model.obs_normalizer._std = spread
+            normalizer._std = spread.copy_(normalizer._std)
         with torch.no_grad():  # the spread after the update, and no tensor of a graph kept alive
             self.actor.distribution.update(torch.zeros(1, self.storage.actions_shape[0], device=self.device))  # type: ignore
         *sums, self.learning_rate = torch.cat([self._sums, self._rate[None]]).tolist()  # waits for the device

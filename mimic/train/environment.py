@@ -155,7 +155,7 @@ class StandTrackEnv(VecEnv):
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
         self._mean_velocity = zeros(2)
-        start = weights_at(0.0, self._rewards, self.settings.regularisation)
+        start = weights_at(0.0, self._rewards, self.settings.regularisation, self._late(0.0))
         self._weights = torch.tensor(start, device=device)
         self._terms = [f.name for f in fields(self._rewards)]
         self._log: dict[str, torch.Tensor] = {}
@@ -177,9 +177,11 @@ class StandTrackEnv(VecEnv):
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
             progress = min(1.0, self._calls / self.settings.ramp_steps)
-            now = weights_at(progress, self._rewards, self.settings.regularisation)
+            begin, end = self.settings.rules_ramp
+            ramp = min(max((self._calls - begin) / max(end - begin, 1.0), 0.0), 1.0)
+            now = weights_at(progress, self._rewards, self.settings.regularisation, self._late(ramp))
             self._weights.copy_(torch.tensor(now))
-            self._rule_share.fill_(self._share_of_rules())
+            self._rule_share.fill_(ramp**2)
         if str(self.device).startswith("cuda"):
             self._step_captured()
         else:
@@ -239,11 +241,6 @@ class StandTrackEnv(VecEnv):
         moment = torch.linalg.cross(lever, force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
 
-    def _share_of_rules(self) -> float:
-        begin, end = self.settings.rules_ramp
-        share = (self._calls - begin) / max(end - begin, 1.0)
-        return min(max(share, 0.0), 1.0) ** 2
-
     def _quat_WB(self) -> torch.Tensor:
         """Orientation of the base in the true world, whose z is up also where the ground is inclined (N, 4)."""
         return quat_multiply(self.worlds.slope_quat, self.worlds.qpos[:, 3:7])
@@ -298,6 +295,10 @@ class StandTrackEnv(VecEnv):
     def _rewards(self) -> Any:
         """The weights of the task's reward terms."""
         return self.settings.rewards
+
+    def _late(self, ramp: float) -> float:
+        """Return the factor on the weights of the late terms, for the share of their ramp that is done."""
+        return self.settings.late_share + (1 - self.settings.late_share) * ramp
 
     def _draw(self) -> Start:
         """Return a start for every world."""

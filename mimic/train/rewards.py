@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from mimic.settings import REGULARISERS, MdpSettings
+from mimic.settings import LATE, REGULARISERS, MdpSettings
 
 
 @dataclass
@@ -106,6 +106,7 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     speed = speed + 0.5 * torch.exp(-f.mean_velocity_error.square().sum(-1) / 0.02)
     turning = 0.5 * torch.exp(-f.heading_error.square() / 0.5) + 0.5 * torch.exp(-f.heading_error.square() / 0.03)
     return {
+        "alive": torch.ones_like(f.height),
         "height": torch.exp(-((over / 0.1) ** 2)),
         "upright": level,
         "velocity": speed * standing,
@@ -129,16 +130,18 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     }
 
 
-def weights_at(progress: float, weights: Any, factor: float) -> list[float]:
+def weights_at(progress: float, weights: Any, factor: float, late: float = 1.0) -> list[float]:
     """Return the weight of each term in the order of the settings.
 
     Args:
         progress: Share of the ramp that is done, 0 to 1.
         weights: Weights at its beginning, a settings record with a field for each term.
         factor: What the regularisers' weights are multiplied by at its end.
+        late: What the weights of the late terms are multiplied by now.
     """
     grown = 1 + (factor - 1) * progress
-    return [value * (grown if name in REGULARISERS else 1.0) for name, value in asdict(weights).items()]
+    factors: dict[str, float] = {**dict.fromkeys(REGULARISERS, grown), **dict.fromkeys(LATE, late)}
+    return [value * factors.get(name, 1.0) for name, value in asdict(weights).items()]
 
 
 def total(terms: dict[str, torch.Tensor], weights: torch.Tensor, names: list[str]) -> torch.Tensor:

@@ -133,6 +133,9 @@ class SitDownEnv(StandTrackEnv):
     def _rewards(self) -> Any:
         return self.settings.sit_down.rewards
 
+    def _late(self, ramp: float) -> float:
+        return 1.0
+
     def _first_phase(self, start: Start) -> torch.Tensor:
         return torch.where(start.anytime, self._uniform(0.0, 2 * math.pi), torch.zeros_like(start.heading))
 
