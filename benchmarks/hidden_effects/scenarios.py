@@ -1,0 +1,172 @@
+"""Which hidden machines the suite calibrates, most informative first, and how each is built from its name alone."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
+from benchmarks.hidden_effects.generator import ALIENS, Machine
+from mimic.robot.description import load_description
+from mimic.robot.effect_set import EffectSet
+from mimic.robot.effects import effect
+from mimic.robot.excitation import Excitation, Kind, hung_ranges, probe_targets
+from mimic.types import JOINTS, LEGS
+
+STRENGTHS = ("strong", "medium", "weak")
+KINDS: tuple[Kind, ...] = ("probe", "random")
+WHERE = ("all", "knees", "leg", "joint")
+
+PAIRS = (
+    ("torque_speed", "stribeck"),
+    ("stribeck", "backlash"),
+    ("load_friction", "cogging"),
+    ("velocity_lag", "spring"),
+    ("coupling", "periodic_force"),
+    ("cogging", "quadratic_drag"),
+    ("armature", "encoder_step"),
+    ("torque_speed", "joint_delay"),
+    ("payload", "coupling"),
+    ("gains", "lost_commands"),
+)
+TRIPLES = (
+    ("torque_speed", "stribeck", "backlash"),
+    ("cogging", "velocity_lag", "spring"),
+    ("load_friction", "periodic_force", "joint_delay"),
+)
+"""Medium; weak where an effect cannot be more (backlash)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scenario:
+    """One hidden machine and one motion."""
+
+    group: str
+    """single, pair, triple, clean or alien."""
+    names: tuple[str, ...] = ()
+    strength: str = "none"
+    kind: Kind = "probe"
+    seed: int = 0
+    seconds: float = 60.0
+
+    @property
+    def key(self) -> str:
+        """Its name: the same name is the same log."""
+        what = "+".join(self.names) or "nothing"
+        return f"{self.group}/{what}/{self.strength}/{self.kind}/{self.seed}/{self.seconds:g}s"
+
+    @staticmethod
+    def of(key: str) -> Scenario:
+        """Return the scenario of a name."""
+        group, what, strength, kind, seed, seconds = key.split("/")
+        names = () if what == "nothing" else tuple(what.split("+"))
+        return Scenario(
+            group=group, names=names, strength=strength, kind=kind, seed=int(seed), seconds=float(seconds[:-1])
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Built:
+    """A scenario made real."""
+
+    machine: Machine
+    motion: Excitation
+    seed: int
+    where: dict[str, tuple[str, ...]]
+    """Affected joints of each name; all for the whole machine."""
+
+
+@cache
+def table() -> dict[str, dict]:
+    """Return sizes.json."""
+    return json.loads(Path(__file__).with_name("sizes.json").read_text(encoding="utf-8"))
+
+
+def reachable(name: str, strength: str) -> tuple[str, ...]:
+    """Return the parts (abad, hip, knee) where the effect can be this strong."""
+    return tuple(table()[name][strength])
+
+
+def build(scenario: Scenario) -> Built:
+    """Return machine and motion; everything is drawn from the name of the scenario.
+
+    Raises:
+        ValueError: If an effect cannot be this strong on any joint.
+    """
+    seed = zlib.crc32(scenario.key.encode())
+    rng = np.random.default_rng(seed)
+    machine = Machine.drawn(rng)
+    effects, aliens, where = [], [], {}
+    for place, name in enumerate(scenario.names):
+        is_alien = name in ALIENS
+        wide = name == "base_swing" or (not is_alien and effect(name).scope == "machine")
+        strength = scenario.strength
+        if not reachable(name, strength) and len(scenario.names) > 1:
+            strength = "weak"
+        parts = reachable(name, strength)
+        if not parts:
+            raise ValueError(f"{name} cannot be {scenario.strength}: {table()[name]['why_no_more']}")
+        cap = ALIEN_CAPS[name][0] if is_alien else FAMILIES[name].cap
+        joints = JOINTS if wide else _some_joints(scenario, place, parts, rng)
+        sizes = {
+            j: min(cap, table()[name][strength][j.split("_")[1] if not wide else parts[0]] * factor)
+            for j, factor in zip(joints, rng.uniform(0.85, 1.2, len(joints)), strict=True)
+        }
+        where[name] = joints
+        if is_alien:
+            aliens += alien(name, sizes)
+        else:
+            effects.append(hidden_effect(name, sizes, machine, rng))
+    machine = replace(machine, hidden=EffectSet(tuple(effects)), aliens=tuple(aliens))
+    ranges = hung_ranges(load_description())
+    motion = probe_targets(*ranges, seconds=scenario.seconds, seed=seed % 100_000, kind=scenario.kind)
+    return Built(machine=machine, motion=motion, seed=seed, where=where)
+
+
+def _some_joints(scenario: Scenario, place: int, parts: tuple[str, ...], rng: np.random.Generator) -> tuple[str, ...]:
+    """All joints, the knees, one leg or one joint, in turn over names and seeds; only where the effect can be so strong."""
+    turn = zlib.crc32(f"{scenario.names[place]}/{scenario.strength}".encode()) + scenario.seed + place
+    where = WHERE[(turn + (scenario.kind == "random")) % len(WHERE)]
+    if scenario.names[place] == "joint_delay" and where == "all":
+        where = "leg"  # on all joints it is the machine's delay
+    can = [j for j in JOINTS if j.split("_")[1] in parts]
+    leg = LEGS[int(rng.integers(4))]
+    chosen = {
+        "all": can,
+        "knees": [j for j in can if j.endswith("knee")],
+        "leg": [j for j in can if j.startswith(leg)],
+        "joint": [can[int(rng.integers(len(can)))]],
+    }[where]
+    return tuple(chosen or can)
+
+
+def ordered(rounds: int = 6, seconds: float = 60.0) -> Iterator[Scenario]:
+    """Yield scenarios, one of everything in each round, each round with another seed and the other motion."""
+    clean = 0
+    for number in range(rounds):
+        kind = KINDS[number % 2]
+
+        def one(group: str, names: tuple[str, ...] = (), strength: str = "none", **more: int) -> Scenario:
+            options = {"kind": kind, "seed": number, **more}  # noqa: B023
+            return Scenario(group=group, names=names, strength=strength, seconds=seconds, **options)
+
+        for strength in ("strong", "medium"):
+            yield from (one("single", (n,), strength) for n in FAMILIES if reachable(n, strength))
+        yield from (
+            one("alien", (n,), "strong" if reachable(n, "strong") else "medium")
+            for n in ALIENS
+            if reachable(n, "medium")
+        )
+        for _ in range(20):
+            yield one("clean", seed=clean, kind=KINDS[clean % 2])
+            clean += 1
+        yield from (one("pair", names, "medium") for names in PAIRS)
+        yield from (one("single", (n,), "weak") for n in FAMILIES if reachable(n, "weak"))
+        yield from (one("triple", names, "medium") for names in TRIPLES)
+        yield from (one("alien", (n,), "medium") for n in ALIENS if reachable(n, "strong"))

@@ -1,0 +1,237 @@
+"""Calibrate many hidden machines in parallel and write one JSON line for each.
+
+    python -m benchmarks.hidden_effects.suite OUT --processes 8 --limit 560 [--only single/stribeck] [--rounds 6]
+
+OUT/results.jsonl grows as results come; scenarios that are in it are not run again. At the time limit the workers are
+ended and what is done stays. Each worker uses one thread.
+"""
+
+# ruff: noqa: E402
+from __future__ import annotations
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_name] = "1"  # before numpy is imported
+
+import argparse
+import json
+import multiprocessing
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.hidden_effects.generator import FLOOR, Machine, measured, simulate
+from benchmarks.hidden_effects.scenarios import Scenario, build, ordered
+from mimic.calibration import Calibration, Errors
+from mimic.machine_log import MachineLog
+from mimic.robot.effects import CATALOGUE, DECLARED
+from mimic.store import plain
+
+Calibrate = Callable[[MachineLog], Calibration]
+
+
+def calibrate_log(log: MachineLog) -> Calibration:
+    """Calibrate the hung robot against a log, as ``mimic calibrate`` does."""
+    from mimic.calibrate.flow import calibrate
+    from mimic.robot.machine import hung_robot
+
+    from mimic.robot.description import load_description
+    from mimic.settings import CalibrateSettings
+
+    return calibrate(log, hung_robot(load_description()), CalibrateSettings(threads=1))
+
+
+def truth_record(machine: Machine) -> dict[str, Any]:
+    """Return what is true, as plain numbers."""
+    return {
+        "declared": {
+            "coulomb.level": machine.friction.tolist(),
+            "viscous.coefficient": machine.damping.tolist(),
+            "link_mass.factor": machine.mass.tolist(),
+            "delay.time": [machine.delay],
+        },
+        "hidden": [
+            {"name": e.name, "joints": list(e.joints), **{k: v.tolist() for k, v in e.values.items()}}
+            for e in machine.hidden
+        ],
+        "aliens": [{"name": a.name, "joints": list(a.joints), "size": a.size} for a in machine.aliens],
+    }
+
+
+def result_record(result: Calibration) -> dict[str, Any]:
+    """Return what the calibration says, as plain numbers."""
+    stages = [
+        {
+            "added": s.added,
+            "train": Errors.total(s.errors.train),
+            "held_out": s.errors.held_out.tolist(),
+            "rivals": list(s.rivals),
+            "candidates": [
+                {
+                    "name": c.name,
+                    "gain": c.gain,
+                    "z": c.z,
+                    "improvement": c.improvement,
+                    "why": c.why,
+                    "joints": c.joints,
+                }
+                for c in s.candidates[:6]
+            ],
+        }
+        for s in result.stages
+    ]
+    effects = [
+        {
+            "name": e.name,
+            "joints": list(e.joints),
+            "role": e.role,
+            "values": {k: v.tolist() for k, v in e.values.items()},
+            "intervals": {k: v.tolist() for k, v in e.intervals.items()},
+        }
+        for e in result.effects
+    ]
+    return {
+        "named": [s.added for s in result.stages if s.added in CATALOGUE and s.added not in DECLARED],
+        "belongs": result.belongs,
+        "noise": result.noise.tolist(),
+        "nominal": Errors.total(result.nominal.held_out),
+        "stages": stages,
+        "effects": effects,
+        "unexplained": [
+            {
+                "joint": r.joint,
+                "ratio": r.ratio,
+                "verdict": r.verdict,
+                "state_r2": r.state_r2,
+                "peak_hz": r.peak_hz,
+                "peak_ratio": r.peak_ratio,
+            }
+            for r in result.unexplained
+        ],
+        "sentence": result.sentence,
+        "warnings": list(result.warnings),
+        "replays": result.replays,
+    }
+
+
+def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> dict[str, Any]:
+    """Return one line of the results; an exception of the calibration is a result too."""
+    record: dict[str, Any] = {
+        "key": scenario.key,
+        "group": scenario.group,
+        "names": scenario.names,
+        "strength": scenario.strength,
+        "kind": scenario.kind,
+        "seed": scenario.seed,
+    }
+    try:
+        built = build(scenario)
+        truth = simulate(built.machine, built.motion, built.seed)
+        record |= {"where": built.where, "truth": truth_record(built.machine), "floor": FLOOR}
+        if scenario.names:
+            bare = replace(built.machine, hidden=type(built.machine.hidden)(), aliens=())
+            plain_truth = simulate(bare, built.motion, built.seed)
+            record["change"] = (np.sqrt(((truth.q - plain_truth.q)[100:] ** 2).mean(0)) / FLOOR).tolist()
+        log = measured(truth, built.seed)
+        start, used = time.perf_counter(), time.process_time()
+        result = calibrate(log)
+        record |= {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - used}
+        record |= result_record(result)
+    except Exception:
+        record["error"] = traceback.format_exc(limit=-6)
+    return json.loads(json.dumps(plain(record)))
+
+
+def _work(pipe: Any, calibrate: Calibrate) -> None:
+    while (key := pipe.recv()) is not None:
+        pipe.send(run_scenario(Scenario.of(key), calibrate))
+
+
+def run_suite(
+    scenarios: Sequence[Scenario], out: Path, processes: int, limit: float, calibrate: Calibrate = calibrate_log
+) -> int:
+    """Run what is not in OUT yet and return how many were done before the time limit [s]."""
+    end = time.monotonic() + limit
+    out.mkdir(parents=True, exist_ok=True)
+    lines = out / "results.jsonl"
+    known = set()
+    if lines.exists():
+        known = {json.loads(line)["key"] for line in lines.read_text(encoding="utf-8").splitlines() if line.strip()}
+    waiting = [s.key for s in scenarios if s.key not in known]
+    waiting.reverse()
+    context = multiprocessing.get_context("fork")  # what is imported and compiled is shared
+    workers: dict[Any, tuple[Any, str]] = {}
+    done = 0
+
+    def give(pipe: Any, process: Any) -> None:
+        key = waiting.pop() if waiting else None
+        pipe.send(key)
+        if key is not None:
+            workers[pipe] = (process, key)
+
+    def start() -> None:
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, calibrate), daemon=True)
+        process.start()
+        theirs.close()
+        give(ours, process)
+
+    with open(lines, "a", encoding="utf-8") as file:
+        for _ in range(min(processes, len(waiting))):
+            start()
+        while workers and (left := end - time.monotonic()) > 0:
+            for pipe in wait(list(workers), timeout=min(left, 3600.0)):
+                process, key = workers.pop(pipe)
+                try:
+                    record = pipe.recv()
+                except EOFError:  # the worker is gone, killed by the system or a crash
+                    process.join()
+                    record = {"key": key, "group": key.split("/")[0], "error": f"worker ended with {process.exitcode}"}
+                    if waiting:
+                        start()
+                else:
+                    give(pipe, process)
+                file.write(json.dumps(record) + "\n")
+                file.flush()
+                done += 1
+                named = "ERROR" if "error" in record else "+".join(record["named"]) or "nothing"
+                print(f"{done:5d} {record.get('seconds', 0):6.1f} s  {key} -> {named}", flush=True)
+    for process, _ in workers.values():
+        process.kill()
+    return done
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--processes", type=int, default=max(1, (os.cpu_count() or 2) - 1))
+    parser.add_argument("--limit", type=float, default=float("inf"), help="seconds after which to stop")
+    parser.add_argument("--only", action="append", default=[], help="run keys that contain this; may be repeated")
+    parser.add_argument("--rounds", type=int, default=6, help="seeds of everything")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of each log")
+    parser.add_argument("--list", action="store_true", help="print the keys and stop")
+    args = parser.parse_args(argv)
+    began = time.monotonic()
+    chosen = [s for s in ordered(args.rounds, args.seconds) if not args.only or any(o in s.key for o in args.only)]
+    if args.list:
+        print(*(s.key for s in chosen), sep="\n")
+        return 0
+    warm = Scenario(group="clean", seed=0, seconds=10.0)
+    built = build(warm)
+    simulate(built.machine, built.motion, 0)  # compiles the physics once, before the workers fork
+    limit = min(args.limit, 1e9) - (time.monotonic() - began)
+    done = run_suite(chosen, args.out, args.processes, limit)
+    print(f"{done} of {len(chosen)} scenarios done now; results in {args.out / 'results.jsonl'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,316 @@
+"""Read results of the suite, judge them against the goals, and draw the detection limit.
+
+    python -m benchmarks.hidden_effects.summary RESULTS.jsonl ... [--markdown FILE] [--plot FILE.png]
+
+How a result is judged:
+    right        every hidden effect is among the names, and no name is false
+    or rival     as right, where a rival of the accepted name ("cannot be told from") counts as the name
+    first        the first name is a hidden effect
+    unexplained  an effect from outside the catalogue: nothing is named, and some affected joint is not "explained"
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.robot.effects import CATALOGUE
+from mimic.types import JOINTS
+
+Record = Mapping[str, Any]
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "drive": (
+        "armature",
+        "gains",
+        "torque_speed",
+        "supply_sag",
+        "kt_gain",
+        "kt_drift",
+        "kt_heat",
+        "torque_lag",
+        "velocity_lag",
+    ),
+    "friction": ("stribeck", "load_friction", "asymmetric_friction", "quadratic_drag", "coupling"),
+    "transmission": ("backlash", "compliance"),
+    "encoder": ("encoder_offset", "encoder_scale", "encoder_step"),
+    "position, time": ("cogging", "spring", "base_tilt", "payload", "com_shift", "periodic_force"),
+    "commands": ("joint_delay", "delay_jitter", "lost_commands"),
+}
+"""Effects by where they sit, for the plot."""
+
+
+def read_results(paths: Iterable[Path]) -> list[Record]:
+    """Return the records of all files; of the same scenario the last."""
+    records: dict[str, Record] = {}
+    for path in paths:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line.strip():
+                record = json.loads(line)
+                records[record["key"]] = record
+    return list(records.values())
+
+
+def claimed(r: Record) -> list[set[str]]:
+    """Return each accepted name with its rivals."""
+    return [{s["added"], *s["rivals"]} for s in r["stages"] if s["added"] in r["named"]]
+
+
+def right(r: Record) -> bool:
+    return "error" not in r and r["belongs"] and set(r["named"]) == set(r["names"])
+
+
+def right_or_rival(r: Record) -> bool:
+    """Names and hidden effects can be paired so that each name or one of its rivals is the effect."""
+    if "error" in r or not r["belongs"]:
+        return False
+    sets, names = claimed(r), list(r["names"])
+    return len(sets) == len(names) and _paired(sets, names)
+
+
+def _paired(sets: list[set[str]], names: list[str]) -> bool:
+    if not names:
+        return True
+    return any(names[0] in s and _paired(sets[:i] + sets[i + 1 :], names[1:]) for i, s in enumerate(sets))
+
+
+def all_found(r: Record) -> bool:
+    return "error" not in r and set(r["names"]) <= set(r["named"])
+
+
+def first_right(r: Record) -> bool:
+    return "error" not in r and bool(r["named"]) and r["named"][0] in r["names"]
+
+
+def nothing_named(r: Record) -> bool:
+    return "error" not in r and not r["named"]
+
+
+def marked(r: Record) -> bool:
+    """Some affected joint is not called explained."""
+    if "error" in r:
+        return False
+    affected = {j for joints in r["where"].values() for j in joints}
+    return any(u["verdict"] != "explained" for u in r["unexplained"] if u["joint"] in affected) or not r["belongs"]
+
+
+def unexplained(r: Record) -> bool:
+    return nothing_named(r) and marked(r)
+
+
+def error_after(r: Record) -> float:
+    """Held-out error of the last stage over the true noise floor."""
+    return float(np.sqrt(np.mean(np.square(r["stages"][-1]["held_out"])))) / r["floor"]
+
+
+def declared_error(r: Record) -> float:
+    """Held-out error of the declared model over the true noise floor, over the affected joints."""
+    index = sorted({JOINTS.index(j) for joints in r["where"].values() for j in joints})
+    return float(np.sqrt(np.mean(np.square(r["stages"][0]["held_out"])[index]))) / r["floor"]
+
+
+def coverage(records: Iterable[Record], declared: bool) -> list[tuple[str, bool]]:
+    """Return (effect.parameter, whether the interval holds the truth) where the right effects were named."""
+    rows = []
+    for r in records:
+        if not right(r):
+            continue
+        truth: dict[tuple[str, str, str], float] = {}
+        for name, values in r["truth"]["declared"].items():
+            for joint, value in zip(JOINTS if len(values) == 12 else [""], values, strict=True):
+                truth[(*name.split("."), joint)] = value
+        for e in r["truth"]["hidden"]:
+            for parameter, values in e.items():
+                if parameter not in ("name", "joints"):
+                    for joint, value in zip(e["joints"] or [""], values, strict=True):
+                        truth[e["name"], parameter, joint] = value
+        for e in r["effects"]:
+            is_declared = CATALOGUE[e["name"]].declared
+            if is_declared is not declared:
+                continue
+            for parameter, rows_of in e["intervals"].items():
+                for joint, (low, high) in zip(e["joints"] or [""], rows_of, strict=True):
+                    if (e["name"], parameter, joint) in truth and math.isfinite(low) and high > low:
+                        value = truth[e["name"], parameter, joint]
+                        rows.append((f"{e['name']}.{parameter}", bool(low <= value <= high)))
+    return rows
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share. Source: Wilson 1927."""
+    if n == 0:
+        return 0.0, 1.0
+    z, p = 1.96, k / n
+    centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))
+
+
+def _share(records: Sequence[Record], judge: Callable[[Record], bool]) -> str:
+    k, n = sum(map(judge, records)), len(records)
+    if n == 0:
+        return "not run"
+    low, high = wilson(k, n)
+    return f"{100 * k / n:.0f} % ({k} of {n}; {100 * low:.0f}-{100 * high:.0f})"
+
+
+def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
+    """Return rows: what, goal, measured."""
+
+    def of(group: str, *strengths: str) -> list[Record]:
+        return [r for r in records if r["group"] == group and (not strengths or r["key"].split("/")[2] in strengths)]
+
+    plain, weak = of("single", "strong", "medium"), of("single", "weak")
+    pairs, triples, clean, aliens = of("pair"), of("triple"), of("clean"), of("alien")
+    rows = [
+        ("one effect, strong or medium: named, nothing else", "95 %", _share(plain, right)),
+        ("the same, its rivals counted", "", _share(plain, right_or_rival)),
+        ("the same, named first", "", _share(plain, first_right)),
+        ("the same, among the names", "", _share(plain, all_found)),
+        (
+            "one effect, weak: named or among the rivals, nothing else",
+            "80 %",
+            _share(weak, lambda r: right(r) or right_or_rival(r)),
+        ),
+        ("two effects: both named", "80 %", _share(pairs, all_found)),
+        ("two effects: both named, nothing else", "", _share(pairs, right)),
+        ("three effects: all named", "", _share(triples, all_found)),
+        ("no effect: nothing named", "99 %", _share(clean, nothing_named)),
+        ("effect outside the catalogue: nothing named, called unexplained", "95 %", _share(aliens, unexplained)),
+        ("the same, called unexplained whatever was named", "", _share(aliens, marked)),
+    ]
+    good = [r for r in records if "error" not in r and r["group"] not in ("alien",)]
+    explained = [r for r in good if right(r)]
+    rows.append(
+        (
+            "held-out error within 1.15 noise floors, right names",
+            "all",
+            _share(explained, lambda r: error_after(r) <= 1.15),
+        )
+    )
+    rows.append(("the same, every scenario but aliens", "", _share(good, lambda r: error_after(r) <= 1.15)))
+    for declared, title in ((False, "hidden effects"), (True, "declared parameters")):
+        hits = coverage(records, declared)
+        k, n = sum(h for _, h in hits), len(hits)
+        measured = f"{100 * k / n:.0f} % ({k} of {n})" if n else "not run"
+        rows.append((f"95 % intervals that hold the truth, {title}", "85-99 %", measured))
+    errors = sum("error" in r for r in records)
+    rows.append(("ended with an exception", "0", f"{errors} of {len(records)}"))
+    return rows
+
+
+def effect_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return a row an effect: right of run at each strength, and what was named instead."""
+    rows = []
+    for names in dict.fromkeys(
+        tuple(r["names"]) for r in records if r["group"] in ("single", "alien", "pair", "triple")
+    ):
+        mine = [r for r in records if tuple(r.get("names", ())) == names]
+        judge = unexplained if mine[0]["group"] == "alien" else right
+        cells = []
+        for strength in ("strong", "medium", "weak"):
+            part = [r for r in mine if r["strength"] == strength]
+            cells.append(f"{sum(map(judge, part))} of {len(part)}" if part else "-")
+        wrong: dict[str, int] = {}
+        for r in mine:
+            if not judge(r):
+                said = "error" if "error" in r else " + ".join(r["named"]) or "nothing"
+                wrong[said] = wrong.get(said, 0) + 1
+        said = ", ".join(f"{k} ({v})" if v > 1 else k for k, v in sorted(wrong.items(), key=lambda x: -x[1])[:5])
+        rows.append((" + ".join(names), *cells, said))
+    return rows
+
+
+def markdown(records: Sequence[Record]) -> str:
+    """Return the tables as Markdown."""
+    lines = ["| what | goal | measured (95 % interval) |", "|---|---|---|"]
+    lines += [f"| {a} | {b} | {c} |" for a, b, c in goals(records)]
+    lines += ["", "| hidden | strong | medium | weak | otherwise named |", "|---|---|---|---|---|"]
+    lines += [f"| {' | '.join(row)} |" for row in effect_rows(records)]
+    seconds = [r["cpu_seconds"] for r in records if "cpu_seconds" in r]
+    if seconds:
+        lines += [
+            "",
+            f"{len(records)} logs; median {np.median(seconds):.0f} s, longest {max(seconds):.0f} s of processor time.",
+        ]
+    return "\n".join(lines)
+
+
+def plot(records: Sequence[Record], path: Path) -> None:
+    """Draw the share named right against how much the declared model leaves."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    singles = [r for r in records if r["group"] == "single" and "error" not in r]
+    if not singles:
+        return
+    x = np.array([declared_error(r) for r in singles])
+    edges = np.array([0.9, 1.1, 1.4, 1.9, 2.7, 4.0, 6.5, 11.0, 25.0, 400.0])
+    figure, (top, low) = plt.subplots(2, 1, figsize=(8, 7.5), height_ratios=(1.2, 1), constrained_layout=True)
+    for judge, label, colour in ((right, "named, nothing else", "#1f5fa8"), (all_found, "among the names", "#e07b1f")):
+        y = np.array([judge(r) for r in singles])
+        at, share, down, up = [], [], [], []
+        for a, b in pairwise(edges):
+            pick = (x >= a) & (x < b)
+            if not pick.sum():
+                continue
+            k, n = int(y[pick].sum()), int(pick.sum())
+            lower, upper = wilson(k, n)
+            at.append(float(np.exp(np.log(x[pick]).mean())))
+            share.append(k / n)
+            down.append(max(0.0, k / n - lower))
+            up.append(max(0.0, upper - k / n))
+        shift = 1.02 if judge is right else 0.98
+        top.errorbar(np.array(at) * shift, share, (down, up), fmt="o-", color=colour, capsize=3, label=label)
+    top.set(xscale="log", ylabel="share of logs", ylim=(-0.03, 1.03))
+    top.set_title(f"One hidden effect: found or not ({len(singles)} logs, bars 95 %)", loc="left")
+    top.legend(frameon=False, loc="lower right")
+    for row, names in enumerate(GROUPS.values()):
+        mine = [(declared_error(r), right(r)) for r in singles if r["names"][0] in names]
+        spread = np.random.default_rng(row).uniform(-0.28, 0.28, len(mine))
+        for good, marker, colour in ((True, "o", "#1f5fa8"), (False, "x", "#c0392b")):
+            pick = [i for i, m in enumerate(mine) if m[1] is good]
+            low.scatter(
+                [mine[i][0] for i in pick], row + spread[pick] if pick else [], marker=marker, s=18, color=colour
+            )
+    low.set(xscale="log", yticks=range(len(GROUPS)), yticklabels=list(GROUPS), ylim=(-0.6, len(GROUPS) - 0.4))
+    low.set_xlabel("error of the declared model on the affected joints, held out, over the noise floor")
+    low.set_title("Each log: dot named right, cross not", loc="left")
+    low.invert_yaxis()
+    for axis in (top, low):
+        axis.set_xlim(0.85, max(30.0, x.max() * 1.1))
+        axis.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+        axis.minorticks_off()
+        axis.grid(alpha=0.25)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path, nargs="+")
+    parser.add_argument("--markdown", type=Path)
+    parser.add_argument("--plot", type=Path)
+    args = parser.parse_args()
+    records = read_results(args.results)
+    text = markdown(records)
+    print(text)
+    if args.markdown:
+        args.markdown.write_text(text + "\n", encoding="utf-8")
+    if args.plot:
+        plot(records, args.plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from benchmarks.hidden_effects import physics, suite, summary
+from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
+from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, links, measured, simulate
+from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable
+from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
+from mimic.robot.description import load_description
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.excitation import Excitation, hung_ranges, probe_targets
+from mimic.types import JOINTS, LEGS
+
+DESCRIPTION = load_description()
+LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
+MOTION = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
+SMOOTH = Machine(friction=np.zeros(12), damping=np.full(12, 0.05), mass=np.ones(12), delay=0.01)
+PLAIN = Machine.drawn(np.random.default_rng(0))
+REST = simulate(PLAIN, MOTION, 0)
+
+
+def still(q: np.ndarray, seconds: float = 3.0) -> Excitation:
+    t = np.arange(round(50 * seconds)) / 50
+    return Excitation(t=t, q_des=np.repeat(q[None], len(t), 0), sections=())
+
+
+def bare_model() -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_file(str(DESCRIPTION.mjcf))
+    spec.delete(spec.joint("base"))
+    for group in (spec.actuators, spec.keys, spec.sensors):
+        for item in list(group):
+            spec.delete(item)
+    for joint in spec.joints:
+        joint.damping, joint.frictionloss = 0.0 * np.array(joint.damping), 0.0
+    model = spec.compile()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+def with_effect(name: str, joints: tuple[str, ...] = JOINTS, **values: float) -> Machine:
+    scope = () if CATALOGUE[name].scope == "machine" else joints
+    return replace(PLAIN, hidden=EffectSet((EffectValues(name=name, joints=scope, values=values),)))
+
+
+def test_leg_dynamics_are_those_of_mujoco():
+    model = bare_model()
+    model.dof_armature[:] = 0.0
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        data.qpos[:], data.qvel[:] = rng.uniform(DESCRIPTION.q_min, DESCRIPTION.q_max), rng.normal(0, 4, 12)
+        data.qacc[:] = rng.normal(0, 30, 12)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        wanted, found = np.zeros(12), np.zeros(3)
+        mujoco.mj_rne(model, data, 1, wanted)
+        for i, leg in enumerate(LEGS):
+            at = slice(3 * i, 3 * i + 3)
+            gravity = np.array([0.0, 0.0, -9.81])
+            physics.leg_torque(data.qpos[at], data.qvel[at], data.qacc[at], gravity, links(DESCRIPTION, leg), found)
+            assert np.abs(found - wanted[at]).max() < 1e-12
+
+
+def test_motion_without_friction_is_that_of_mujoco_at_a_tenth_of_the_step():
+    motion = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=5, kind="random")
+    truth = simulate(replace(SMOOTH, damping=np.zeros(12)), motion, 0)
+    model = bare_model()
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 1e-4
+    data = mujoco.MjData(model)
+    data.qpos[:] = truth.q[0]
+    worst = 0.0
+    for step in range(20_000):
+        if step % 50 == 0:
+            worst = max(worst, float(np.abs(data.qpos - truth.q[step // 50]).max()))
+        row = max(0, int((step * 1e-4 - 0.01) / 0.02 + 1e-9))
+        data.qfrc_applied[:] = 30.0 * (motion.q_des[row] - data.qpos) - 3.0 * data.qvel
+        mujoco.mj_step(model, data)
+    assert np.ptp(truth.q[:400], axis=0).min() > 0.05  # it moved
+    assert worst < 0.1e-3
+
+
+def test_at_rest_the_error_is_gravity_over_kp():
+    q = LOW + 0.3 * (HIGH - LOW)
+    truth = simulate(SMOOTH, still(q), 0)
+    model = bare_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = truth.q[-1]
+    mujoco.mj_forward(model, data)
+    assert np.allclose(q - truth.q[-1], data.qfrc_bias / 30.0, atol=1e-7)
+    assert np.abs(data.qfrc_bias).max() > 0.5
+
+
+def test_a_joint_pushed_by_less_than_its_friction_does_not_move_at_all():
+    q = LOW + 0.4 * (HIGH - LOW)
+    heavy = replace(SMOOTH, friction=np.full(12, 3.0))
+    motion = still(q)
+    targets = np.array(motion.q_des)
+    targets[75:] += 0.04  # 1.2 N m beside gravity
+    truth = simulate(heavy, replace(motion, q_des=targets), 0)
+    assert np.abs(truth.q - q).max() < 1e-12
+    light = simulate(replace(heavy, friction=np.full(12, 0.1)), replace(motion, q_des=targets), 0)
+    assert np.abs(light.q[-1] - q).min() > 0.01
+
+
+@pytest.mark.parametrize(("name", "values"), [("compliance", {"compliance": 2e-5}), ("backlash", {"gap": 1e-7})])
+def test_a_stiff_transmission_without_play_moves_as_none(name, values):
+    truth = simulate(with_effect(name, **values), MOTION, 0)
+    assert np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max() < 0.1e-3
+
+
+def test_a_loaded_elastic_joint_reads_the_motor_and_sags_behind_it():
+    q = LOW + 0.3 * (HIGH - LOW)
+    soft = EffectSet((EffectValues(name="compliance", joints=JOINTS, values={"compliance": 0.1}),))
+    rigid = simulate(SMOOTH, still(q), 0)
+    truth = simulate(replace(SMOOTH, hidden=soft), still(q, 6.0), 0)
+    load = 30.0 * (q - truth.q[-1])
+    model = bare_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = truth.q[-1] - 0.1 * load  # the links hang lower than the motors say
+    mujoco.mj_forward(model, data)
+    assert np.allclose(load, data.qfrc_bias, atol=1e-3)
+    assert np.abs(truth.q[-1] - rigid.q[-1]).max() > 2e-4
+
+
+@pytest.mark.parametrize("kind", ["probe", "random"])
+def test_motions_keep_clear_of_the_end_stops(kind):
+    truth = simulate(PLAIN, probe_targets(LOW, HIGH, CENTRE, seconds=20.0, seed=2, kind=kind), 0)
+    assert np.all(truth.q > DESCRIPTION.q_min + 0.05)
+    assert np.all(truth.q < DESCRIPTION.q_max - 0.05)
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_every_effect_of_the_catalogue_acts_and_a_size_of_nothing_does_not(name):
+    rng = np.random.default_rng(3)
+    joints = tuple(j for j in JOINTS if j.split("_")[1] in FAMILIES[name].parts)
+
+    def moved(size: float) -> float:
+        one = hidden_effect(name, dict.fromkeys(joints, size), PLAIN, rng, spread=False)
+        truth = simulate(replace(PLAIN, hidden=EffectSet((one,))), MOTION, 0)
+        return float(np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max())
+
+    assert moved(FAMILIES[name].cap) > FLOOR
+    if name not in ("torque_speed", "compliance", "backlash"):  # their least value is another machine
+        assert moved(0.0) < 1e-9
+
+
+def test_every_catalogued_effect_that_is_not_declared_has_a_family():
+    assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.declared}
+
+
+@pytest.mark.parametrize("name", list(ALIENS))
+def test_every_alien_acts(name):
+    size = 0.002 if name == "imbalance" else 0.5 if name != "base_swing" else 4.0
+    truth = simulate(replace(PLAIN, aliens=alien(name, dict.fromkeys(JOINTS, size))), MOTION, 0)
+    assert np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max() > FLOOR
+
+
+def test_readings_are_steps_of_the_encoder_around_the_truth():
+    log = measured(REST, 7)
+    assert np.allclose(log.q / ENCODER, np.round(log.q / ENCODER), atol=1e-6)
+    assert abs((log.q - REST.q).std() / FLOOR - 1.0) < 0.03
+    assert log.rate == pytest.approx(200.0)
+    assert log.q_des is not None
+    assert np.array_equal(log.q_des[::4], MOTION.q_des)
+
+
+def test_a_scenario_is_drawn_from_its_name():
+    first, *others = list(ordered(2, 20.0))
+    assert len({first.key, *(s.key for s in others)}) == 1 + len(others)
+    for scenario in (first, *others[::17]):
+        again = Scenario.of(scenario.key)
+        assert again == scenario
+        a, b = build(scenario), build(again)
+        assert np.array_equal(a.machine.friction, b.machine.friction)
+        assert np.array_equal(a.motion.q_des, b.motion.q_des)
+        assert a.where == b.where
+
+
+def test_an_effect_that_cannot_be_so_strong_is_refused():
+    assert not reachable("kt_gain", "strong")
+    with pytest.raises(ValueError, match="cannot be strong"):
+        build(Scenario(group="single", names=("kt_gain",), strength="strong"))
+
+
+def silent(log) -> Calibration:
+    """A calibration that finds nothing."""
+    rows = np.zeros((1, 12))
+    errors = Errors(train=np.full(12, FLOOR), held_out=np.full(12, FLOOR))
+    rest = tuple(
+        Remainder(
+            joint=j, ratio=2.0, state_r2=0.5, depends_on=(), peak_hz=1.0, peak_ratio=1.0, verdict="state-dependent"
+        )
+        for j in JOINTS
+    )
+    empty = np.zeros(1)
+    return Calibration(
+        joints=JOINTS,
+        unit="rad",
+        noise=np.full(12, FLOOR),
+        nominal=errors,
+        stages=(Stage(added="declared", errors=errors),),
+        effects=EffectSet(),
+        unexplained=rest,
+        sentence="",
+        traces=Traces(t=empty, held_out=empty > 0, q=rows, dq=rows, tau=rows, before=rows, after=rows),
+    )
+
+
+def broken(log) -> Calibration:
+    raise ValueError("no")
+
+
+def slow(log) -> Calibration:
+    time.sleep(60.0)
+    return silent(log)
+
+
+SHORT = [Scenario.of(f"{what}/0/10s") for what in ("clean/nothing/none/probe", "single/cogging/weak/random")]
+
+
+def test_suite_writes_a_line_each_and_goes_on_where_it_stopped(tmp_path, capsys):
+    assert suite.run_suite(SHORT[:1], tmp_path, 2, 60.0, silent) == 1
+    assert suite.run_suite(SHORT, tmp_path, 2, 60.0, broken) == 1
+    clean, single = summary.read_results([tmp_path / "results.jsonl"])
+    assert summary.nothing_named(clean)
+    assert "ValueError: no" in single["error"]
+    assert single["truth"]["hidden"][0]["name"] == "cogging"
+
+
+def test_suite_stops_at_its_limit(tmp_path):
+    assert suite.run_suite(SHORT, tmp_path, 1, 1.5, slow) == 0
+    assert (tmp_path / "results.jsonl").read_text() == ""
+
+
+def judged(**values) -> dict:
+    joint = {"joint": "FL_knee", "verdict": "explained"}
+    stages = [{"added": n, "rivals": r, "held_out": [FLOOR] * 12} for n, r in values.pop("stages")]
+    return {
+        "names": ["cogging"], "where": {"cogging": ["FL_knee"]}, "belongs": True, "unexplained": [joint], "floor": FLOOR,
+        "named": [s["added"] for s in stages], "stages": [{"added": "declared", "rivals": [], "held_out": [FLOOR] * 12}, *stages],
+        **values,
+    }  # fmt: skip
+
+
+def test_judging_tells_right_from_rival_from_wrong():
+    right = judged(stages=[("cogging", [])])
+    rival = judged(stages=[("spring", ["cogging"])])
+    more = judged(stages=[("cogging", []), ("spring", [])])
+    nothing = judged(stages=[])
+    assert [summary.right(r) for r in (right, rival, more, nothing)] == [True, False, False, False]
+    assert [summary.right_or_rival(r) for r in (right, rival, more, nothing)] == [True, True, False, False]
+    assert [summary.all_found(r) for r in (right, rival, more, nothing)] == [True, False, True, False]
+    assert not summary.unexplained(nothing)
+    assert summary.unexplained(judged(stages=[], unexplained=[{"joint": "FL_knee", "verdict": "periodic"}]))
+    assert not summary.right({"names": ["cogging"], "error": "x"})
+
+
+def test_coverage_counts_intervals_that_hold_the_truth():
+    record = judged(
+        stages=[("cogging", [])],
+        truth={
+            "declared": {"delay.time": [0.01]},
+            "hidden": [{"name": "cogging", "joints": ["FL_knee"], "cosine": [0.1], "sine": [0.2]}],
+        },
+        effects=[
+            {"name": "delay", "joints": [], "intervals": {"time": [[0.009, 0.011]]}},
+            {"name": "cogging", "joints": ["FL_knee"], "intervals": {"cosine": [[0.05, 0.15]], "sine": [[0.3, 0.4]]}},
+        ],
+    )
+    assert summary.coverage([record], declared=True) == [("delay.time", True)]
+    assert dict(summary.coverage([record], declared=False)) == {"cogging.cosine": True, "cogging.sine": False}
+    assert json.dumps(summary.goals([{**record, "key": "single/cogging/weak/probe/0/10s", "group": "single"}]))
