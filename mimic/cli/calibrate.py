@@ -132,7 +132,7 @@ def _tell(result: Calibration, written: list[Path]) -> None:
 
 def _found(result: Calibration) -> dict[str, str]:
     """Return the values of what was added to the declared model, the range over the joints."""
-    from mimic.robot.effects import CATALOGUE
+    from mimic.robot.effects import CATALOGUE, unit_of
     from mimic.view.svg import number
 
     added = {s.added for s in result.stages}
@@ -140,13 +140,13 @@ def _found(result: Calibration) -> dict[str, str]:
     for e in result.effects:
         if e.name not in added:
             continue
-        spec, parts = CATALOGUE[e.name], []
+        parts = []
         for name, values in e.values.items():
-            unit = spec.parameter(name).unit
             low, high = number(float(values.min())), number(float(values.max()))
-            parts.append(f"{name} {low if low == high else f'{low} … {high}'}{'' if unit == '1' else ' ' + unit}")
+            span = low if low == high else f"{low} … {high}"
+            parts.append(f"{name} {span} {unit_of(e.name, name, result.unit)}".strip())
         where = f" ({len(e.joints)} joints)" if len(e.joints) > 1 else f" ({e.joints[0]})" if e.joints else ""
-        rows[spec.title + where] = ", ".join(parts)
+        rows[CATALOGUE[e.name].title + where] = ", ".join(parts)
     return rows
 
 

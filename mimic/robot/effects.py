@@ -514,6 +514,29 @@ DECLARED = tuple(e.name for e in _ALL if e.declared)
 """Effects that every model has: friction, damping, limb mass, delay. Source: Li et al. 2024, section IV."""
 
 
+_LINEAR = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "rad/(N m)": "m/N",
+    "1/(N m)^2": "1/N^2",
+    "kg m^2": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+}
+
+
+def unit_of(name: str, parameter: str, positions: str = "rad") -> str:
+    """Return the unit of a parameter, nothing where it has none, for joints that turn (rad) or slide (m)."""
+    spec = effect(name)
+    unit = spec.parameter(parameter).unit
+    if positions == "m" and spec.scope == "joint":
+        unit = _LINEAR.get(unit, unit)
+    return "" if unit == "1" else unit
+
+
 def effect(name: str) -> Effect:
     """Return an effect by name.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mimic.calibration import Calibration, Candidate, Errors, Stage
 from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE
+from mimic.robot.effects import CATALOGUE, unit_of
 from mimic.store import written_whole
 from mimic.types import FloatArray
 from mimic.view.report_plots import Unit, against_state, over_time, spectra, stage_errors, unit_for
@@ -49,7 +49,7 @@ def html_report(calibration: Calibration) -> str:
         _tiles(calibration, unit),
         _effects(calibration),
         _errors(calibration, unit),
-        _evidence(calibration, unit),
+        _evidence(calibration),
         _remainder(calibration),
         _declared(calibration),
         _residuals(calibration, unit),
@@ -120,7 +120,7 @@ def _effects(c: Calibration) -> str:
         spec, rivals = CATALOGUE[e.name], ", ".join(title_of(r) for r in stages[e.name].rivals)
         note = f"<p class='lead'>This log cannot tell it from: <b>{escape(rivals)}</b>.</p>" if rivals else ""
         equation = f"<p class='key'><code>{escape(spec.equation)}</code></p>"
-        parts.append(f"<h3>{escape(spec.title)}</h3>{equation}{note}{_values([e], e.joints)}")
+        parts.append(f"<h3>{escape(spec.title)}</h3>{equation}{note}{_values([e], e.joints, c.unit)}")
     if not found:
         parts.append("<p class='lead'>No effect earned its place beside the declared model.</p>")
     return _section("What the model lacked", "With 95 % intervals." if found else "", *parts)
@@ -131,18 +131,18 @@ def _declared(c: Calibration) -> str:
     declared = [e for e in c.effects if e.name not in added]
     whole = [e for e in declared if not e.joints]
     by_joint = [e for e in declared if e.joints]
-    tables = [_values(by_joint, c.joints)] if by_joint else []
-    tables += [_values(whole, ())] if whole else []
+    tables = [_values(by_joint, c.joints, c.unit)] if by_joint else []
+    tables += [_values(whole, (), c.unit)] if whole else []
     return _section("Declared model, fitted", "The numbers that every model has, with 95 % intervals.", *tables)
 
 
-def _values(effects: Sequence[EffectValues], joints: Sequence[str]) -> str:
+def _values(effects: Sequence[EffectValues], joints: Sequence[str], positions: str) -> str:
     """Return a table with a row for each joint and a column for each parameter."""
     columns = [(e, n) for e in effects for n in e.values]
     headings = ["joint"]
     for e, n in columns:
         of = f"{escape(CATALOGUE[e.name].title)}<br>" if len(effects) > 1 or not joints else ""
-        headings.append(f"{of}<small>{escape(n)}{_in(CATALOGUE[e.name].parameter(n).unit)}</small>")
+        headings.append(f"{of}<small>{escape(n)}{_in(unit_of(e.name, n, positions))}</small>")
     rows = []
     for joint in joints or ("whole machine",):
         cells = [
@@ -154,7 +154,7 @@ def _values(effects: Sequence[EffectValues], joints: Sequence[str]) -> str:
 
 
 def _in(unit: str) -> str:
-    return "" if unit == "1" else f" [{escape(_pretty(unit))}]"
+    return f" [{escape(_pretty(unit))}]" if unit else ""
 
 
 def _pretty(unit: str) -> str:
@@ -205,7 +205,7 @@ def _errors(c: Calibration, unit: Unit) -> str:
     return _section("Errors", lead, stage_errors(c, unit, names), _table(headings, rows))
 
 
-def _evidence(c: Calibration, unit: Unit) -> str:
+def _evidence(c: Calibration) -> str:
     stages = [s for s in c.stages if s.candidates]
     if not stages:
         return ""
@@ -214,15 +214,15 @@ def _evidence(c: Calibration, unit: Unit) -> str:
         f" the gain over its standard error. An effect must pass both marks, {LEAST_GAIN:.0%} and {LEAST_Z:g}, and more: see"
         " the verdicts."
     )
-    return _section("Evidence", lead, *(_stage(s, i + 1, unit) for i, s in enumerate(stages)))
+    return _section("Evidence", lead, *(_stage(s, i + 1, c.unit) for i, s in enumerate(stages)))
 
 
-def _stage(stage: Stage, index: int, unit: Unit) -> str:
+def _stage(stage: Stage, index: int, positions: str) -> str:
     chosen = f"{title_of(stage.added)} chosen" if stage.added else "nothing chosen"
     ranked = sorted(stage.candidates, key=lambda x: (not x.accepted, -x.gain if np.isfinite(x.gain) else np.inf))
     top = max([x.gain for x in ranked if np.isfinite(x.gain)] + [0.02])
-    rows = [_candidate(x, top, unit, stage) for x in ranked]
-    headings = ("effect", "error smaller by", "z", "improvement", "values", "verdict")
+    rows = [_candidate(x, top, positions, stage) for x in ranked]
+    headings = ("effect", "error smaller by", "z", "improvement / noise", "values", "verdict")
     head = "".join(f"<th>{h}</th>" for h in headings)
 
     def block(lines: list[str]) -> str:
@@ -233,7 +233,7 @@ def _stage(stage: Stage, index: int, unit: Unit) -> str:
     return f"<h3>Stage {index}: {escape(chosen)}</h3>{block(rows[:SHOWN])}{more}"
 
 
-def _candidate(x: Candidate, top: float, unit: Unit, stage: Stage) -> str:
+def _candidate(x: Candidate, top: float, positions: str, stage: Stage) -> str:
     if x.accepted:
         verdict = "<span class='good'>chosen</span>"
     elif x.name in stage.rivals:
@@ -242,7 +242,7 @@ def _candidate(x: Candidate, top: float, unit: Unit, stage: Stage) -> str:
         verdict = escape(x.why) or "another one was better"
     spec = CATALOGUE[x.name]
     values = ", ".join(
-        f"{n} {_span(v)} {'' if spec.parameter(n).unit == '1' else _pretty(spec.parameter(n).unit)}".strip()
+        f"{n} {_span(v)} {_pretty(unit_of(x.name, n, positions))}".strip()
         for n, v in x.values.items()
         if not spec.parameter(n).fixed
     )
@@ -250,7 +250,7 @@ def _candidate(x: Candidate, top: float, unit: Unit, stage: Stage) -> str:
         f"<tr{' class=taken' if x.accepted else ''}><td class=name>{escape(spec.title)}</td>"
         f"<td class=n>{_bar(x.gain, top, LEAST_GAIN)}<span class=beside>{_fixed(100 * (1 - np.exp(-x.gain)), 1)} %</span></td>"
         f"<td class=n>{_bar(x.z, 12.0, LEAST_Z)}<span class=beside>{_fixed(x.z, 1)}</span></td>"
-        f"<td class=n>{_fixed(x.improvement * unit.factor, 3)} {unit.name}</td><td class=why>{escape(values)}</td><td class=why>{verdict}</td></tr>"
+        f"<td class=n>{_fixed(x.improvement, 2)}</td><td class=why>{escape(values)}</td><td class=why>{verdict}</td></tr>"
     )
 
 

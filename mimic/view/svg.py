@@ -115,7 +115,7 @@ class Plot:
             )
             if not self._marks[axis]:
                 continue
-            ticks = _powers(*limits, count=max(2.0, room)) if log else round_ticks(*limits, count=max(2, round(room)))
+            ticks = _powers(*limits, count=max(2.0, room)) if log else round_ticks(*limits, count=max(3, round(room)))
             for tick in ticks:
                 value = 10.0**tick if log else tick
                 px, py = self._at(np.array([value]), np.array([value]))

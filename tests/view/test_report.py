@@ -40,7 +40,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             name=name,
             gain=gain,
             z=z,
-            improvement=max(gain, 0) * 1e-3,
+            improvement=max(gain, 0) * 9,
             values={k: np.full(n, v) for k, v in values.items()},
             joints=JOINTS,
             accepted=not why,
@@ -187,7 +187,11 @@ def test_errors_are_in_a_readable_unit(page: Page) -> None:
     assert "mrad" in page.text
     small = made_up(unit="m")
     tiny = replace(small, nominal=Errors(train=1e-3 * small.noise, held_out=1e-3 * small.noise), stages=())
-    assert "µm" in Page(html_report(tiny)).text
+    sliding = Page(html_report(tiny)).text
+    assert "µm" in sliding
+    assert "[N s/m]" not in sliding
+    assert "[kg]" in sliding
+    assert "N m" not in sliding.replace("tau", "")
 
 
 def test_values_have_units_and_intervals(page: Page) -> None:
