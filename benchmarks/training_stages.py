@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import itertools
 import json
+import subprocess
 import sys
 import tempfile
 import time
@@ -34,17 +36,22 @@ UPDATES = 100 if ON_GPU else 2
 Figures = dict[str, Any]
 Settings = tuple[MdpSettings, LearnSettings]
 
+LEAN = {"rows": 64, "contacts": 8}
 PHYSICS: dict[str, dict[str, Any]] = {
-    "dense, 96 rows, 20 contacts": {"sparse": False, "rows": 96, "contacts": 20},
-    "sparse, 96 rows, 20 contacts": {"sparse": True, "rows": 96, "contacts": 20},
-    "dense, 64 rows, 8 contacts": {"sparse": False, "rows": 64, "contacts": 8},
-    "sparse, 64 rows, 8 contacts": {"sparse": True, "rows": 64, "contacts": 8},
-    "sparse, 64 rows, 8 contacts, 20 iterations": {"sparse": True, "rows": 64, "contacts": 8, "solver_iterations": 20},
-    "sparse, 64 rows, 8 contacts, 5 iterations": {"sparse": True, "rows": 64, "contacts": 8, "solver_iterations": 5},
-    "dense, 64 rows, 8 contacts, unrolled": {"sparse": False, "rows": 64, "contacts": 8, "unrolled": True},
-    "sparse, 64 rows, 8 contacts, unrolled": {"sparse": True, "rows": 64, "contacts": 8, "unrolled": True},
-    "sparse, 64 rows, 8 contacts, warm starts alone": {"sparse": True, "rows": 64, "contacts": 8, "smooth": False},
-    "dense, 64 rows, 8 contacts, 12 line searches": {"rows": 64, "contacts": 8, "linesearch_iterations": 12},
+    "dense, 96 rows, 20 contacts": {"rows": 96, "contacts": 20},
+    "dense, 64 rows, 8 contacts": LEAN,
+    "sparse, 64 rows, 8 contacts": {**LEAN, "sparse": True},
+    "sparse, 64 rows, 8 contacts, 20 iterations": {**LEAN, "sparse": True, "solver_iterations": 20},
+    "dense, 64 rows, 8 contacts, 20 iterations": {**LEAN, "solver_iterations": 20},
+    "dense, 64 rows, 8 contacts, 5 iterations": {**LEAN, "solver_iterations": 5},
+    "dense, 64 rows, 8 contacts, two halves at once": {**LEAN, "parts": 2},
+    "sparse, 64 rows, 8 contacts, two halves at once": {**LEAN, "sparse": True, "parts": 2},
+    "dense, 64 rows, 8 contacts, Hessian by 32": {**LEAN, "blocks": {"update_gradient_JTDAJ_dense": 32}},
+    "dense, 64 rows, 8 contacts, Hessian by 64": {**LEAN, "blocks": {"update_gradient_JTDAJ_dense": 64}},
+    "dense, 64 rows, 8 contacts, Cholesky by 32": {**LEAN, "blocks": {"update_gradient_cholesky": 32}},
+    "dense, 64 rows, 8 contacts, warm starts alone": {**LEAN, "smooth": False},
+    "dense, 64 rows, 8 contacts, unrolled": {**LEAN, "unrolled": True},
+    "dense, 64 rows, 8 contacts, 12 line searches": {**LEAN, "linesearch_iterations": 12},
 }
 """Variants of the physics; the last ones first to go when time is short."""
 
@@ -82,22 +89,51 @@ def flailing(mdp: MdpSettings, steps: int = 50 if ON_GPU else 2) -> StandTrackEn
 # ---------------------------------------------------------------------- physics
 
 
-def physics(env: StandTrackEnv, mdp: MdpSettings, *, unrolled: bool = False, smooth: bool = True) -> float:
-    """Return the time of a control step of the physics alone [ms], from where the environment is, flailing on."""
-    worlds = Worlds(load_description(), mdp, DEVICE, 1)
-    worlds.model.opt.graph_conditional = not unrolled
-    worlds.model.opt.run_qacc_smooth = smooth
-    for name in ("qpos", "qvel", "warmstart"):
-        getattr(worlds, name).copy_(getattr(env.worlds, name))
+def physics(
+    env: StandTrackEnv,
+    mdp: MdpSettings,
+    *,
+    unrolled: bool = False,
+    smooth: bool = True,
+    parts: int = 1,
+    blocks: dict[str, int] | None = None,
+) -> float:
+    """Return the time of a control step of the physics alone [ms], from where the environment is, flailing on.
+
+    Args:
+        env: Gives the state of every world.
+        mdp: Settings of the physics.
+        unrolled: All iterations of the solver always, without a condition in the graph.
+        smooth: Compute the unconstrained acceleration too.
+        parts: The worlds in this many groups, which step at the same time.
+        blocks: Threads a block of some kernels.
+    """
+    each = mdp.worlds // parts
+    groups = [Worlds(load_description(), dataclasses.replace(mdp, worlds=each), DEVICE, 1 + i) for i in range(parts)]
     pose = torch.as_tensor(load_description().poses["upright"], dtype=torch.float32, device=DEVICE)
-    commands = pose + 0.5 * torch.randn(16, 1, mdp.worlds, 12, device=DEVICE)
-    state = {"i": 0}
+    commands = pose + 0.5 * torch.randn(16, 1, each, 12, device=DEVICE)
+    for i, worlds in enumerate(groups):
+        worlds.model.opt.graph_conditional = not unrolled
+        worlds.model.opt.run_qacc_smooth = smooth
+        for name, size in (blocks or {}).items():
+            setattr(worlds.model.block_dim, name, size)
+        for name in ("qpos", "qvel", "warmstart"):
+            getattr(worlds, name).copy_(getattr(env.worlds, name)[i * each : (i + 1) * each])
+    streams = [torch.cuda.Stream() for _ in groups] if ON_GPU and parts > 1 else None
+    count = itertools.count()
 
     def step() -> None:
-        worlds.substep_ctrl.copy_(commands[state["i"] % 16].expand_as(worlds.substep_ctrl))
-        state["i"] += 1
-        worlds.step()
+        command = commands[next(count) % 16]
+        for i, worlds in enumerate(groups):
+            if streams:
+                streams[i].wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(streams[i]) if streams else contextlib.nullcontext():
+                worlds.substep_ctrl.copy_(command.expand_as(worlds.substep_ctrl))
+                worlds.step()
+        for stream in streams or []:
+            torch.cuda.current_stream().wait_stream(stream)
 
+    step()
     return timed(step)
 
 
@@ -107,7 +143,7 @@ def physics_stage(settings: Settings, worlds: int, variants: list[str]) -> Figur
     found: Figures = {}
     for name in variants:
         words = dict(PHYSICS[name])
-        how = {k: words.pop(k) for k in ("unrolled", "smooth") if k in words}
+        how = {k: words.pop(k) for k in ("unrolled", "smooth", "parts", "blocks") if k in words}
         try:
             ms = physics(env, dataclasses.replace(mdp, **words), **how)
         except Exception:
@@ -240,6 +276,30 @@ def launches_stage(settings: Settings) -> Figures:
     return found
 
 
+def gpus_stage(settings: Settings, words: list[str]) -> Figures:
+    """Speed of a short training on one GPU and on several of this machine."""
+    del settings
+    found: Figures = {}
+    gpus = torch.cuda.device_count()
+    for count in [1, *(n for n in (2, 4, 8) if n <= gpus)]:
+        with tempfile.TemporaryDirectory() as folder:
+            run = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
+            run += ["-m", "mimic.train", folder, "--every", "10", "iterations=61", *words]
+            done = subprocess.run(run, stderr=subprocess.PIPE, text=True, check=False)
+        lines = [line for line in done.stderr.splitlines() if "elapsed_s=" in line]
+        if done.returncode or len(lines) < 7:
+            say("\n".join(done.stderr.splitlines()[-40:]))
+            found[str(count)] = {"failed": done.stderr[-2000:]}
+            continue
+        steps, seconds = (
+            [float(line.split(key)[1].split(end)[0]) for line in lines]
+            for key, end in ((" ", "M"), ("elapsed_s=", " "))
+        )
+        found[str(count)] = {"steps_per_s": 1e6 * (steps[-1] - steps[2]) / (seconds[-1] - seconds[2]), "lines": lines}
+        say(f"  {count} GPU(s): {found[str(count)]['steps_per_s'] / 1e6:.3f} M steps/s; {lines[-1]}")
+    return found
+
+
 def training_stage(settings: Settings, **changes: Any) -> Figures:
     """Rewards and speed of a short real training."""
     mdp = dataclasses.replace(settings[0], worlds=SMALL if ON_GPU else 4)
@@ -264,24 +324,26 @@ def training_stage(settings: Settings, **changes: Any) -> Figures:
 
 # ---------------------------------------------------------------------- stages
 
-STAGES: dict[str, Callable[[Settings], Figures]] = {
-    "plain": lambda s: parts_stage(s, SMALL),
-    "captured": lambda s: parts_stage(s, SMALL, captured=True),
-    "captured_bfloat16": lambda s: parts_stage(s, SMALL, captured=True, mixed_precision=True),
-    "training_captured": lambda s: training_stage(s, captured=True),
-    "kernels_dense": lambda s: kernels_stage(s, False),
-    "physics": lambda s: physics_stage(s, SMALL, list(PHYSICS)),
-    "training_plain": lambda s: training_stage(s),
-    "physics_large": lambda s: physics_stage(s, LARGE, list(PHYSICS)[:4]),
-    "captured_large": lambda s: parts_stage(s, LARGE, captured=True),
-    "kernels_sparse": lambda s: kernels_stage(s, True),
-    "launches": launches_stage,
-    "training_bfloat16": lambda s: training_stage(s, captured=True, mixed_precision=True),
+STAGES: dict[str, Callable[[Settings, list[str]], Figures]] = {
+    "captured": lambda s, _: parts_stage(s, SMALL, captured=True),
+    "kernels_dense": lambda s, _: kernels_stage(s, False),
+    "physics": lambda s, _: physics_stage(s, SMALL, list(PHYSICS)),
+    "captured_large": lambda s, _: parts_stage(s, LARGE, captured=True),
+    "physics_large": lambda s, _: physics_stage(s, LARGE, list(PHYSICS)[:3]),
+    "captured_bfloat16": lambda s, _: parts_stage(s, SMALL, captured=True, mixed_precision=True),
+    "plain": lambda s, _: parts_stage(s, SMALL, captured=False),
+    "training_captured": lambda s, _: training_stage(s, captured=True),
+    "training_plain": lambda s, _: training_stage(s, captured=False),
+    "kernels_sparse": lambda s, _: kernels_stage(s, True),
+    "launches": lambda s, _: launches_stage(s),
+    "training_bfloat16": lambda s, _: training_stage(s, captured=True, mixed_precision=True),
+    "gpus": gpus_stage,
 }
 
 
 def main() -> None:
-    figures = STAGES[sys.argv[1]](with_overrides(MdpSettings(), LearnSettings(), sys.argv[2:]))
+    words = sys.argv[2:]
+    figures = STAGES[sys.argv[1]](with_overrides(MdpSettings(), LearnSettings(), words), words)
     say("JSON " + json.dumps(figures))
 
 
