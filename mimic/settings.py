@@ -304,7 +304,7 @@ TRAINING_RANDOMISATION = Randomisation(
     base_mass=(-1.0, 1.0),
     kp=(0.8, 1.2),
     kd=(0.8, 1.2),
-    delay=(0.0, 0.04),
+    delay=(0.0, 0.035),
     push=(0.0, 0.5),
     push_interval=4.0,
     start_q=(-0.15, 0.15),
@@ -370,7 +370,7 @@ class RewardWeights:
     toes: float = 1.4
     toes_fine: float = 1.0
     gait: float = 1.2
-    slip: float = -1.0
+    slip: float = -1.5
     foot_shift: float = -2.0
     rules: float = -1.0
     flight: float = -0.5
@@ -467,7 +467,9 @@ class MdpSettings:
     rise_seconds: float = 0.7
     """Time that standing up should take [s]; faster and slower both cost."""
     upright_share: float = 0.25
-    """Share of episodes that start upright."""
+    """Share of episodes that start upright, once the robot stands."""
+    upright_share_at_first: float = 0.5
+    """… and before: balance is what takes longest to learn."""
     command_seconds: tuple[float, float] = (3.0, 10.0)
     """Time between two velocity and heading commands [s]; paper: 10."""
     still_share: float = 0.35
@@ -507,15 +509,17 @@ class MdpSettings:
     """Constraint Jacobians in sparse form; the same physics, other kernels."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
-    command_margin: float = 0.1
-    """Commanded joint positions keep this far from the joint limits [rad]: a little more than the 5 degrees at which the
-    paper ends an episode, so that a joint gets there only when something pushes it."""
-    rules_ramp: tuple[float, float] = (9_600.0, 19_200.0)
+    command_margin: float = 0.05
+    """Commanded joint positions keep this far from the joint limits [rad]. With more than the 5 degrees at which the paper
+    ends an episode no joint gets there by itself, but an almost straight knee is left without torque."""
+    rules_ramp: tuple[float, float] = (8_400.0, 18_000.0)
     """Control steps of a world between which the paper's terminations come in: none ends an episode before the first,
     each does from the second on, with a probability a step that grows with the square in between. Imposed from the
     beginning they end every episode within the first tenth of a second, before anything is learned."""
     late_share: float = 0.05
     """Share of their weight that the LATE reward terms have before that ramp; it grows to 1 over it."""
+    calm_share: float = 0.2
+    """Share of the disturbances, pushes and gain factors that worlds see before that ramp; it grows to 1 over it."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.05
@@ -556,7 +560,10 @@ class LearnSettings:
     epochs: int = 4
     minibatches: int = 4
     learning_rate: float = 1e-3
-    desired_kl: float = 0.01
+    desired_kl: float = 0.02
+    """Divergence between two updates that the learning rate aims at, at the beginning."""
+    desired_kl_end: float = 0.01
+    """… and at the end; in between it falls geometrically."""
     entropy: float = 0.004
     """Weight of the entropy bonus at the beginning."""
     entropy_end: float = 0.0003
@@ -564,7 +571,7 @@ class LearnSettings:
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
-    init_std: float = 1.0
+    init_std: float = 0.6
     std_range: tuple[float, float] = (0.05, 1.2)
     hidden: tuple[int, ...] = (512, 256, 128)
     mirror: float = 0.0

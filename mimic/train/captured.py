@@ -85,6 +85,7 @@ class CapturedPPO(PPO):
         on_gpu = str(self.device).startswith("cuda")
         self._rate = torch.tensor(self.learning_rate, device=self.device)
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
+        self._wanted_kl = torch.tensor(self.desired_kl or 0.0, device=self.device)
         self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
         self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
@@ -145,6 +146,7 @@ class CapturedPPO(PPO):
         """Go over the storage in epochs and minibatches; return mean losses."""
         self._rate.fill_(self.learning_rate)
         self._entropy_weight.fill_(self.entropy_coef)
+        self._wanted_kl.fill_(self.desired_kl or 0.0)
         self._sums.zero_()
         self._gather()
         for _ in range(self.num_learning_epochs):
@@ -241,8 +243,8 @@ class CapturedPPO(PPO):
             kl, rate = self._flat[-1], self._rate
             down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
             up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
-            rate = torch.where((kl < self.desired_kl / 2.0) & (kl > 0.0), up, rate)
-            self._rate.copy_(torch.where(kl > self.desired_kl * 2.0, down, rate))
+            rate = torch.where((kl < self._wanted_kl / 2.0) & (kl > 0.0), up, rate)
+            self._rate.copy_(torch.where(kl > self._wanted_kl * 2.0, down, rate))
         nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
         nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
         self.optimizer.step()

@@ -48,6 +48,8 @@ class Disturbances:
         self.toe = torch.zeros(worlds, 2, device=device)
         """1 for the front toe that is pulled, left or right (N, 2)."""
         self._from = torch.zeros(worlds, device=device)
+        self.share = torch.ones(1, device=device)
+        """Factor on whatever is drawn (1,)."""
         self.mount[:, 0] = 1.0
 
     def reset(self, mask: torch.Tensor) -> None:
@@ -59,11 +61,11 @@ class Disturbances:
 
         axis = torch.randn(self._n, 3, device=self._device)
         axis = axis / axis.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-        half = self._uniform(*r.imu_tilt)[:, None] * (math.pi / 360)
+        half = (self.share * self._uniform(*r.imu_tilt))[:, None] * (math.pi / 360)
         put(self.mount, torch.cat([torch.cos(half), torch.sin(half) * axis], -1))
-        put(self.lost_share, self._uniform(*r.lost_share)[:, None])
+        put(self.lost_share, (self.share * self._uniform(*r.lost_share))[:, None])
         angle = self._uniform(-math.pi, math.pi)
-        size = self._uniform(*r.drag) * (self._uniform(0.0, 1.0) < r.drag_share)
+        size = self.share * self._uniform(*r.drag) * (self._uniform(0.0, 1.0) < r.drag_share)
         put(self.force, torch.stack([size * torch.cos(angle), size * torch.sin(angle), torch.zeros_like(size)], -1))
         left = (self._uniform(0.0, 1.0) < 0.5).float()
         put(self.toe, torch.stack([left, 1 - left], -1))

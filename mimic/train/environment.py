@@ -182,6 +182,7 @@ class StandTrackEnv(VecEnv):
             now = weights_at(progress, self._rewards, self.settings.regularisation, self._late(ramp))
             self._weights.copy_(torch.tensor(now))
             self._rule_share.fill_(ramp**2)
+            self._ease(ramp)
         if str(self.device).startswith("cuda"):
             self._step_captured()
         else:
@@ -240,6 +241,14 @@ class StandTrackEnv(VecEnv):
         lever = w.site_xpos[:, self._front_sites] - w.xipos[:, self._front_knees]
         moment = torch.linalg.cross(lever, force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
+
+    def _ease(self, ramp: float) -> None:
+        """Set what grows as the robot learns to stand, for the share of the ramp that is done."""
+        s = self.settings
+        share = s.calm_share + (1 - s.calm_share) * ramp
+        self.worlds.ease(share)
+        self.disturbances.share.fill_(share)
+        self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _quat_WB(self) -> torch.Tensor:
         """Orientation of the base in the true world, whose z is up also where the ground is inclined (N, 4)."""
@@ -428,7 +437,7 @@ class StandTrackEnv(VecEnv):
         r = self.settings.randomisation
         every = round(r.push_interval / self.contract.dt)
         due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > self.settings.stand_up_steps)
-        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push)
+        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.share
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(torch.where(due[:, None], kick, torch.zeros_like(kick)))
 

@@ -124,6 +124,7 @@ def train(
 
     def progressed(share: float) -> None:
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
+        runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
         if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:
             export(runner, contract, folder / f"policy_{due.pop():g}min.onnx")
 

@@ -136,6 +136,9 @@ class SitDownEnv(StandTrackEnv):
     def _late(self, ramp: float) -> float:
         return 1.0
 
+    def _ease(self, ramp: float) -> None:
+        """Everything from the beginning: this task begins where the other one ends."""
+
     def _first_phase(self, start: Start) -> torch.Tensor:
         return torch.where(start.anytime, self._uniform(0.0, 2 * math.pi), torch.zeros_like(start.heading))
 

@@ -49,6 +49,8 @@ class Starts:
             return torch.as_tensor(values, dtype=torch.float32, device=device)
 
         self._settings, self._n, self._device = settings, settings.worlds, device
+        self.upright_share = torch.full((1,), settings.upright_share, device=device)
+        """Share of the starts that are upright (1,)."""
         self._q_min, self._q_max = tensor(description.q_min), tensor(description.q_max)
         self._lie, self._upright = tensor(description.poses["lie"]), tensor(description.poses["upright"])
         self._heights = description.pose_height
@@ -58,7 +60,7 @@ class Starts:
     def draw(self) -> Start:
         """Return a start for every world."""
         r = self._settings.randomisation
-        upright = self._uniform(0.0, 1.0) < self._settings.upright_share
+        upright = self._uniform(0.0, 1.0) < self.upright_share
         heading = self._uniform(*r.heading)
         pitch = torch.where(upright, self._pitch + self._uniform(-TILT, TILT), self._uniform(-UNEVEN, UNEVEN))
         quat = quat_from_euler(self._uniform(-UNEVEN, UNEVEN), -pitch, heading)

@@ -130,12 +130,26 @@ class Worlds:
                 raise RuntimeError(f"{name} has {target.shape[0]} rows, expected {n}")
             tensor = wp.to_torch(target)
             tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
+        self._gains = wp.to_torch(self.model.actuator_gainprm)
+        self._own_gains = self._gains.clone()
+        usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
+        self._usual_gains = usual.reshape(1, *self._gains.shape[1:]).expand_as(self._gains)
         self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
-        self.slope_quat = torch.as_tensor(np.array(slopes, dtype=np.float32)[index], device=self.device)
-        level = torch.tensor(self.mj_model.opt.gravity, dtype=torch.float32, device=self.device).expand(n, 3)
-        gravity = quat_rotate(self.slope_quat, level, inverse=True).contiguous()
-        self.model.opt.gravity = wp.from_torch(gravity, dtype=wp.vec3)
-        self._gravity = gravity  # Warp's array is a view of it
+        self._own_slope = torch.as_tensor(np.array(slopes, dtype=np.float32)[index], device=self.device)
+        self.slope_quat = self._own_slope.clone()
+        self._level = torch.tensor(self.mj_model.opt.gravity, dtype=torch.float32, device=self.device).expand(n, 3)
+        self._gravity = self._level.clone()  # Warp's array is a view of it
+        self.model.opt.gravity = wp.from_torch(self._gravity, dtype=wp.vec3)
+        self.ease(1.0)
+
+    def ease(self, share: float) -> None:
+        """Give each world this share of its own gains and slope, and the usual ones for the rest."""
+        self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
+        level = torch.zeros_like(self._own_slope)
+        level[:, 0] = 1.0
+        mixed = level + share * (self._own_slope - level)
+        self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
+        self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
 
     def _make_support(self) -> _Support:
         model = self.mj_model

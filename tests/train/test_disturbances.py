@@ -25,7 +25,14 @@ RANGES = dataclasses.replace(
 
 def make(description, **changes: object) -> StandTrackEnv:
     settings = MdpSettings(
-        worlds=1, noise_q=0.0, noise_axes=0.0, upright_share=0.0, randomisation=NOMINAL, command_margin=0.0
+        worlds=1,
+        noise_q=0.0,
+        noise_axes=0.0,
+        upright_share=0.0,
+        randomisation=NOMINAL,
+        command_margin=0.0,
+        calm_share=1.0,
+        upright_share_at_first=0.0,
     )
     solved = {"solver_iterations": 100, "linesearch_iterations": 50}
     return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 5)

@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.environment import StandTrackEnv  # noqa: E402
 
-FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED)
+FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED, calm_share=1.0)
 
 
 def make(description, seed: int = 3, **changes: object) -> StandTrackEnv:
@@ -77,7 +77,7 @@ def test_the_critic_sees_what_the_policy_sees_and_more(env):
 
 def test_training_physics_is_that_of_the_simulation(description):
     """From the same lying start, through the same actuators and delay, with the same actions, solved to the end."""
-    solved = {"solver_iterations": 100, "linesearch_iterations": 50}
+    solved = {"solver_iterations": 100, "linesearch_iterations": 50, "command_margin": 0.0}
     env = make(description, worlds=1, upright_share=0.0, randomisation=NOMINAL, **solved)
     plant = SimulatedPlant(description)
     state = plant.start()
@@ -163,3 +163,26 @@ def test_noise_is_on_measured_terms_only(description):
     assert 0.0 < difference[:, :12].max() <= 0.01 + 1e-6
     assert 0.0 < difference[:, 12:18].max() <= 0.015 + 1e-6
     assert difference[:, 18:].max() == 0.0
+
+
+def test_gains_slopes_and_rules_come_in_over_the_ramp(description):
+    env = make(
+        description,
+        worlds=2,
+        disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)),
+        calm_share=0.25,
+        rules_ramp=(240.0, 480.0),
+    )
+
+    def at(calls: int) -> tuple[float, float]:
+        env.resume_at(calls)
+        env.step(torch.zeros(2, 12))
+        slope = np.rad2deg(2 * np.arccos(env.worlds.slope_quat[:, 0].numpy().clip(-1, 1)))
+        spread = np.abs(env.worlds.model.actuator_gainprm.numpy()[..., 4] / description.kp - 1).max()
+        return float(slope.mean()), float(spread)
+
+    early, late = at(0), at(480)
+    assert early[0] == pytest.approx(1.0, abs=0.05)
+    assert late[0] == pytest.approx(4.0, abs=0.05)
+    assert early[1] == pytest.approx(0.25 * late[1], rel=1e-3)
+    assert late[1] > 0.05
