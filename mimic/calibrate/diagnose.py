@@ -191,20 +191,23 @@ def search(
     """
     tick("screening")
     picked = _pick(screen(problem, incumbent, candidates, motion))
-    everywhere = np.ones(len(problem.machine.joints), dtype=bool)
+    masks = {s.name: s.joints for s in picked}
     tick(f"refitting {len(picked)} effects")
     fits = fit_all(
         problem,
-        [fitting(problem, s.point, [*names, s.name], joints, most=2, frozen=incumbent) for s in picked],
+        [
+            fitting(problem, s.point, [*names, s.name], {**joints, s.name: s.joints}, most=2, frozen=incumbent)
+            for s in picked
+        ],
     )
-    tried = [judge(problem, incumbent, s.name, f, everywhere) for s, f in zip(picked, fits, strict=True)]
+    tried = [judge(problem, incumbent, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
     tried.sort(key=lambda t: -t.gain)
     strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z][:STRONG]
     if strong:
         tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         fits = fit_all(problem, [fitting(problem, t.fitted.point, [*names, t.name], joints, most=4) for t in strong])
         for t, f in zip(strong, fits, strict=True):
-            tried[tried.index(t)] = judge(problem, incumbent, t.name, refine(f), everywhere)
+            tried[tried.index(t)] = judge(problem, incumbent, t.name, refine(f), masks[t.name])
     tried.sort(key=lambda t: -t.gain)
     good = [t for t in tried if not t.why]
     if not good:

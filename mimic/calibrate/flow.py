@@ -230,7 +230,16 @@ def _grow(state: _Search) -> list[Stage]:
             break
         motion = _motion(state.problem, state.current)
         state.problem.replay.set_heat(motion.tau)
-        found = search(state.problem, state.current, state.names, state.joints, motion, _candidates(state), state.tick)
+        found = search(
+            state.problem,
+            state.current,
+            state.names,
+            state.joints,
+            motion,
+            _candidates(state),
+            state.tick,
+            lambda fitted: _refined(state.problem, fitted),
+        )
         if found.best is None:
             if stages:
                 break

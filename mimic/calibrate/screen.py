@@ -16,7 +16,7 @@ from mimic.calibrate.fit import Fit, left_out, prior, solve
 from mimic.calibrate.problem import Knob, Point, Problem, Sums
 from mimic.calibrate.replay import neutral
 from mimic.robot.effects import CATALOGUE
-from mimic.types import FloatArray
+from mimic.types import BoolArray, FloatArray
 
 FINEST_ORDER = 0.25
 """Spacing of the orders at which cogging is looked for [1/rad]: below the width of a peak over a range of 2 rad."""
@@ -29,6 +29,8 @@ class Start:
     name: str
     point: Point
     """After one linear step."""
+    joints: BoolArray
+    """Joints that may have the effect (J,)."""
     gain: float
     """Predicted gain, each block judged without itself."""
 
@@ -103,39 +105,90 @@ def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int
 def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:
     """Return the best start of each of the named effects after one linear step, best first.
 
-    First each start alone, with the numbers of the incumbent free; then the numbers of the effect from its best start.
+    First each start alone, with the numbers of the incumbent free: a joint takes the start that suits it best, or none.
+    Then the numbers of the effect from there.
     """
     train = problem.blocks.train
     points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
     moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
     replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
-    best: dict[str, tuple[float, Point, FloatArray]] = {}
-    for i, (name, point) in enumerate(points):
-        residual = replayed.get(i, incumbent.residual)
-        if not np.isfinite(problem.block_squares(residual)).all():
-            continue
-        sums = problem.sums(residual, incumbent.columns, incumbent.knobs)
-        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-        step = np.linalg.lstsq(hessian + np.diag(prior(incumbent.knobs)), gradient, rcond=1e-12)[0]
-        left = float(sums.square[train].sum() - gradient @ step)
-        if name not in best or left < best[name][0]:
-            best[name] = (left, point, residual)
+    left = {}
+    for i, residual in replayed.items():
+        if np.isfinite(problem.block_squares(residual)).all():
+            left[i] = _refitted(problem, incumbent, residual)
+    own = _channel_squares(problem, incumbent.residual)
     plans = []
-    for name, (_, point, residual) in best.items():
+    for name in names:
+        rows = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
+        everywhere = np.ones(len(problem.machine.joints), dtype=bool)
+        if not rows:
+            continue
+        if rows[0] not in replayed:
+            plans.append((name, points[rows[0]][1], everywhere))
+        elif CATALOGUE[name].scope == "machine":
+            plans.append((name, points[min(rows, key=lambda i: float(left[i].sum()))][1], everywhere))
+        else:
+            mixed = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
+            if mixed is not None:
+                plans.append((name, *mixed))
+    bases = problem.residuals([p for _, p, _ in plans])
+    asked = []
+    for name, point, mask in plans:
         shapes = not _acts(name, point, problem)  # where an effect is has no meaning while it is none
         parameters = {p.name for p in CATALOGUE[name].parameters if p.shape and shapes}
-        knobs = [k for k in problem.knobs(point, {}, [name]) if k.key[1] not in parameters]
-        plans.append((name, point, residual, knobs, *problem.difference_points(point, knobs)))
-    moved = problem.residuals([p for plan in plans for p in plan[4]])
+        knobs = [k for k in problem.knobs(point, {name: mask}, [name]) if k.key[1] not in parameters]
+        asked.append((knobs, *problem.difference_points(point, knobs)))
+    moved = problem.residuals([p for a in asked for p in a[1]])
     before, _ = left_out(incumbent, problem)
     found, at = [], 0
-    for name, point, base, knobs, asked, groups, sizes in plans:
-        made = problem.columns(base, moved[at : at + len(asked)], groups, knobs, sizes)
-        at += len(asked)
+    for (name, point, mask), base, (knobs, differences, groups, sizes) in zip(plans, bases, asked, strict=True):
+        made = problem.columns(base, moved[at : at + len(differences)], groups, knobs, sizes)
+        at += len(differences)
         everything = (*incumbent.knobs, *knobs)
         sums = problem.sums(base, [*incumbent.columns, *(np.nan_to_num(c) for c in made)], everything)
-        found.append(_predicted(problem, name, point, base, everything, sums, before))
+        found.append(_predicted(problem, name, point, mask, base, everything, sums, before))
     return sorted(found, key=lambda s: -s.gain)
+
+
+def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
+    """Return the sum of squares of each channel (C,) after one linear step of the incumbent's numbers."""
+    train = problem.blocks.train
+    sums = problem.sums(residual, incumbent.columns, incumbent.knobs)
+    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+    step = np.linalg.lstsq(hessian + np.diag(prior(incumbent.knobs)), gradient, rcond=1e-12)[0]
+    left = residual.copy()
+    for size, column in zip(step, incumbent.columns, strict=True):
+        left -= np.float32(size) * column
+    return _channel_squares(problem, left)
+
+
+def _channel_squares(problem: Problem, residual: FloatArray) -> FloatArray:
+    return problem.block_squares(residual)[problem.blocks.train].sum(0)
+
+
+def _mixed(
+    name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem
+) -> tuple[Point, BoolArray] | None:
+    """Return the point at which each joint has the start that suits it best, or none, and which joints have one."""
+    joints = len(problem.machine.joints)
+    by_joint = np.zeros((len(points) + 1, joints))
+    for row, square in enumerate((own, *squares)):
+        np.add.at(by_joint[row], problem.channel_joint, square)
+    choice = np.argmin(by_joint, axis=0)
+    mask = choice > 0
+    if not mask.any():  # the mildest start where it does the least harm
+        harm = by_joint[1:] - by_joint[0]
+        choice[:] = 0
+        j = int(np.argmin(harm.min(0)))
+        choice[j] = 1 + int(np.argmin(harm[:, j]))
+        mask = choice > 0
+    values = dict(points[0].values)
+    for p in CATALOGUE[name].parameters:
+        rows = np.stack([neutral(name, p.name, problem.machine), *(x.values[name, p.name] for x in points)])
+        values[name, p.name] = (
+            rows[choice, np.arange(joints)] if not p.shape else rows[np.maximum(choice, 1), np.arange(joints)]
+        )
+    return Point(values), mask
 
 
 def _acts(name: str, point: Point, problem: Problem) -> bool:
@@ -148,7 +201,14 @@ def _acts(name: str, point: Point, problem: Problem) -> bool:
 
 
 def _predicted(
-    problem: Problem, name: str, point: Point, base: FloatArray, knobs: tuple[Knob, ...], sums: Sums, before: FloatArray
+    problem: Problem,
+    name: str,
+    point: Point,
+    mask: BoolArray,
+    base: FloatArray,
+    knobs: tuple[Knob, ...],
+    sums: Sums,
+    before: FloatArray,
 ) -> Start:
     """Return the start after one linear step, with the gain that a linear model would have there."""
     train = problem.blocks.train
@@ -159,4 +219,4 @@ def _predicted(
     trial = Fit(point=point.moved(knobs, step), knobs=knobs, residual=base, columns=(), sums=linear)
     after, _ = left_out(trial, problem)
     gain = float(np.mean(0.5 * np.log(before / np.maximum(after, 1e-9))))
-    return Start(name=name, point=trial.point, gain=gain)
+    return Start(name=name, point=trial.point, joints=mask, gain=gain)

@@ -20,7 +20,7 @@ from mimic.robot.effects import effect
 Parameters = Mapping[tuple[str, str], Any]
 """(effect, parameter) -> values (N, J), or (N, 1) for the whole machine. What is not there is neutral."""
 
-STIFFEST = 1e-3
+STIFFEST = 2e-4
 """Compliance of a transmission that has backlash only [rad/(N m)]: stiff against any position gain in use."""
 
 DAMPING_RATIO = 0.2
