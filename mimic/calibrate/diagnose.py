@@ -33,6 +33,9 @@ RIVAL_Z = 2.0
 MASS_RANGE = (0.6, 1.6)
 """A link whose mass leaves this range, as a factor of the CAD, is not a mass: three deviations of 15 %."""
 
+FAR_Z = 6.0
+"""Effects this far behind the best, in standard errors, are not fitted to the end."""
+
 STRONG = 4
 """Effects that are fitted to the end and compared."""
 
@@ -202,7 +205,8 @@ def search(
     )
     tried = [judge(problem, incumbent, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
     tried.sort(key=lambda t: -t.gain)
-    strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z][:STRONG]
+    strong = [t for t in tried if t.gain >= LEAST_GAIN and t.z >= LEAST_Z]
+    strong = [t for t in strong if paired(strong[0].squares, t.squares)[1] < FAR_Z][:STRONG]
     if strong:
         tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         fits = fit_all(problem, [fitting(problem, t.fitted.point, [*names, t.name], joints, most=4) for t in strong])

@@ -124,8 +124,8 @@ def fitting(
     if frozen is not None:
         known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
     fresh = [k for k in knobs if (k.key, k.joint) not in known]
-    converged = False
-    for iteration in range(most + 1):
+    stacked: list[FloatArray] = []
+    for _ in range(most):
         columns = dict(known)
         if fresh:
             points, groups, sizes = problem.difference_points(point, fresh)
@@ -133,8 +133,6 @@ def fitting(
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
         stacked = [columns[k.key, k.joint] for k in knobs]
         sums = problem.sums(residual, stacked, knobs)
-        if converged or iteration == most:
-            break
         hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
         at = point.read(knobs)
         trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
@@ -145,6 +143,9 @@ def fitting(
             break
         converged = 1 - squares[winner] / best < CONVERGED
         point, residual, best = trials[winner], replayed[winner], squares[winner]
+        if converged:
+            break
+    sums = problem.sums(residual, stacked, knobs)  # derivatives of the last step's start: near enough once it is small
     return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
 
 

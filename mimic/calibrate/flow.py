@@ -83,14 +83,14 @@ def calibrate(
     report("replaying", 0)
     nominal = _errors(problem, problem.residuals([start])[0])
     report("fitting the declared model", problem.replay.replays)
-    fitted = fit(problem, start, names, {})
+    fitted = fit(problem, start, names, {}, most=5)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(_errors(problem, fitted.residual).train / np.maximum(spread, 1e-9))
     belongs = error < UNRELATED
     report("comparing with fine steps", problem.replay.replays)
     _correct(problem, fitted.point)
-    fitted = fit(problem, fitted.point, names, {}, most=2)
+    fitted = fit(problem, fitted.point, names, {}, most=2, frozen=fitted)
     state = _Search(problem=problem, settings=settings, progress=report, joints={}, names=names, current=fitted)
     stages = [Stage(added="declared", errors=_errors(problem, fitted.residual))]
     before = fitted
@@ -283,7 +283,7 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
 
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
-    refined = fit(state.problem, state.current.point, state.names, state.joints, most=2)
+    refined = fit(state.problem, state.current.point, state.names, state.joints, most=1)
     return _refined(state.problem, refined)
 
 

@@ -108,7 +108,6 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
     First each start alone, with the numbers of the incumbent free: a joint takes the start that suits it best, or none.
     Then the numbers of the effect from there.
     """
-    train = problem.blocks.train
     points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
     moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
     replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}

@@ -167,7 +167,7 @@ _ALL = (
         title="torque limit and torque-speed line",
         equation="|tau| <= torque, and <= torque (speed - |v|) / (speed - flat) while driving",
         parameters=(
-            Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.3, starts=(0.5, 0.75, 1.2)),
+            Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.3, starts=(0.5, 0.8)),
             Parameter(name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.5, starts=(0.7, 1.2, 2.5)),
             Parameter(
                 name="flat",
@@ -336,7 +336,7 @@ _ALL = (
         title="backlash",
         equation="motor and link move freely against each other within gap; the encoder is on the motor",
         parameters=(
-            Parameter(name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.002, starts=(0.004, 0.012, 0.03)),
+            Parameter(name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.002, starts=(0.006, 0.025, 0.08)),
         ),
         structural=True,
         signature="dwell at each reversal of torque",
@@ -424,7 +424,7 @@ _ALL = (
     Effect(
         name="base_tilt",
         title="tilted base",
-        equation="gravity turned by roll about x and pitch about y",
+        equation="base turned by roll about x, then pitch about y, gravity the other way",
         parameters=(
             Parameter(name="roll", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.01),
             Parameter(name="pitch", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.01),
