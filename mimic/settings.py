@@ -397,16 +397,16 @@ step than by falling, and a policy learns to fall at once; that was tried."""
 class SitDownWeights:
     """Weight of each reward term of sitting down, per control step; see mimic.train.sit_down for the terms."""
 
-    height: float = 0.8
+    height: float = 1.6
     level: float = 0.8
     roll: float = -1.0
     pose: float = 1.0
     pose_fine: float = 0.6
     still: float = 0.6
-    sinking: float = -4.0
+    sinking: float = -15.0
     fast: float = -2.0
     tumbling: float = -0.05
-    jolt: float = -0.6
+    jolt: float = -2.0
     landing: float = -5.0
     trunk: float = -1.0
     thighs: float = -0.2

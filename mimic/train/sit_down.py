@@ -17,7 +17,7 @@ from mimic.train.rewards import FAST, Facts
 from mimic.train.sit_down_starts import SitDownStarts
 from mimic.train.starts import Start
 
-SINKING = 0.5
+SINKING = 0.45
 """Downward speed of the base from which on it costs [m/s]."""
 
 MOVING = 0.7
@@ -28,6 +28,9 @@ TUMBLING = 3.0
 
 JOLT = 15.0
 """Acceleration of the base over a control step from which on it costs [m/s^2]."""
+
+NEAR = 0.004
+"""What is lower than this touches the ground [m]."""
 
 HEAD_ROOM = 0.05
 """The lowest point of the head should stay this high [m]."""
@@ -59,7 +62,7 @@ class Descent:
     slip: torch.Tensor
     """Horizontal speed of the front toes that touch the ground, else 0 (N, 2) [m/s]."""
     landing: torch.Tensor
-    """Downward speed of each front toe that has just met the ground, else 0 (N, 2) [m/s]."""
+    """Downward speed of each front toe and hind knee that has just met the ground, else 0 (N, 4) [m/s]."""
     trunk: torch.Tensor
     """True where trunk, hips or shoulders touch the ground (N,)."""
     thighs: torch.Tensor
@@ -72,16 +75,16 @@ class Descent:
 
 def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,), in the order of SitDownWeights."""
-    off = d.pose_error.square().mean(-1)
+    off, near = d.pose_error.square().mean(-1), torch.exp(-((d.pose_error / 0.12) ** 2)).mean(-1)
     speed, turning = d.velocity.norm(dim=-1), d.turning.norm(dim=-1)
     there = (d.progress >= 1).float()
     calm = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
     return {
-        "height": torch.exp(-((d.height_error / 0.08) ** 2)),
+        "height": torch.exp(-((d.height_error / 0.06) ** 2)),
         "level": torch.exp(-((d.pitch_error / 0.4) ** 2)),
         "roll": d.left_up.square(),
         "pose": torch.exp(-off / 0.15) * d.progress,
-        "pose_fine": torch.exp(-off / 0.01) * there,
+        "pose_fine": near * there,
         "still": calm * there * torch.exp(-((d.height_error / 0.08) ** 2)),
         "sinking": torch.clamp(-d.velocity[:, 2] - SINKING, 0.0, 3.0).square(),
         "fast": torch.clamp(speed - MOVING, 0.0, 3.0).square(),
@@ -120,7 +123,7 @@ class SitDownEnv(StandTrackEnv):
         self._head = w.geom_columns("head_0", "head_1")
         self._belly = w.geom_columns("body", "shoulder", "_abad")
         self._thighs = w.geom_columns("_thigh")
-        self._front_toes = w.geom_columns("FL_toe", "FR_toe")
+        self._landing = w.geom_columns("FL_toe", "FR_toe", "RL_rubber", "RR_rubber")
 
     def _buffers(self) -> None:
         super()._buffers()
@@ -128,6 +131,7 @@ class SitDownEnv(StandTrackEnv):
         self._height_at_start, self._pitch_at_start = torch.zeros(n, device=device), torch.zeros(n, device=device)
         self._velocity_before = torch.zeros(n, 3, device=device)
         self._front_before = torch.zeros(n, 2, 3, device=device)
+        self._clearance_before = torch.zeros(n, 4, device=device)
 
     @property
     def _rewards(self) -> Any:
@@ -163,9 +167,10 @@ class SitDownEnv(StandTrackEnv):
         acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
         front = w.site_xpos[:, 1:3]  # sites: imu, then a toe for each leg
         motion = (front - self._front_before) / dt
-        down, none = front[..., 2] < self.description.toe_radius + 0.004, torch.zeros_like(front[..., 2])
-        landed = down & (self._front_before[..., 2] > self.description.toe_radius + 0.004) & later[:, None]
-        landing = torch.where(landed, (-motion[..., 2]).clamp(0.0, 4.0), none)
+        down, none = front[..., 2] < self.description.toe_radius + NEAR, torch.zeros_like(front[..., 2])
+        clearance = low[:, self._landing]
+        landed = (clearance < NEAR) & (self._clearance_before > NEAR) & later[:, None]
+        landing = ((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed
         slip = torch.where(down & later[:, None], motion[..., :2].norm(dim=-1), none)
         trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
         left_up = 2 * (qy * qz + qw * qx)
@@ -173,6 +178,7 @@ class SitDownEnv(StandTrackEnv):
         crashed = trunk & (velocity.norm(dim=-1) > self.settings.sit_down.crash_speed)
         self._velocity_before.copy_(velocity)
         self._front_before.copy_(front)
+        self._clearance_before.copy_(clearance)
         return Descent(
             progress=progress,
             height_error=w.qpos[:, 2] - height,
