@@ -512,14 +512,19 @@ class MdpSettings:
     command_margin: float = 0.05
     """Commanded joint positions keep this far from the joint limits [rad]. With more than the 5 degrees at which the paper
     ends an episode no joint gets there by itself, but an almost straight knee is left without torque."""
-    rules_ramp: tuple[float, float] = (8_400.0, 18_000.0)
-    """Control steps of a world between which the paper's terminations come in: none ends an episode before the first,
-    each does from the second on, with a probability a step that grows with the square in between. Imposed from the
-    beginning they end every episode within the first tenth of a second, before anything is learned."""
+    ease_falls: float = 0.008
+    """While fewer robots than this fall in a control step, what makes the task hard grows: the paper's terminations, the
+    LATE reward terms, disturbances. Imposed from the beginning, the terminations end every episode within the first tenth
+    of a second, before anything is learned."""
+    ease_steps: float = 7_200.0
+    """Control steps of a world over which they grow; a termination ends an episode with a probability a step that grows
+    with the square of the share done."""
+    ease_latest: float = 16_800.0
+    """From this control step of a world on they grow in any case."""
     late_share: float = 0.05
-    """Share of their weight that the LATE reward terms have before that ramp; it grows to 1 over it."""
+    """Share of their weight that the LATE reward terms have before; it grows to 1."""
     calm_share: float = 0.2
-    """Share of the disturbances, pushes and gain factors that worlds see before that ramp; it grows to 1 over it."""
+    """Share of the disturbances, pushes and gain factors that worlds see before; it grows to 1."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.05

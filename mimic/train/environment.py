@@ -97,7 +97,7 @@ class StandTrackEnv(VecEnv):
         self._constants()
         self._buffers()
         self._graph: Any = None
-        self._calls = 0
+        self._calls, self._ramp = 0, 0.0
         everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._reset(everyone)
         self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
@@ -163,6 +163,7 @@ class StandTrackEnv(VecEnv):
     def resume_at(self, steps: int) -> None:
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
         self._calls = 240 * (steps // 240)
+        self._ramp = min(max((self._calls - self.settings.ease_latest) / self.settings.ease_steps, 0.0), 1.0)
 
     # ------------------------------------------------------------------ the interface of rsl_rl
 
@@ -177,8 +178,7 @@ class StandTrackEnv(VecEnv):
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
             progress = min(1.0, self._calls / self.settings.ramp_steps)
-            begin, end = self.settings.rules_ramp
-            ramp = min(max((self._calls - begin) / max(end - begin, 1.0), 0.0), 1.0)
+            ramp = self._grown()
             now = weights_at(progress, self._rewards, self.settings.regularisation, self._late(ramp))
             self._weights.copy_(torch.tensor(now))
             self._rule_share.fill_(ramp**2)
@@ -241,6 +241,13 @@ class StandTrackEnv(VecEnv):
         lever = w.site_xpos[:, self._front_sites] - w.xipos[:, self._front_knees]
         moment = torch.linalg.cross(lever, force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
+
+    def _grown(self) -> float:
+        """Return how much of what makes the task hard is there by now, 0 to 1; asked every 240 steps."""
+        falls = float(self._log["track/falls"]) if "track/falls" in self._log else 1.0  # waits for the device
+        if self._calls and (falls < self.settings.ease_falls or self._calls > self.settings.ease_latest):
+            self._ramp = min(self._ramp + 240 / self.settings.ease_steps, 1.0)
+        return self._ramp
 
     def _ease(self, ramp: float) -> None:
         """Set what grows as the robot learns to stand, for the share of the ramp that is done."""
@@ -408,7 +415,7 @@ class StandTrackEnv(VecEnv):
             "track/rules": (f.rules_broken * tracking).sum() / count,
             "rise/slip": (f.slip * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
             "rise/rules": (f.rules_broken * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
-            "rules/share": self._rule_share.mean(),
+            "track/rule_share": self._rule_share.mean(),
             "track/knee_torque": (f.torque[:, 8::3].abs().mean(-1) * tracking).sum() / count,
         }
 

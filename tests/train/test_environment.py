@@ -171,7 +171,9 @@ def test_gains_slopes_and_rules_come_in_over_the_ramp(description):
         worlds=2,
         disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)),
         calm_share=0.25,
-        rules_ramp=(240.0, 480.0),
+        ease_latest=240.0,
+        ease_steps=480.0,
+        ease_falls=-1.0,
     )
 
     def at(calls: int) -> tuple[float, float]:
@@ -181,7 +183,7 @@ def test_gains_slopes_and_rules_come_in_over_the_ramp(description):
         spread = np.abs(env.worlds.model.actuator_gainprm.numpy()[..., 4] / description.kp - 1).max()
         return float(slope.mean()), float(spread)
 
-    early, late = at(0), at(480)
+    early, late = at(0), at(720)
     assert early[0] == pytest.approx(1.0, abs=0.05)
     assert late[0] == pytest.approx(4.0, abs=0.05)
     assert early[1] == pytest.approx(0.25 * late[1], rel=1e-3)
