@@ -1,0 +1,127 @@
+"""mimic calibrate and mimic log simulate, on a pendulum that takes a second."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.cli import main
+from mimic.machine_log import read_log, write_log
+from mimic.robot.effect_set import read_effects
+
+PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body name="link"><joint name="hinge" axis="0 1 0" range="-1.2 1.2" damping="0.02"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>
+<actuator><position joint="hinge" kp="30" kv="1.5"/></actuator></mujoco>"""
+
+HIDDEN = """[[effect]]
+name = "coulomb"
+joints = ["hinge"]
+level = 0.2
+
+[[effect]]
+name = "spring"
+joints = ["hinge"]
+stiffness = 2.0
+"""
+
+QUICK = ("--seconds", "16", "--timestep", "0.001")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    (tmp_path / "hidden.toml").write_text(HIDDEN)
+    return tmp_path
+
+
+def simulated(*options: str) -> int:
+    return main(["log", "simulate", "--model", "robot.xml", "--effects", "hidden.toml", *QUICK, *options])
+
+
+def test_a_simulated_log_is_one_that_can_be_read(here: Path) -> None:
+    assert simulated("-o", "log.csv", "--rate", "100", "--kd", "2.5", "--lost-samples", "0.1") == 0
+    log = read_log(here / "log.csv")
+    assert log.joints == ("hinge",)
+    assert log.metadata["kp"] == {"hinge": 30.0}
+    assert log.metadata["kd"] == {"hinge": 2.5}
+    assert 1350 < len(log.t) < 1550
+    assert log.tau is not None
+
+
+def test_the_same_seed_gives_the_same_log_and_effects_change_it(here: Path) -> None:
+    assert simulated("-o", "a.csv") == simulated("-o", "b.csv") == 0
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+    assert main(["log", "simulate", "--model", "robot.xml", "-o", "none.csv", *QUICK]) == 0
+    difference = read_log(here / "a.csv").q - read_log(here / "none.csv").q
+    assert np.abs(difference).max() > 0.01
+
+
+def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulated("-o", "log.parquet") == 0
+    assert main(["calibrate", "log.parquet", "--model", "robot.xml", "-o", "out", "--most-effects", "1"]) == 0
+    assert sorted(p.name for p in (here / "out").iterdir()) == ["calibration.json", "effects.toml", "report.html"]
+    data = json.loads((here / "out" / "calibration.json").read_text())
+    assert data["found"] == ["spring"]
+    assert data["errors"]["final"]["held_out"]["all"] < 0.5 * data["errors"]["declared"]["held_out"]["all"]
+    assert set(data["metadata"]["provenance"]["inputs"]) == {"log", "model"}
+    found = {e.name: e for e in read_effects(here / "out" / "effects.toml")}
+    assert found["spring"].values["stiffness"] == pytest.approx([2.0], rel=0.1)
+    assert found["coulomb"].values["level"] == pytest.approx([0.2], abs=0.02)
+    assert "spring or cable pull" in (here / "out" / "report.html").read_text()
+    assert "spring or cable pull" in capsys.readouterr().out
+
+
+def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
+    assert simulated("-o", "log.parquet") == 0
+    log = read_log(here / "log.parquet")
+    assert log.q_des is not None
+    rng = np.random.default_rng(0)
+    write_log(replace(log, q_des=rng.permutation(log.q_des)), here / "wrong.parquet")
+    (here / "out").mkdir()
+    (here / "out" / "effects.toml").write_text("of an earlier log")
+    assert main(["calibrate", "wrong.parquet", "--model", "robot.xml", "-o", "out"]) == 2
+    assert sorted(p.name for p in (here / "out").iterdir()) == ["calibration.json", "report.html"]
+    assert "do not belong together" in (here / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["calibrate", "missing.parquet"], "missing.parquet does not exist"),
+        (["calibrate", "hidden.toml"], "cannot be read as Parquet"),
+        (["calibrate", "log.csv", "--model", "missing.xml"], "there is no model missing.xml"),
+        (["calibrate", "log.csv"], "the model has joint 'FL_abad'"),
+        (["calibrate", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
+        (["calibrate", "log.csv", "-o", "robot.xml"], "robot.xml is a file"),
+        (["log", "simulate", "-o", "log.txt"], "neither .parquet nor .csv"),
+        (["log", "simulate", "-o", "a.csv", "--effects", "robot.xml"], "robot.xml"),
+        (["log", "simulate", "-o", "a.csv", "--noise", "2"], "noise is 2 rad"),
+        (["log", "simulate", "-o", "a.csv", "--seconds", "3"], "an excitation of 3 s"),
+    ],
+)
+def test_what_cannot_work_is_said_and_nothing_is_written(
+    here: Path, capsys: pytest.CaptureFixture[str], words: list[str], reason: str
+) -> None:
+    (here / "log.csv").write_text("t,q.hinge,q_des.hinge\n0,0,0\n0.005,0,0.1\n0.01,0,0.2\n")
+    before = sorted(here.rglob("*"))
+    assert main(words) == 2
+    assert reason in capsys.readouterr().err
+    assert sorted(here.rglob("*")) == before
+
+
+def test_a_joint_without_a_range_cannot_be_moved(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "robot.xml").write_text(PENDULUM.replace('range="-1.2 1.2"', ""))
+    assert simulated("-o", "log.csv") == 2
+    assert "joint 'hinge' of robot.xml has no range" in capsys.readouterr().err
+
+
+def test_a_model_without_gains_needs_them(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "robot.xml").write_text(PENDULUM.replace("<position joint", "<motor joint").replace('kp="30" kv="1.5"', ""))
+    assert simulated("-o", "log.csv") == 2
+    assert "give --kp and --kd" in capsys.readouterr().err
+    assert simulated("-o", "log.csv", "--kp", "20", "--kd", "1") == 0
