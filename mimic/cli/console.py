@@ -61,7 +61,7 @@ def warn(text: str) -> None:
 
 def table(title: str, rows: Mapping[str, str]) -> None:
     """Print figures, one a row."""
-    grid = Table(title=title, show_header=False, title_justify="left", title_style="bold")
+    grid = Table(title=escape(title), show_header=False, title_justify="left", title_style="bold")
     grid.add_column(style="cyan")
     grid.add_column()
     for name, value in rows.items():
@@ -71,7 +71,7 @@ def table(title: str, rows: Mapping[str, str]) -> None:
 
 def matrix(title: str, rows: Mapping[str, Mapping[str, str]]) -> None:
     """Print rows of figures under common headings, which are the keys of the first row."""
-    grid = Table(title=title, title_justify="left", title_style="bold")
+    grid = Table(title=escape(title), title_justify="left", title_style="bold")
     grid.add_column(style="cyan")
     headings = tuple(next(iter(rows.values())))
     for heading in headings:
