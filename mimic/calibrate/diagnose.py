@@ -78,11 +78,34 @@ class Tried:
         )
 
 
-def paired(better: FloatArray, worse: FloatArray) -> tuple[float, float]:
-    """Return the mean over blocks of log(worse / better) / 2, and that over its standard error."""
-    d = 0.5 * np.log(np.maximum(worse, 1e-12) / np.maximum(better, 1e-12))
+def paired(better: FloatArray, worse: FloatArray, channels: BoolArray | None = None) -> tuple[float, float]:
+    """Return the gain of one fit over another and how sure it is, from blocks judged without themselves (B, C).
+
+    The gain is half the log of the ratio of the sums. How sure is the larger of two: its mean over the blocks over its
+    standard error, and the normal score of Wilcoxon's signed-rank test over those blocks of single channels where the
+    two differ by more than a twentieth of the noise: an effect that acts in few blocks is seen by the second.
+    """
+    use = np.ones(better.shape[1], dtype=bool) if channels is None else channels
+    good, bad = better[:, use], worse[:, use]
+    gain = 0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))
+    d = 0.5 * np.log(np.maximum(bad.sum(1), 1e-12) / np.maximum(good.sum(1), 1e-12))
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
-    return float(d.mean()), float(d.mean() / max(error, 1e-9))
+    by_mean = float(d.mean() / max(error, 1e-9))
+    each = 0.5 * np.log(np.maximum(bad, 1e-12) / np.maximum(good, 1e-12)).reshape(-1)
+    return float(gain), max(by_mean, _rank_score(each[np.abs(each) > MATERIAL]))
+
+
+def _rank_score(d: FloatArray) -> float:
+    """Return the normal score of the signed-rank test that d is positive; 0 with fewer than 6 values."""
+    n = len(d)
+    if n < 6:
+        return 0.0
+    ranks = np.argsort(np.argsort(np.abs(d))) + 1.0
+    return float((ranks[d > 0].sum() - n * (n + 1) / 4) / np.sqrt(n * (n + 1) * (2 * n + 1) / 24))
+
+
+MATERIAL = 0.025
+"""Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
 
 
 def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray) -> BoolArray:
@@ -105,55 +128,57 @@ def _none(problem: Problem, key: tuple[str, str], joint: int) -> float:
 
 
 def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: BoolArray) -> Tried:
-    """Compare a fit that has one more effect with the one that lacks it."""
+    """Compare a fit that has one more effect with the one that lacks it, on the joints where it acts."""
     before, _ = left_out(incumbent, problem)
     after, _ = left_out(fitted, problem)
-    gain, z = paired(after, before)
     fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
     improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
-    there = present(fitted, problem, name, joints)
-    there &= _improved(problem, fell) if CATALOGUE[name].structural else True
+    there = present(fitted, problem, name, joints) & _better(problem, before, after)
+    channels = there[problem.channel_joint]
+    gain, z = paired(after, before, channels) if there.any() else paired(after, before)
     why = ""
-    if gain < LEAST_GAIN:
+    if not there.any():
+        why = f"no joint gains by a number that differs from none by {LEAST_PARAMETER:.0f} deviations"
+    elif gain < LEAST_GAIN:
         why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
     elif z < LEAST_Z:
         why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
     elif improvement < LEAST_IMPROVEMENT:
         why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
-    elif not there.any():
-        why = f"no number differs from none by {LEAST_PARAMETER:.0f} deviations"
     else:
-        why = _pushed(problem, incumbent, fitted, name)
+        why = _pushed(problem, fitted, there)
+    overall, _ = paired(after, before)
     return Tried(
-        name=name, fitted=fitted, squares=after, gain=gain, z=z, improvement=improvement, joints=there, why=why
+        name=name, fitted=fitted, squares=after, gain=overall, z=z, improvement=improvement, joints=there, why=why
     )
 
 
-def _improved(problem: Problem, fell: FloatArray) -> BoolArray:
-    """Joints whose chain gains; a threshold that is never reached has no derivative, so no deviation says so."""
+def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArray:
+    """Joints whose blocks are better off without having been used."""
     joints = len(problem.machine.joints)
-    gained = np.zeros(joints, dtype=bool)
-    np.logical_or.at(gained, problem.channel_joint, fell > 0.04)
-    return gained
+    gain = np.log(np.maximum(before.sum(0), 1e-12) / np.maximum(after.sum(0), 1e-12))
+    better = np.zeros(joints, dtype=bool)
+    np.logical_or.at(better, problem.channel_joint, gain > 2 * LEAST_GAIN)
+    return better
 
 
-def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, name: str) -> str:
-    """Return why declared numbers forbid the effect, or nothing."""
-    for knob in fitted.knobs:
-        if not CATALOGUE[knob.key[0]].declared:
+def _pushed(problem: Problem, fitted: Fit, there: BoolArray) -> str:
+    """Return why declared numbers of the joints where an effect acts forbid it, or nothing.
+
+    A number that the log hardly determines stays near its prior and says nothing.
+    """
+    sums, train = fitted.sums, problem.blocks.train
+    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+    for i, knob in enumerate(fitted.knobs):
+        if not CATALOGUE[knob.key[0]].declared or (knob.joint >= 0 and not there[knob.joint]):
             continue
-        at = max(knob.joint, 0)
-        value, old = fitted.point.values[knob.key][at], incumbent.point.values[knob.key][at]
-        low, high = knob.bounds
+        value = fitted.point.values[knob.key][max(knob.joint, 0)]
+        further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2)
         label = f"{knob.key[0]}.{knob.key[1]}" + ("" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}")
-        for bound in (low, high):
-            if abs(value - bound) < 1e-9 and abs(old - bound) > 1e-9:
+        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
+            if abs(value - bound) < 1e-9 and sign * further > 2 * knob.step:
                 return f"it pushes {label} onto its bound {bound:g}"
-        if (
-            knob.key[0] == "link_mass"
-            and not MASS_RANGE[0] < value < MASS_RANGE[1]
-            and MASS_RANGE[0] < old < MASS_RANGE[1]
-        ):
+        if knob.key[0] == "link_mass" and not MASS_RANGE[0] < value < MASS_RANGE[1]:
             return f"it makes {label} {value:.2f}, which is no mass"
     return ""
 
@@ -217,8 +242,14 @@ def search(
     if not good:
         return Found(tried=tuple(tried), best=None, rivals=())
     best = good[0]
-    rivals = tuple(t.name for t in good[1:] if paired(best.squares, t.squares)[1] < RIVAL_Z)
+    rivals = tuple(t.name for t in good[1:] if _rivals(problem, best, t))
     return Found(tried=tuple(tried), best=best, rivals=rivals)
+
+
+def _rivals(problem: Problem, best: Tried, other: Tried) -> bool:
+    channels = (best.joints | other.joints)[problem.channel_joint]
+    gain, z = paired(best.squares, other.squares, channels)
+    return z < RIVAL_Z or gain < LEAST_GAIN
 
 
 def _pick(starts: Sequence[Start]) -> list[Start]:

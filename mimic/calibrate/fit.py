@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.problem import PRIOR_STEPS, Key, Knob, Point, Problem, Sums
+from mimic.calibrate.problem import Key, Knob, Point, Problem, Sums
 from mimic.types import BoolArray, FloatArray
 
 DAMPINGS = (0.0, 0.1, 3.0)
@@ -32,17 +32,27 @@ class Fit:
 
 def prior(knobs: Sequence[Knob]) -> FloatArray:
     """Return the weight of each knob's prior (P,)."""
-    return np.array([(1.0 / (PRIOR_STEPS * k.step)) ** 2 for k in knobs])
+    return np.array([1.0 / k.spread**2 for k in knobs])
+
+
+def penalty(point: Point, knobs: Sequence[Knob]) -> float:
+    """Return what the priors add to the sum of squares."""
+    return float(np.sum(prior(knobs) * (point.read(knobs) - np.array([k.centre for k in knobs])) ** 2))
 
 
 def solve(
     hessian: FloatArray, gradient: FloatArray, knobs: Sequence[Knob], at: FloatArray, damping: float
 ) -> FloatArray:
-    """Return a damped step that stays inside the bounds: knobs that would leave them stop there, the rest solve again."""
+    """Return a damped step toward the best sum of squares and priors, inside the bounds.
+
+    Knobs that would leave their bounds stop there, and the rest solve again.
+    """
     low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
+    weight = prior(knobs)
+    gradient = gradient - weight * (at - np.array([k.centre for k in knobs]))
     free = np.ones(len(knobs), dtype=bool)
     step = np.zeros(len(knobs))
-    scale = np.diag(hessian) * damping + prior(knobs) + 1e-12
+    scale = np.diag(hessian) * damping + weight
     for _ in range(4):
         if not free.any():
             break
@@ -119,7 +129,7 @@ def fitting(
     knobs, train = problem.knobs(start, joints, names), problem.blocks.train
     point = start
     residual = (yield [point])[0]
-    best = problem.block_squares(residual)[train].sum()
+    best = problem.block_squares(residual)[train].sum() + penalty(point, knobs)
     known: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
         known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
@@ -137,7 +147,10 @@ def fitting(
         at = point.read(knobs)
         trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
         replayed = yield trials
-        squares = [problem.block_squares(r)[train].sum() for r in replayed]
+        squares = [
+            problem.block_squares(r)[train].sum() + penalty(trial, knobs)
+            for r, trial in zip(replayed, trials, strict=True)
+        ]
         winner = int(np.argmin(squares))
         if not squares[winner] < best:
             break
@@ -152,30 +165,32 @@ def fitting(
 def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     """Return each fitted block's sum of squares when it is judged by a fit without it, and the values of those fits.
 
-    Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models.
+    Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
 
     Returns:
-        Squares (B_train,), and changes of the knobs (B_train, P).
+        Squares of each channel (B_train, C), and changes of the knobs (B_train, P).
     """
     train, s = problem.blocks.train, fitted.sums
-    weight = np.diag(prior(fitted.knobs)) if fitted.knobs else np.zeros((0, 0))
-    total = s.hessian[train].sum(0) + weight
+    squares = problem.block_squares(fitted.residual)[train]
+    if not fitted.knobs:
+        return squares, np.zeros((len(train), 0))
+    total = s.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
     low_high = np.array([k.bounds for k in fitted.knobs]).reshape(-1, 2)
-    at = fitted.point.read(fitted.knobs) if fitted.knobs else np.zeros(0)
+    at = fitted.point.read(fitted.knobs)
     free = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
     index = np.flatnonzero(free)
-    squares, moves = np.zeros(len(train)), np.zeros((len(train), len(at)))
+    moves = np.zeros((len(train), len(at)))
+    stacked = np.stack([fitted.columns[i] for i in index]) if len(index) else None
     for row, b in enumerate(train):
-        squares[row] = s.square[b]
-        if not len(index):
-            continue
-        h_b = s.hessian[b][np.ix_(index, index)]
-        rest = total[np.ix_(index, index)] - h_b
-        g_b = s.gradient[b][index]
+        if stacked is None:
+            break
+        rest = (total - s.hessian[b])[np.ix_(index, index)]
         d = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
-        change = d * np.linalg.lstsq(rest * d[:, None] * d[None], g_b * d, rcond=1e-10)[0]
-        squares[row] += 2 * change @ g_b + change @ h_b @ change
+        change = d * np.linalg.lstsq(rest * d[:, None] * d[None], s.gradient[b][index] * d, rcond=1e-10)[0]
         moves[row, index] = -change
+        inside = np.flatnonzero(problem.blocks.index == b)
+        residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
+        squares[row] = np.sum(residual.astype(np.float64) ** 2, axis=0)
     return squares, moves
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.calibrate.diagnose import Found, earns_its_keep, pruned, search
-from mimic.calibrate.fit import Fit, deviations, fit, solve, weak_directions
+from mimic.calibrate.fit import Fit, deviations, fit, penalty, solve, weak_directions
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
@@ -187,7 +187,10 @@ def _refined(problem: Problem, fitted: Fit) -> Fit:
     )
     moved = fitted.point.moved(fitted.knobs, step)
     after = _fine(problem, moved)
-    squares = [problem.block_squares(r)[train].sum() for r in (fine, after)]
+    squares = [
+        problem.block_squares(r)[train].sum() + penalty(p, fitted.knobs)
+        for r, p in ((fine, fitted.point), (after, moved))
+    ]
     point, residual = (moved, after) if squares[1] < squares[0] else (fitted.point, fine)
     return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 

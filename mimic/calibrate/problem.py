@@ -10,17 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import signal
 
 from mimic.calibrate.replay import Replay, neutral
-from mimic.robot.effects import CATALOGUE
+from mimic.robot.effects import CATALOGUE, Parameter, scale_of
 from mimic.robot.machine import MachineModel
 from mimic.types import BoolArray, FloatArray, IntArray
 
 Key = tuple[str, str]
 """(effect, parameter)"""
-
-PRIOR_STEPS = 300.0
-"""Standard deviation of the prior of a fitted number, in steps of its parameter: it only decides what the log does not."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,11 +28,12 @@ class Knob:
     key: Key
     joint: int
     """Index of the joint; -1 for the whole machine."""
-
-    @property
-    def step(self) -> float:
-        """Scale of the number."""
-        return CATALOGUE[self.key[0]].parameter(self.key[1]).step
+    step: float
+    """A difference that matters."""
+    centre: float
+    """Value before anything is known."""
+    spread: float
+    """Standard deviation of what is plausible before anything is known."""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -102,7 +101,7 @@ class Blocks:
         return np.flatnonzero(~self.held_out)
 
 
-def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 2.0, every: int = 4) -> Blocks:
+def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 1.0, every: int = 4) -> Blocks:
     """Cut time into blocks and hold every fourth out.
 
     Args:
@@ -131,6 +130,23 @@ class Sums:
     """Sum of squares (B,)."""
 
 
+def _scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
+    log, drives = replay.log, replay.machine.drives
+    t = log.t - log.t[0]
+    q = signal.sosfiltfilt(signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos"), log.q, axis=0)
+    dq = np.gradient(q, t, axis=0)
+    ddq = np.gradient(dq, t, axis=0)
+    tau = log.tau
+    if tau is None:
+        tau = np.asarray(drives.kp) * ((q if log.q_des is None else log.q_des) - q) - np.asarray(drives.kd) * dq
+        tau = tau + (0.0 if log.force is None else log.force)
+    limit = np.asarray(drives.torque)
+    rows = (q - q.mean(0), dq, ddq, np.clip(tau, -limit, limit))
+    position, speed, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), 1e-9) for r in rows)
+    return position, speed, acceleration, torque
+
+
 class Problem:
     """One log and model as a least-squares problem."""
 
@@ -152,6 +168,7 @@ class Problem:
             self.noise = np.concatenate([noise, torque_noise])
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
+        self._scales = _scales(replay)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
@@ -198,12 +215,28 @@ class Problem:
                 if p.fixed:
                     continue
                 if spec.scope == "machine":
-                    found.append(Knob(key=(name, p.name), joint=-1))
+                    found.append(self._knob(point, name, p, -1))
                     continue
                 mask = joints.get(name, np.ones(len(self.machine.joints), dtype=bool))
                 mask = mask & self.machine.last if spec.tip else mask
-                found += [Knob(key=(name, p.name), joint=int(j)) for j in np.flatnonzero(mask)]
+                found += [self._knob(point, name, p, int(j)) for j in np.flatnonzero(mask)]
         return found
+
+    def _knob(self, point: Point, name: str, p: Parameter, joint: int) -> Knob:
+        step = p.step * self.scale(p.unit, joint)
+        at = max(joint, 0)
+        # where an effect is, or where a limit is, has no neutral value to be near: it begins where it starts
+        free = p.shape or name == "torque_speed"
+        centre = float(point.values[name, p.name][at] if free else neutral(name, p.name, self.machine)[at])
+        spread = p.spread * step
+        if name in ("coulomb", "viscous", "armature"):
+            spread = max(spread, centre)
+        return Knob(key=(name, p.name), joint=joint, step=step, centre=centre, spread=spread)
+
+    def scale(self, unit: str, joint: int) -> float:
+        """Return the machine's own scale of a unit at a joint; the mean over the joints for the whole machine."""
+        values = [scale_of(unit, *(float(row[j]) for row in self._scales)) for j in range(len(self.machine.joints))]
+        return float(np.mean(values)) if joint < 0 else values[joint]
 
     def groups(self, knobs: Sequence[Knob]) -> list[list[int]]:
         """Return indices of knobs that one replay can change together."""

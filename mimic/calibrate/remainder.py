@@ -20,6 +20,9 @@ STATE_R2 = 0.1
 PEAK = 40.0
 """Height of a spectral peak over the median, from which on the rest is periodic. Effects in the model leave 2 to 8."""
 
+COHERENT = 0.4
+"""Coherence with the torque at a peak, from which on the robot's own motion made it."""
+
 FEATURES = 160
 """Random Fourier features of the regression on the state."""
 
@@ -82,9 +85,12 @@ def _remainder(
         verdict = "explained"
     elif r2 > STATE_R2:
         verdict = "state-dependent"
-    elif peak_ratio > PEAK:
+    elif peak_ratio > PEAK and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) < COHERENT:
         verdict = "periodic"
         depends = ("time",)
+    elif peak_ratio > PEAK:
+        verdict = "state-dependent"
+        depends = ("torque",)
     else:
         verdict = "broadband"
     return Remainder(
@@ -104,6 +110,12 @@ def _peak(r: FloatArray, dt: float) -> tuple[float, float]:
     inside = frequency > 0.15
     at = int(np.argmax(power[inside]))
     return float(frequency[inside][at]), float(power[inside][at] / max(np.median(power[inside]), 1e-12))
+
+
+def _coherence(r: FloatArray, x: FloatArray, dt: float, at_hz: float) -> float:
+    size = min(len(r), int(5.0 / dt))
+    frequency, coherence = signal.coherence(r, x, 1 / dt, nperseg=size)
+    return float(np.max(coherence[np.abs(frequency - at_hz) <= 0.3], initial=0.0))
 
 
 def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:

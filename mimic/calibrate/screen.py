@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, left_out, prior, solve
+from mimic.calibrate.fit import Fit, solve
 from mimic.calibrate.problem import Knob, Point, Problem, Sums
 from mimic.calibrate.replay import neutral
 from mimic.robot.effects import CATALOGUE
@@ -59,8 +59,13 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: Motion) -> li
     if name == "periodic_force":
         best = [_best_frequency(problem, incumbent, motion, j) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"frequency": np.array(best)})]
-    axes = [[(p.name, v) for v in p.starts] for p in spec.parameters if p.starts and not p.fixed]
-    return [incumbent.point.with_effect(name, machine, dict(values)) for values in itertools.product(*axes)]
+    joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
+    axes = [
+        [(p.name, np.array([v * p.step * problem.scale(p.unit, j) for j in joints])) for v in p.starts]
+        for p in spec.parameters
+        if p.starts and not p.fixed
+    ]
+    return [_clipped(incumbent.point.with_effect(name, machine, dict(v))) for v in itertools.product(*axes)]
 
 
 def _clipped(point: Point) -> Point:
@@ -138,14 +143,15 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
         knobs = [k for k in problem.knobs(point, {name: mask}, [name]) if k.key[1] not in parameters]
         asked.append((knobs, *problem.difference_points(point, knobs)))
     moved = problem.residuals([p for a in asked for p in a[1]])
-    before, _ = left_out(incumbent, problem)
+    before = problem.block_squares(incumbent.residual)[problem.blocks.train]
     found, at = [], 0
     for (name, point, mask), base, (knobs, differences, groups, sizes) in zip(plans, bases, asked, strict=True):
         made = problem.columns(base, moved[at : at + len(differences)], groups, knobs, sizes)
         at += len(differences)
         everything = (*incumbent.knobs, *knobs)
-        sums = problem.sums(base, [*incumbent.columns, *(np.nan_to_num(c) for c in made)], everything)
-        found.append(_predicted(problem, name, point, mask, base, everything, sums, before))
+        columns = [*incumbent.columns, *(np.nan_to_num(c) for c in made)]
+        sums = problem.sums(base, columns, everything)
+        found.append(_predicted(problem, name, point, mask, base, everything, columns, sums, before))
     return sorted(found, key=lambda s: -s.gain)
 
 
@@ -154,7 +160,7 @@ def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatAr
     train = problem.blocks.train
     sums = problem.sums(residual, incumbent.columns, incumbent.knobs)
     hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-    step = np.linalg.lstsq(hessian + np.diag(prior(incumbent.knobs)), gradient, rcond=1e-12)[0]
+    step = solve(hessian, gradient, incumbent.knobs, incumbent.point.read(incumbent.knobs), 0.0)
     left = residual.copy()
     for size, column in zip(step, incumbent.columns, strict=True):
         left -= np.float32(size) * column
@@ -206,16 +212,19 @@ def _predicted(
     mask: BoolArray,
     base: FloatArray,
     knobs: tuple[Knob, ...],
+    columns: Sequence[FloatArray],
     sums: Sums,
     before: FloatArray,
 ) -> Start:
-    """Return the start after one linear step, with the gain that a linear model would have there."""
+    """Return the start after one linear step, with what a linear model would gain there on the joint that gains most."""
     train = problem.blocks.train
     hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
     step = solve(hessian, gradient, knobs, point.read(knobs), 1e-3)
-    square = sums.square - 2 * sums.gradient @ step + np.einsum("i,bij,j->b", step, sums.hessian, step)
-    linear = replace(sums, square=np.maximum(square, 1e-9), gradient=sums.gradient - sums.hessian @ step)
-    trial = Fit(point=point.moved(knobs, step), knobs=knobs, residual=base, columns=(), sums=linear)
-    after, _ = left_out(trial, problem)
-    gain = float(np.mean(0.5 * np.log(before / np.maximum(after, 1e-9))))
-    return Start(name=name, point=trial.point, joints=mask, gain=gain)
+    left = base.copy()
+    for size, column in zip(step, columns, strict=True):
+        left -= np.float32(size) * column
+    after = problem.block_squares(left)[train]
+    total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
+    joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
+    gain = float(max(total, joint.max() / len(joint)))
+    return Start(name=name, point=point.moved(knobs, step), joints=mask, gain=gain)

@@ -11,7 +11,7 @@ from mimic.robot.effect_set import EffectSet
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.machine import MachineModel
 from mimic.settings import LogSettings
-from mimic.types import FloatArray
+from mimic.types import BoolArray, FloatArray
 
 
 def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:
@@ -102,7 +102,7 @@ def simulate_log(
     )
 
 
-def _arrived(fine: FloatArray, late: FloatArray, q_des: FloatArray, kept: FloatArray) -> FloatArray:
+def _arrived(fine: FloatArray, late: FloatArray, q_des: FloatArray, kept: BoolArray) -> FloatArray:
     """Return the target in effect at each fine time: the newest that was not lost and has arrived."""
     order = np.arange(len(late))[kept]
     newest = np.full(len(fine), 0)

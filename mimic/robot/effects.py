@@ -39,10 +39,13 @@ class Parameter:
     low: float
     high: float
     step: float
-    """A difference that matters: scale of the fit and size of its finite differences."""
+    """A difference that matters, and the unit of ``starts`` and ``spread``: a share of the machine's own scale for units
+    that have one (:func:`scale_of`), else a value."""
     starts: tuple[float, ...] = ()
-    """Values from which a fit begins; empty where it begins at neutral. Of a torque limit: shares of the largest torque
-    and speed of the log."""
+    """Values from which a fit begins, in steps; empty where it begins at neutral. Of the torque-speed line: shares of
+    the largest torque and speed of the log. Of a fixed parameter: its value."""
+    spread: float = 100.0
+    """How far from neutral is plausible (one standard deviation), in steps."""
     shape: bool = False
     """Says where or when the effect acts, not how much: at any value it is none while the others are neutral."""
     fixed: bool = False
@@ -119,7 +122,7 @@ _ALL = (
         name="link_mass",
         title="mass of the moved link",
         equation="mass and inertia of the link times factor",
-        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.05),),
+        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.03, spread=5),),
         declared=True,
         signature="error that follows gravity over the pose, and acceleration",
         experiment="static poses and a chirp",
@@ -130,7 +133,7 @@ _ALL = (
         name="delay",
         title="command delay",
         equation="the target acts time later",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=-0.01, high=0.1, step=0.002),),
+        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=-0.01, high=0.1, step=0.001, spread=30),),
         scope="machine",
         declared=True,
         signature="residual in proportion to the speed of the target",
@@ -143,7 +146,7 @@ _ALL = (
         name="armature",
         title="reflected rotor inertia",
         equation="tau = -inertia dv/dt, beside the links",
-        parameters=(Parameter(name="inertia", unit="kg m^2", neutral=MODEL, low=0.0, high=200.0, step=0.001),),
+        parameters=(Parameter(name="inertia", unit="kg m^2", neutral=MODEL, low=0.0, high=200.0, step=0.01),),
         signature="grows with the square of the frequency, in phase with acceleration",
         experiment="chirp to 8-10 Hz",
         enters="dof_armature",
@@ -154,8 +157,8 @@ _ALL = (
         title="gains of the drive",
         equation="Kp and Kd times kp and kd",
         parameters=(
-            Parameter(name="kp", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.03),
-            Parameter(name="kd", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.03),
+            Parameter(name="kp", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
+            Parameter(name="kd", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
         ),
         signature="as friction and mass together",
         experiment="two logs with gains that differ by a known factor",
@@ -167,8 +170,10 @@ _ALL = (
         title="torque limit and torque-speed line",
         equation="|tau| <= torque, and <= torque (speed - |v|) / (speed - flat) while driving",
         parameters=(
-            Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.3, starts=(0.5, 0.8)),
-            Parameter(name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.5, starts=(0.7, 1.2, 2.5)),
+            Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.02, starts=(0.2, 0.4, 0.8)),
+            Parameter(
+                name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.3, 0.7, 1.5)
+            ),
             Parameter(
                 name="flat",
                 unit="rad/s",
@@ -192,7 +197,7 @@ _ALL = (
         title="sagging supply",
         equation="torque limit and speeds times 1 - drop P, P = sum over joints of max(tau v, 0)",
         parameters=(
-            Parameter(name="drop", unit="1/W", neutral=0.0, low=0.0, high=0.1, step=0.001, starts=(0.002, 0.006)),
+            Parameter(name="drop", unit="1/W", neutral=0.0, low=0.0, high=0.1, step=0.001, starts=(2, 6), spread=30),
         ),
         scope="machine",
         structural=True,
@@ -205,7 +210,7 @@ _ALL = (
         name="kt_gain",
         title="torque constant",
         equation="tau = factor tau_cmd",
-        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.02),),
+        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.02, spread=15),),
         signature="in proportion to torque; the same motion as other masses and friction",
         experiment="a known mass, or measured torque",
         enters="actuator_gainprm, actuator_biasprm",
@@ -215,7 +220,7 @@ _ALL = (
         name="kt_drift",
         title="drift of the torque constant",
         equation="tau = (1 + rate t / 100 s) tau_cmd",
-        parameters=(Parameter(name="rate", unit="1/(100 s)", neutral=0.0, low=-0.9, high=2.0, step=0.02),),
+        parameters=(Parameter(name="rate", unit="1/(100 s)", neutral=0.0, low=-0.9, high=2.0, step=0.02, spread=20),),
         signature="grows with time, whatever the load",
         experiment="the same motion at start and end",
         enters="actuator_gainprm, actuator_biasprm at every step",
@@ -226,7 +231,7 @@ _ALL = (
         title="torque constant falling with heat",
         equation="tau = (1 - loss h) tau_cmd, dh/dt = (tau^2 - h) / time",
         parameters=(
-            Parameter(name="loss", unit="1/(N m)^2", neutral=0.0, low=0.0, high=0.5, step=0.01),
+            Parameter(name="loss", unit="1/(N m)^2", neutral=0.0, low=0.0, high=0.5, step=0.01, spread=50),
             Parameter(
                 name="time",
                 unit="s",
@@ -234,8 +239,9 @@ _ALL = (
                 low=5.0,
                 high=300.0,
                 step=10.0,
-                starts=(15.0, 40.0, 100.0),
+                starts=(1.5, 4.0, 10.0),
                 shape=True,
+                spread=20,
             ),
         ),
         signature="slow growth after work, recovery after rest",
@@ -247,7 +253,7 @@ _ALL = (
         name="torque_lag",
         title="lag of the current loop",
         equation="time dtau/dt + tau = tau_cmd",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.001),),
+        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40),),
         signature="phase lag that grows with frequency, not with the target",
         experiment="chirp and steps",
         enters="actuator bias at every step; dcmotor inductance in MJCF",
@@ -257,7 +263,7 @@ _ALL = (
         name="velocity_lag",
         title="velocity filter of the drive",
         equation="the Kd term sees w, time dw/dt + w = v",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.001),),
+        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40),),
         signature="less damping, ringing after steps",
         experiment="steps with a high Kd",
         enters="actuator bias at every step",
@@ -269,16 +275,17 @@ _ALL = (
         title="Stribeck friction",
         equation="tau = -level exp(-(v/speed)^2) sgn(v), beside dry friction",
         parameters=(
-            Parameter(name="level", unit="N m", neutral=0.0, low=0.0, high=50.0, step=0.02, starts=(0.1,)),
+            Parameter(name="level", unit="N m", neutral=0.0, low=0.0, high=50.0, step=0.01, starts=(15.0,)),
             Parameter(
                 name="speed",
                 unit="rad/s",
                 neutral=0.1,
                 low=0.005,
                 high=2.0,
-                step=0.03,
-                starts=(0.03, 0.1, 0.3),
+                step=0.01,
+                starts=(2.0, 6.0, 20.0),
                 shape=True,
+                spread=30,
             ),
         ),
         structural=True,
@@ -291,7 +298,7 @@ _ALL = (
         name="load_friction",
         title="load-dependent friction",
         equation="tau = -ratio |tau_motor| sgn(v), beside dry friction",
-        parameters=(Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02),),
+        parameters=(Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25),),
         signature="friction grows in loaded poses",
         experiment="reversals under several loads",
         enters="dof_frictionloss at every step",
@@ -314,7 +321,7 @@ _ALL = (
         name="quadratic_drag",
         title="quadratic drag",
         equation="tau = -coefficient v |v|",
-        parameters=(Parameter(name="coefficient", unit="N m s^2/rad^2", neutral=0.0, low=0.0, high=50.0, step=0.005),),
+        parameters=(Parameter(name="coefficient", unit="N m s^2/rad^2", neutral=0.0, low=0.0, high=50.0, step=0.01),),
         signature="lag that grows with the square of speed",
         experiment="fast sines",
         enters="qfrc_applied at every step; damping polynomial in MJCF",
@@ -336,7 +343,9 @@ _ALL = (
         title="backlash",
         equation="motor and link move freely against each other within gap; the encoder is on the motor",
         parameters=(
-            Parameter(name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.002, starts=(0.006, 0.025, 0.08)),
+            Parameter(
+                name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.004, starts=(5.0, 20.0, 70.0), spread=100
+            ),
         ),
         structural=True,
         signature="dwell at each reversal of torque",
@@ -350,7 +359,14 @@ _ALL = (
         equation="tau = (theta - q) / compliance between motor angle theta and link; the encoder is on the motor",
         parameters=(
             Parameter(
-                name="compliance", unit="rad/(N m)", neutral=0.0, low=0.0, high=0.2, step=0.001, starts=(0.003, 0.01)
+                name="compliance",
+                unit="rad/(N m)",
+                neutral=0.0,
+                low=0.0,
+                high=0.2,
+                step=0.003,
+                starts=(3.0, 12.0),
+                spread=50,
             ),
         ),
         structural=True,
@@ -364,7 +380,7 @@ _ALL = (
         name="encoder_offset",
         title="encoder offset",
         equation="reading = q + angle",
-        parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=-1.0, high=1.0, step=0.005),),
+        parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=-1.0, high=1.0, step=0.01, spread=50),),
         signature="constant in the reading, so that only gravity and limits show it",
         experiment="wide static poses, or a touch of the end stop",
         enters="target and reading",
@@ -374,7 +390,7 @@ _ALL = (
         name="encoder_scale",
         title="encoder scale",
         equation="reading = factor q",
-        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.5, high=2.0, step=0.01),),
+        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.5, high=2.0, step=0.01, spread=10),),
         signature="as gravity and inertia of a scaled motion",
         experiment="wide static poses",
         enters="target, reading and gains",
@@ -385,7 +401,9 @@ _ALL = (
         title="coarse encoder",
         equation="reading = angle round(q / angle)",
         parameters=(
-            Parameter(name="angle", unit="rad", neutral=0.0, low=0.0, high=0.05, step=0.0005, starts=(0.001, 0.004)),
+            Parameter(
+                name="angle", unit="rad", neutral=0.0, low=0.0, high=0.05, step=0.001, starts=(3.0, 12.0), spread=30
+            ),
         ),
         structural=True,
         signature="steps of equal size in the reading",
@@ -401,7 +419,7 @@ _ALL = (
         parameters=(
             Parameter(name="cosine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
             Parameter(name="sine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="order", unit="1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True),
+            Parameter(name="order", unit="1/rad", neutral=20.0, low=2.0, high=400.0, step=0.02, shape=True, spread=50),
         ),
         signature="a peak in the spectrum over position",
         experiment="slow ramps over the whole range",
@@ -413,8 +431,8 @@ _ALL = (
         title="spring or cable pull",
         equation="tau = moment - stiffness q",
         parameters=(
-            Parameter(name="stiffness", unit="N m/rad", neutral=0.0, low=-200.0, high=200.0, step=0.02),
-            Parameter(name="moment", unit="N m", neutral=0.0, low=-200.0, high=200.0, step=0.02),
+            Parameter(name="stiffness", unit="N m/rad", neutral=0.0, low=-200.0, high=200.0, step=0.01),
+            Parameter(name="moment", unit="N m", neutral=0.0, low=-200.0, high=200.0, step=0.01),
         ),
         signature="linear in the joint's own position, whatever the pose of the others",
         experiment="static sweep of one joint at a time",
@@ -426,8 +444,8 @@ _ALL = (
         title="tilted base",
         equation="base turned by roll about x, then pitch about y, gravity the other way",
         parameters=(
-            Parameter(name="roll", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.01),
-            Parameter(name="pitch", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.01),
+            Parameter(name="roll", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.03, spread=20),
+            Parameter(name="pitch", unit="rad", neutral=0.0, low=-0.8, high=0.8, step=0.03, spread=20),
         ),
         scope="machine",
         signature="all joints, in a fixed pattern over the pose",
@@ -440,7 +458,7 @@ _ALL = (
         title="payload at the end of the limb",
         equation="a point of mass at the tip of the last link",
         tip=True,
-        parameters=(Parameter(name="mass", unit="kg", neutral=0.0, low=-0.5, high=5.0, step=0.01),),
+        parameters=(Parameter(name="mass", unit="kg", neutral=0.0, low=-0.5, high=5.0, step=0.01, spread=20),),
         signature="follows gravity over the pose of the whole limb, and acceleration",
         experiment="static poses and a chirp",
         enters="body_mass, body_inertia, body_ipos",
@@ -450,7 +468,7 @@ _ALL = (
         name="com_shift",
         title="shifted centre of mass of a link",
         equation="centre of mass of the link moved by distance toward its end",
-        parameters=(Parameter(name="distance", unit="m", neutral=0.0, low=-0.15, high=0.15, step=0.004),),
+        parameters=(Parameter(name="distance", unit="m", neutral=0.0, low=-0.15, high=0.15, step=0.003, spread=10),),
         signature="follows gravity over the pose",
         experiment="static poses and a chirp",
         enters="body_ipos",
@@ -463,7 +481,7 @@ _ALL = (
         parameters=(
             Parameter(name="cosine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
             Parameter(name="sine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="frequency", unit="Hz", neutral=1.0, low=0.05, high=50.0, step=0.002, shape=True),
+            Parameter(name="frequency", unit="Hz", neutral=1.0, low=0.05, high=50.0, step=0.002, shape=True, spread=50),
         ),
         signature="a narrow peak in the spectrum over time, whatever the robot does",
         experiment="hold still and log",
@@ -475,7 +493,7 @@ _ALL = (
         name="joint_delay",
         title="extra delay of a joint",
         equation="the target of this joint acts time later than those of the others",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.002),),
+        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.001, spread=30),),
         signature="residual of one joint in proportion to the speed of its target",
         experiment="steps and a chirp",
         enters="command path; actuator delay in MJCF",
@@ -535,6 +553,24 @@ def unit_of(name: str, parameter: str, positions: str = "rad") -> str:
     if positions == "m" and spec.scope == "joint":
         unit = _LINEAR.get(unit, unit)
     return "" if unit == "1" else unit
+
+
+def scale_of(unit: str, position: float, speed: float, acceleration: float, torque: float) -> float:
+    """Return how large a number of this unit is on a machine whose motion and torque have these root mean squares.
+
+    1 for units without a scale.
+    """
+    return {
+        "N m": torque,
+        "N m s/rad": torque / speed,
+        "N m s^2/rad^2": torque / speed**2,
+        "N m/rad": torque / position,
+        "kg m^2": torque / acceleration,
+        "1/(N m)^2": 1.0 / torque**2,
+        "rad/(N m)": position / torque,
+        "rad": position,
+        "rad/s": speed,
+    }.get(unit, 1.0)
 
 
 def effect(name: str) -> Effect:

@@ -120,7 +120,7 @@ class Law:
 
     def _fixed(self) -> None:
         """Compute what does not change from step to step."""
-        xp, dt, has = self.xp, self.dt, self._has
+        xp, has = self.xp, self._has
         kp, kd = self._zero + self._d.kp, self._zero + self._d.kd
         if "gains" in has:
             kp, kd = kp * self.get("gains", "kp"), kd * self.get("gains", "kd")

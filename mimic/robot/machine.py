@@ -259,7 +259,7 @@ def inertias(
             ipos[:, b] += shift[:, j, None] * machine.toward[j]
         if payload is not None:
             for i in np.flatnonzero(payload[:, j]):
-                _load(mass, ipos, inertia, iquat, i, b, float(payload[i, j]), machine.tip[j])
+                _load(mass, ipos, inertia, iquat, int(i), int(b), float(payload[i, j]), machine.tip[j])
     return Inertias(mass=mass, ipos=ipos, inertia=inertia, iquat=iquat)
 
 
