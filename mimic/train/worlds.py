@@ -10,6 +10,7 @@ true world, whose z is up.
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -44,6 +45,9 @@ RANDOMISED = (
 
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
+
+SPARE_CONTACTS = 64
+"""Room for contacts beyond the average, which few worlds do not keep."""
 
 VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
@@ -80,7 +84,8 @@ class Worlds:
             sizes = {name: n for name in RANDOMISED}
             self.model = mjw.put_model(model, batch_sizes=sizes)
             self.model.opt.warn_overflow = 0
-            self.data = mjw.put_data(model, data, nworld=n, nconmax=settings.contacts, njmax=settings.rows)
+            contacts = settings.contacts + math.ceil(SPARE_CONTACTS / n)
+            self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=settings.rows)
             self._randomise(description, settings, n, seed)
             self.qpos = wp.to_torch(self.data.qpos)
             self.qvel = wp.to_torch(self.data.qvel)

@@ -17,7 +17,7 @@ from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.learn import runner_config, train  # noqa: E402
 
 MDP = MdpSettings(worlds=6)
-PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2)
+PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, captured=False)
 CAPTURED = dataclasses.replace(PLAIN, captured=True)
 
 
