@@ -146,7 +146,7 @@ class Replay:
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque else None
         where = self._reading_plan()
-        before = law.reading(q)
+        before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
         if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
             out[:, 0] = self.log.q[0] - before[order[:, 0]]
@@ -167,7 +167,7 @@ class Replay:
                 out[:, row] = self.log.q[row] - value
                 if torque is not None and self.log.tau is not None:
                     torque[:, row] = self.log.tau[row] - inputs.tau[sims]
-            before = reading
+            before = np.array(reading)
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)
 
