@@ -217,6 +217,42 @@ class TableSettings:
         _check_range("workers", self.workers, 0, 1024)
 
 
+STAND_UP_RANGES = Randomisation(
+    ground_friction=(0.6, 3.0),
+    base_mass=(-1.0, 1.0),
+    delay=(0.0, 0.035),
+    push=(0.0, 0.0),
+    start_q=(-0.15, 0.15),
+    start_height=(0.0, 0.03),
+)
+"""Lying starts that must end upright; gains as in Table II, +-20 %."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StandUpSettings:
+    """How standing up and standing still are judged."""
+
+    episodes: int = 500
+    """Lying starts."""
+    seconds: float = 3.0
+    """Length of each [s]; who stands up must still stand at its end."""
+    still_episodes: int = 10
+    """Nominal robots that stand still."""
+    still_seconds: float = 20.0
+    """For how long [s], from the second second on."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = STAND_UP_RANGES
+
+    def __post_init__(self) -> None:
+        _check_range("episodes", self.episodes, 1, 100_000)
+        _check_range("seconds", self.seconds, 2.5, 600.0, "s")
+        _check_range("still-seconds", self.still_seconds, 1.0, 600.0, "s")
+        _check_range("workers", self.workers, 0, 1024)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Disturbance:
     """What happens to a simulated robot besides its variation; the default is nothing."""

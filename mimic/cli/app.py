@@ -23,6 +23,7 @@ from mimic.settings import (
     RobustnessSettings,
     RunSettings,
     SitDownEvaluateSettings,
+    StandUpSettings,
     TableSettings,
 )
 
@@ -115,6 +116,7 @@ def evaluate(
     *,
     table: Annotated[bool, Parameter(negative="")] = False,
     robustness: Annotated[bool, Parameter(negative="")] = False,
+    stand_up: Annotated[bool, Parameter(negative="")] = False,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     episodes: int | None = None,
     seconds: float | None = None,
@@ -133,35 +135,40 @@ def evaluate(
         Instead, the columns of the paper's Table III, beside the paper's.
     robustness
         Instead, the share of survived episodes along each disturbance, with a heat map.
+    stand_up
+        Instead, standing up from 500 lying starts, and standing still for 20 s.
     out
-        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json or robustness-NAME.json in the
-        current folder. The heat map goes beside it.
+        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json or
+        stand-up-NAME.json in the current folder. The heat map goes beside it.
     episodes
-        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; hand-overs
-        to a policy that sits down: 500.
+        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
+        --stand-up 500 starts; hand-overs to a policy that sits down: 500.
     seconds
-        Length of a randomised episode: 20 s; with --robustness 10 s; latest hand-over: 10 s.
+        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; latest hand-over:
+        10 s.
     seed
         Seed of the first episode.
     workers
         Processes; 0 takes one for each core.
     """
-    from mimic.cli.judge import evaluate_policy, evaluate_robustness, evaluate_sit_down, evaluate_table, task_of
+    from mimic.cli import judge
 
-    if table and robustness:
-        raise ConfigError("--table and --robustness are two ways of judging; give one of them")
+    if table + robustness + stand_up > 1:
+        raise ConfigError("--table, --robustness and --stand-up are ways of judging; give one of them")
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if table:
-        return evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))
+        return judge.evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))
     if robustness:
         settings = RobustnessSettings(**options)
-        return evaluate_robustness(policy, out or Path(f"robustness-{policy.stem}.json"), settings)
+        return judge.evaluate_robustness(policy, out or Path(f"robustness-{policy.stem}.json"), settings)
+    if stand_up:
+        return judge.evaluate_stand_up(policy, out or Path(f"stand-up-{policy.stem}.json"), StandUpSettings(**options))
     out = out or Path(f"evaluation-{policy.stem}.json")
     checked = EvaluateSettings(**options)
-    if task_of(policy) == "sit_down":
-        return evaluate_sit_down(policy, out, SitDownEvaluateSettings(**options))
-    return evaluate_policy(policy, out, checked)
+    if judge.task_of(policy) == "sit_down":
+        return judge.evaluate_sit_down(policy, out, SitDownEvaluateSettings(**options))
+    return judge.evaluate_policy(policy, out, checked)
 
 
 @app.command

@@ -17,6 +17,7 @@ from mimic.settings import (
     MdpSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
+    StandUpSettings,
     TableSettings,
 )
 
@@ -123,6 +124,28 @@ def evaluate_table(policy: Path, out: Path, settings: TableSettings) -> int:
             for name, row in result["table"].items()
         }
         | {"written": str(out)},
+    )
+    return DONE
+
+
+def evaluate_stand_up(policy: Path, out: Path, settings: StandUpSettings) -> int:
+    """Judge standing up and standing still, print the figures, and write all of them."""
+    from mimic.run import stand_up
+
+    result = _judged(stand_up.evaluate_stand_up, policy, out, settings)
+    s = result["summary"]
+    table(
+        f"{policy.name}: {s['starts']} lying starts, and {s['still_episodes']} nominal robots that stand still",
+        {
+            "upright in 1.5 s": f"{s['upright_in_time']:.1%}",
+            f"… and still at {settings.seconds:g} s": f"{s['upright_in_time_and_kept']:.1%}",
+            "time to stand up": f"{s['stand_up_median_s']:.2f} s median, {s['stand_up_p95_s']:.2f} s at the 95th percentile",
+            "fastest joint": f"{s['joint_speed_max_rad_s']:.1f} of {s['joint_speed_limit_rad_s']:.1f} rad/s",
+            "largest torque": f"{s['torque_max_nm']:.1f} of {s['torque_limit_nm']:.1f} N m",
+            "drift while standing still": f"{s['still_drift_mean_m']:.2f} m mean, {s['still_drift_max_m']:.2f} m at most in "
+            f"{settings.still_seconds:g} s",
+            "written": str(out),
+        },
     )
     return DONE
 

@@ -271,7 +271,7 @@ def test_ways_of_judging_exclude_each_other(here, capsys):
     assert "give one of them" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("way", ["--table", "--robustness"])
+@pytest.mark.parametrize("way", ["--table", "--robustness", "--stand-up"])
 def test_ways_of_judging_refuse_what_is_not_there(way, here, capsys):
     assert main(["evaluate", "nowhere.onnx", way]) == 2
     assert capsys.readouterr().err.startswith("mimic: there is no policy nowhere.onnx")
