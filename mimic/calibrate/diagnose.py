@@ -9,10 +9,10 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.problem import Point, Problem
-from mimic.calibrate.replay import neutral
 from mimic.calibrate.screen import Motion, Start, screen
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
+from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
 LEAST_GAIN = 0.01

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from mimic.calibrate.replay import Replay, neutral
+from mimic.calibrate.replay import Replay
 from mimic.robot.effects import CATALOGUE, Parameter, scale_of
 from mimic.robot.machine import MachineModel
+from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray, IntArray
 
 Key = tuple[str, str]

@@ -15,9 +15,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mimic.machine_log import MachineLog
-from mimic.robot.effects import CATALOGUE
 from mimic.robot.law import Law, Parameters
-from mimic.robot.machine import SOLREF_STEPS, MachineModel, inertias, tilted_gravity
+from mimic.robot.machine import SOLREF_STEPS, MachineModel
+from mimic.robot.servo import Servo, static_fields, target_shift
 from mimic.types import FloatArray, IntArray
 
 MOST_SIMULATIONS = 1536
@@ -135,14 +135,16 @@ class Replay:
         law = Law(self.machine.drives, p, self.dt, (n, joints), np)
         batch = self._batch(n)
         static_fields(batch, self.machine, law, p)
-        fields = Servo(batch)
+        fields = Servo.of_batch(batch)
         begin = np.tile(self._begin, sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
         start_q, start_dq = self._starts(begin)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         law.reset(start_q, start_dq, None if self._heat is None else self._heat_at(begin, law))
         q[:], dq[:] = law._unread(start_q), start_dq
-        shifts = self._shifts(p, joints)
+        late = target_shift(p, self.dt)
+        whole = np.floor(late).astype(int)
+        shifts = (whole, late - whole)
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque else None
         where = self._reading_plan()
@@ -202,16 +204,6 @@ class Replay:
             heat[i] = (self._heat[:row] * np.exp(-age / time[i]) * (dt / time[i])).sum(0) if row else 0.0
         return heat
 
-    def _shifts(self, p: Parameters, joints: int) -> tuple[Any, Any]:
-        delay = np.full((1, 1), self.dt / 2)  # a position read at the start of a step is half a step old
-        if ("delay", "time") in p:
-            delay = delay + p["delay", "time"]
-        if ("joint_delay", "time") in p:
-            delay = delay + p["joint_delay", "time"]
-        steps = delay / self.dt
-        whole = np.floor(steps).astype(int)
-        return whole, steps - whole
-
     def _target(self, now: IntArray, shifts: tuple[Any, Any]) -> FloatArray:
         whole, part = shifts
         last = len(self._grid) - 1
@@ -222,67 +214,3 @@ class Replay:
             columns = np.arange(self._grid.shape[1])
             newer, older = self._grid[late, columns], self._grid[np.maximum(late - 1, 0), columns]
         return newer + part * (older - newer)
-
-
-class Servo:
-    """The fields of a batch that a law writes at every step."""
-
-    def __init__(self, batch: Batch) -> None:
-        self._ctrl, self._applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
-        self._gain, self._bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
-        self._range, self._friction = batch.expand("actuator_forcerange"), batch.expand("dof_frictionloss")
-
-    def write(self, inputs: Any) -> None:
-        """Hand over the inputs of the next step."""
-        self._ctrl[:] = inputs.ctrl
-        self._gain[:, :, 0] = inputs.kp
-        self._bias[:, :, 0] = inputs.bias
-        self._bias[:, :, 1] = -inputs.kp
-        self._bias[:, :, 2] = -inputs.kd
-        self._range[:, :, 0] = inputs.low
-        self._range[:, :, 1] = inputs.high
-        self._friction[:] = inputs.friction
-        self._applied[:] = inputs.applied
-
-
-def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) -> None:
-    """Write what the effects change in the model once: damping, armature, masses, gravity."""
-    model = machine.model
-    damping = batch.expand("dof_damping")
-    damping[:] = p.get(("viscous", "coefficient"), model.dof_damping[None])
-    armature = batch.expand("dof_armature")
-    armature[:] = p.get(("armature", "inertia"), model.dof_armature[None])
-    if law.rotor is not None:
-        armature[law.rotor["there"]] = 0.0
-    parts = [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
-    names = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
-    if any(part is not None for part in parts):
-        made = inertias(machine, *parts)
-        for name, value in zip(names, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
-            batch.expand(name)[:] = value
-    else:
-        for name in names:
-            if batch.expanded(name) is not None:
-                batch.expand(name)[:] = getattr(model, name)
-    gravity = batch.expand("opt.gravity")
-    gravity[:] = model.opt.gravity
-    if ("base_tilt", "roll") in p:
-        gravity[:] = tilted_gravity(p["base_tilt", "roll"][:, 0], p["base_tilt", "pitch"][:, 0], model.opt.gravity)
-    batch.set_const()
-
-
-def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
-    """Return the neutral value of a parameter for each joint (J,), or (1,) for the whole machine."""
-    spec = CATALOGUE[name]
-    value = spec.parameter(parameter).neutral
-    if value != "model":
-        return np.full(len(machine.joints) if spec.scope == "joint" else 1, float(value))
-    own: dict[tuple[str, str], Any] = {
-        ("coulomb", "level"): machine.drives.friction,
-        ("viscous", "coefficient"): machine.model.dof_damping,
-        ("armature", "inertia"): machine.drives.armature,
-        ("torque_speed", "torque"): machine.drives.torque,
-        ("torque_speed", "flat"): machine.drives.flat,
-        ("torque_speed", "speed"): machine.drives.speed,
-    }
-    return np.array(own[name, parameter], dtype=np.float64)

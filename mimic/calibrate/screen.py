@@ -14,8 +14,8 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, solve
 from mimic.calibrate.problem import Knob, Point, Problem, Sums
-from mimic.calibrate.replay import neutral
 from mimic.robot.effects import CATALOGUE
+from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
 FINEST_ORDER = 0.25

@@ -4,39 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.calibrate.replay import Replay, neutral
-from mimic.errors import ConfigError
+from mimic.calibrate.replay import Replay
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import CATALOGUE
 from mimic.robot.machine import MachineModel
+from mimic.robot.servo import parameters_of
 from mimic.settings import LogSettings
 from mimic.types import BoolArray, FloatArray
-
-
-def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:
-    """Return the applied effects as the law takes them: (1, J) for joints, (1, 1) for the whole machine.
-
-    Raises:
-        ConfigError: If an effect names a joint that the machine lacks.
-    """
-    found: dict[tuple[str, str], FloatArray] = {}
-    for e in effects.applied:
-        spec = CATALOGUE[e.name]
-        lacking = [j for j in e.joints if j not in machine.joints]
-        if lacking:
-            raise ConfigError(
-                f"effect {e.name!r} names joint {lacking[0]!r}; the model has {', '.join(machine.joints)}"
-            )
-        for parameter in spec.parameters:
-            row = neutral(e.name, parameter.name, machine)
-            if parameter.fixed and parameter.starts:
-                row = np.full_like(row, parameter.starts[0])
-            if parameter.name in e.values:
-                index = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
-                row[index] = e.values[parameter.name]
-            found[e.name, parameter.name] = row[None]
-    return found
 
 
 def simulate_log(

@@ -121,14 +121,8 @@ class Law:
     def _fixed(self) -> None:
         """Compute what does not change from step to step."""
         xp, has = self.xp, self._has
-        kp, kd = self._zero + self._d.kp, self._zero + self._d.kd
-        if "gains" in has:
-            kp, kd = kp * self.get("gains", "kp"), kd * self.get("gains", "kd")
-        if "kt_gain" in has:
-            kp, kd = kp * self.get("kt_gain", "factor"), kd * self.get("kt_gain", "factor")
-        if "encoder_scale" in has:
-            kp, kd = kp * self.get("encoder_scale", "factor"), kd * self.get("encoder_scale", "factor")
-        self._kp, self._kd = kp, kd
+        self._kp, self._kd = xp.zeros_like(self._zero), xp.zeros_like(self._zero)
+        self.set_gains(self._d.kp, self._d.kd)
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
@@ -170,13 +164,29 @@ class Law:
 
     # ------------------------------------------------------------------ a run
 
+    def set_gains(self, kp: Any, kd: Any) -> None:
+        """Give the drives other gains from now on, (J,) or (N, J), on which the effects act as on the first ones."""
+        kp, kd = self._zero + kp, self._zero + kd
+        for name, of_kp, of_kd in (
+            ("gains", "kp", "kd"),
+            ("kt_gain", "factor", "factor"),
+            ("encoder_scale", "factor", "factor"),
+        ):
+            if name in self._has:
+                kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
+        self._kp[:], self._kd[:] = kp, kd
+
     def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
         """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
-        start = self._unread(q)
-        known = {"velocity": dq, "velocity_before": dq, "theta": start, "omega": dq, "omega_open": dq, "heat": heat}
-        for name in self.states:
+        self.begin(self._unread(q), dq, heat)
+
+    def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
+        """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
+        known = {"velocity": dq, "velocity_before": dq, "theta": q, "omega": dq, "omega_open": dq, "heat": heat}
+        for name, before in self.states.items():
             value = known.get(name)
-            self.states[name] = self._zero + (0.0 if value is None else value)
+            value = self._zero + (0.0 if value is None else value)
+            self.states[name] = value if where is None else self.xp.where(where, value, before)
 
     def _unread(self, reading: Any) -> Any:
         q = reading

@@ -247,20 +247,45 @@ def inertias(
     """Return the inertial numbers with links scaled, centres of mass shifted and tips loaded; each (N, J) or None."""
     model = machine.model
     count = next(len(v) for v in (factor, shift, payload) if v is not None)
-    mass = np.repeat(model.body_mass[None], count, 0)
-    ipos = np.repeat(model.body_ipos[None], count, 0)
-    inertia = np.repeat(model.body_inertia[None], count, 0)
-    iquat = np.repeat(model.body_iquat[None], count, 0)
-    for j, b in enumerate(machine.body):
+    own = Inertias(
+        mass=np.repeat(model.body_mass[None], count, 0),
+        ipos=np.repeat(model.body_ipos[None], count, 0),
+        inertia=np.repeat(model.body_inertia[None], count, 0),
+        iquat=np.repeat(model.body_iquat[None], count, 0),
+    )
+    return changed_inertias(own, machine.body, machine.toward, machine.tip, factor, shift, payload)
+
+
+def changed_inertias(
+    own: Inertias,
+    bodies: Sequence[int] | IntArray,
+    toward: FloatArray,
+    tip: FloatArray,
+    factor: FloatArray | None,
+    shift: FloatArray | None,
+    payload: FloatArray | None,
+) -> Inertias:
+    """Return the inertial numbers of N simulations changed in place (see :func:`inertias`).
+
+    Args:
+        own: Numbers before.
+        bodies: Link that each joint moves (J,).
+        toward: Unit vector along each link (J, 3).
+        tip: End of each link (J, 3) [m].
+        factor: On masses and inertias (N, J).
+        shift: Of centres of mass along ``toward`` (N, J) [m].
+        payload: At the tips (N, J) [kg].
+    """
+    for j, b in enumerate(bodies):
         if factor is not None:
-            mass[:, b] *= factor[:, j]
-            inertia[:, b] *= factor[:, j, None]
+            own.mass[:, b] *= factor[:, j]
+            own.inertia[:, b] *= factor[:, j, None]
         if shift is not None:
-            ipos[:, b] += shift[:, j, None] * machine.toward[j]
+            own.ipos[:, b] += shift[:, j, None] * toward[j]
         if payload is not None:
             for i in np.flatnonzero(payload[:, j]):
-                _load(mass, ipos, inertia, iquat, int(i), int(b), float(payload[i, j]), machine.tip[j])
-    return Inertias(mass=mass, ipos=ipos, inertia=inertia, iquat=iquat)
+                _load(own.mass, own.ipos, own.inertia, own.iquat, int(i), int(b), float(payload[i, j]), tip[j])
+    return own
 
 
 def _load(mass: Any, ipos: Any, inertia: Any, iquat: Any, i: int, b: int, load: float, tip: FloatArray) -> None:

@@ -1,0 +1,184 @@
+"""How the law of the drives enters the physics: one affine position servo for each joint, and what is written once.
+
+The same for a batch of hung machines (calibration), the simulated robot, and training worlds: an :class:`EffectSet`
+becomes parameters (:func:`parameters_of`), these become a :class:`~mimic.robot.law.Law`, whose inputs a
+:class:`Servo` writes at every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from mimic.errors import ConfigError
+from mimic.robot.effect_set import EffectSet
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.law import Law, Parameters
+from mimic.robot.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
+from mimic.types import FloatArray
+
+INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
+"""Fields of a model that masses and their places are in."""
+
+
+class Servo:
+    """The fields that a law writes at every step: arrays of NumPy or tensors, written in place.
+
+    For N simulations of J joints: ctrl, applied and friction (N, J), gain and bias (N, J, at least 3), range (N, J, 2).
+    """
+
+    def __init__(self, *, ctrl: Any, applied: Any, gain: Any, bias: Any, limits: Any, friction: Any) -> None:
+        self._ctrl, self._applied, self._friction = ctrl, applied, friction
+        self._gain, self._bias, self._range = gain, bias, limits
+
+    @classmethod
+    def of_batch(cls, batch: Batch) -> Servo:
+        """Return the fields of a batch of machines with a held base."""
+        return cls(
+            ctrl=batch.bind("ctrl"),
+            applied=batch.bind("qfrc_applied"),
+            gain=batch.expand("actuator_gainprm"),
+            bias=batch.expand("actuator_biasprm"),
+            limits=batch.expand("actuator_forcerange"),
+            friction=batch.expand("dof_frictionloss"),
+        )
+
+    def write(self, inputs: Any) -> None:
+        """Hand over the inputs of the next step."""
+        self._ctrl[:] = inputs.ctrl
+        self._gain[:, :, 0] = inputs.kp
+        self._bias[:, :, 0] = inputs.bias
+        self._bias[:, :, 1] = -inputs.kp
+        self._bias[:, :, 2] = -inputs.kd
+        self._range[:, :, 0] = inputs.low
+        self._range[:, :, 1] = inputs.high
+        self._friction[:] = inputs.friction
+        self._applied[:] = inputs.applied
+
+
+def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) -> None:
+    """Write what the effects change in the models of a batch once: damping, armature, masses, gravity."""
+    model = machine.model
+    damping = batch.expand("dof_damping")
+    damping[:] = p.get(("viscous", "coefficient"), model.dof_damping[None])
+    armature = batch.expand("dof_armature")
+    armature[:] = p.get(("armature", "inertia"), model.dof_armature[None])
+    if law.rotor is not None:
+        armature[law.rotor["there"]] = 0.0
+    parts = _inertial_parts(p)
+    if any(part is not None for part in parts):
+        made = inertias(machine, *parts)
+        for name, value in zip(INERTIAL, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
+            batch.expand(name)[:] = value
+    else:
+        for name in INERTIAL:
+            if batch.expanded(name) is not None:
+                batch.expand(name)[:] = getattr(model, name)
+    gravity = batch.expand("opt.gravity")
+    gravity[:] = model.opt.gravity
+    if ("base_tilt", "roll") in p:
+        gravity[:] = tilted_gravity(p["base_tilt", "roll"][:, 0], p["base_tilt", "pitch"][:, 0], model.opt.gravity)
+    batch.set_const()
+
+
+def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) -> None:
+    """Write what the effects change once into a model that has the machine's joints and links last, such as the robot on
+    its floor; parameters of one simulation, (1, J). Gravity stays: ``base_tilt`` belongs to a base that is held."""
+    dofs = slice(model.nv - len(machine.joints), None)
+    if ("viscous", "coefficient") in p:
+        model.dof_damping[dofs] = p["viscous", "coefficient"][0]
+    if ("armature", "inertia") in p:
+        model.dof_armature[dofs] = p["armature", "inertia"][0]
+    there = [p[key][0] > 0 for key in (("backlash", "gap"), ("compliance", "compliance")) if key in p]
+    if there:  # the rotor is a state of the law
+        model.dof_armature[dofs] = np.where(np.any(there, axis=0), 0.0, model.dof_armature[dofs])
+    parts = _inertial_parts(p)
+    if any(part is not None for part in parts):
+        own = Inertias(**{f: getattr(model, n)[None].copy() for f, n in zip(_FIELDS, INERTIAL, strict=True)})
+        bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
+        made = changed_inertias(own, bodies, machine.toward, machine.tip, *parts)
+        for name, value in zip(INERTIAL, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
+            getattr(model, name)[:] = value[0]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+_FIELDS = ("mass", "ipos", "inertia", "iquat")
+
+
+def _inertial_parts(p: Parameters) -> list[FloatArray | None]:
+    return [p.get(key) for key in (("link_mass", "factor"), ("com_shift", "distance"), ("payload", "mass"))]
+
+
+def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
+    """Return the neutral value of a parameter for each joint (J,), or (1,) for the whole machine."""
+    spec = CATALOGUE[name]
+    value = spec.parameter(parameter).neutral
+    if value != "model":
+        return np.full(len(machine.joints) if spec.scope == "joint" else 1, float(value))
+    own: dict[tuple[str, str], Any] = {
+        ("coulomb", "level"): machine.drives.friction,
+        ("viscous", "coefficient"): machine.model.dof_damping,
+        ("armature", "inertia"): machine.drives.armature,
+        ("torque_speed", "torque"): machine.drives.torque,
+        ("torque_speed", "flat"): machine.drives.flat,
+        ("torque_speed", "speed"): machine.drives.speed,
+    }
+    return np.array(own[name, parameter], dtype=np.float64)
+
+
+def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:
+    """Return the applied effects as the law takes them: (1, J) for joints, (1, 1) for the whole machine.
+
+    Raises:
+        ConfigError: If an effect names a joint that the machine lacks.
+    """
+    found: dict[tuple[str, str], FloatArray] = {}
+    for e in effects.applied:
+        spec = CATALOGUE[e.name]
+        lacking = [j for j in e.joints if j not in machine.joints]
+        if lacking:
+            raise ConfigError(
+                f"effect {e.name!r} names joint {lacking[0]!r}; the model has {', '.join(machine.joints)}"
+            )
+        for parameter in spec.parameters:
+            row = neutral(e.name, parameter.name, machine)
+            if parameter.fixed and parameter.starts:
+                row = np.full_like(row, parameter.starts[0])
+            if parameter.name in e.values:
+                index = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
+                row[index] = e.values[parameter.name]
+            found[e.name, parameter.name] = row[None]
+    return found
+
+
+def target_shift(p: Parameters, timestep: float) -> Any:
+    """Return how many physics steps after it was sent a target acts, (N, 1) or (N, J), not whole numbers.
+
+    Half a step comes on top of the delay: a position read at the start of a step is half a step old.
+    """
+    shift: Any = np.full((1, 1), 0.5)
+    for key in (("delay", "time"), ("joint_delay", "time")):
+        if key in p:
+            shift = shift + p[key] / timestep
+    return shift
+
+
+def target_in_effect(substep: int, decimation: int, shifts: Sequence[Any], targets: Sequence[Any], xp: Any) -> Any:
+    """Return the mean over a physics step of the target in effect: of those that have arrived the newest.
+
+    Args:
+        substep: Index of the physics step within the control step, from 0.
+        decimation: Physics steps in a control step.
+        shifts: For each target, physics steps from when it was sent to its effect; arrays.
+        targets: Sent one control step apart, newest first; the last acts before any other.
+        xp: ``numpy`` or ``torch``.
+    """
+    acting = targets[-1]
+    for age in reversed(range(len(targets) - 1)):
+        begun = xp.clip(substep + 1 + age * decimation - shifts[age], 0.0, 1.0)
+        acting = acting + begun * (targets[age] - acting)
+    return acting
