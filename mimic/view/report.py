@@ -133,7 +133,11 @@ def _declared(c: Calibration) -> str:
     by_joint = [e for e in declared if e.joints]
     tables = [_values(by_joint, c.joints, c.unit)] if by_joint else []
     tables += [_values(whole, (), c.unit)] if whole else []
-    return _section("Declared model, fitted", "The numbers that every model has, with 95 % intervals.", *tables)
+    return _section(
+        "Declared model, fitted",
+        "The numbers that every model has, with 95 % intervals; ▸| marks one that ran into its bound.",
+        *tables,
+    )
 
 
 def _values(effects: Sequence[EffectValues], joints: Sequence[str], positions: str) -> str:
@@ -162,7 +166,10 @@ def _pretty(unit: str) -> str:
 
 
 def _value(e: EffectValues, parameter: str, i: int) -> str:
-    text = figure(float(e.values[parameter][i]))
+    value, spec = float(e.values[parameter][i]), CATALOGUE[e.name].parameter(parameter)
+    text = figure(value)
+    if value != 0.0 and (value <= spec.low or value >= spec.high) and not spec.fixed:
+        text = f"<span class=bad title='on its bound: not to be trusted'>{text} ▸|</span>"
     if parameter not in e.intervals:
         return text
     low, high = (float(v) for v in e.intervals[parameter][i])

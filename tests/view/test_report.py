@@ -242,3 +242,9 @@ def test_the_file_is_the_page(calibration: Calibration, tmp_path: Path) -> None:
     path = write_report(calibration, tmp_path / "report.html")
     assert path.read_text(encoding="utf-8") == html_report(calibration)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_number_on_its_bound_is_marked(calibration: Calibration) -> None:
+    heavy = EffectValues(name="link_mass", joints=JOINTS, values={"factor": [3.0, 1.0, 1.0, 0.3, 1.0, 1.0]})
+    page = html_report(replace(calibration, effects=EffectSet((heavy,))))
+    assert page.count("on its bound") == 2
