@@ -122,7 +122,7 @@ def emps_log(columns: dict[str, FloatArray], gains: Cascade) -> MachineLog:
         q=columns["qm"][:, None],
         q_des=columns["qg"][:, None],
         force=FORCE * gains.added * pulses if pulses.any() else None,
-        tau=FORCE * columns["vir"][:, None],
+        tau=FORCE * np.concatenate([columns["vir"][:1], columns["vir"][:-1]])[:, None],  # held since the row before
         metadata={
             "kp": FORCE * gains.kv * gains.kp,
             "kd": FORCE * gains.kv,
