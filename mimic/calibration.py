@@ -127,6 +127,8 @@ class Calibration:
     warnings: tuple[str, ...] = ()
     not_identifiable: tuple[str, ...] = ()
     """Directions in the parameters that this log does not determine."""
+    repeatability: FloatArray | None = None
+    """Where the log holds an excitation twice, how much the two differ, over the square root of 2 (J,)."""
     traces: Traces
     replays: int = 0
     """Simulated logs."""
@@ -148,6 +150,9 @@ class Calibration:
                 "joints": self.joints,
                 "unit": self.unit,
                 "noise": dict(zip(self.joints, self.noise, strict=True)),
+                "repeatability": None
+                if self.repeatability is None
+                else dict(zip(self.joints, self.repeatability, strict=True)),
                 "errors": {
                     "nominal": self._errors(self.nominal),
                     "declared": self._errors(declared),

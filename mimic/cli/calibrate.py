@@ -74,7 +74,7 @@ def calibrate_log(path: Path, model: Path | None, out: Path, settings: Calibrate
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     warnings = tuple(dict.fromkeys((*facts.warnings, *result.warnings)))
     metadata = {"name": path.name, **result.metadata, "provenance": store.plain(made_by)}
-    result = replace(result, warnings=warnings, metadata=metadata)
+    result = replace(result, warnings=warnings, metadata=metadata, repeatability=facts.repeatability)
     written = _write(result, out)
     _tell(result, written)
     return DONE if result.belongs else USER

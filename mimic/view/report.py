@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -185,30 +185,29 @@ def _errors(c: Calibration, unit: Unit) -> str:
     if len(c.stages) > 1:
         columns.append(("final", c.stages[-1].errors))
     last = columns[-1][1]
-    headings = [
-        "joint",
-        *(f"{name}<br><small>train / held out</small>" for name, _ in columns),
-        "noise floor",
-        "final / noise",
-    ]
+    floors = {"noise floor": c.noise} | ({} if c.repeatability is None else {"repeats within": c.repeatability})
+    shown = (f"{name}<br><small>train / held out</small>" for name, _ in columns)
+    headings = ["joint", *shown, *floors, "final / noise"]
 
-    def row(pick: Any, noise: float) -> list[str]:
+    def row(pick: Callable[[FloatArray], float]) -> list[str]:
         cells = [
             f"{figure(pick(e.train) * unit.factor)} / <b>{figure(pick(e.held_out) * unit.factor)}</b>"
             for _, e in columns
         ]
-        ratio = pick(last.held_out) / noise if noise > 0 else float("nan")
-        shown = f"<span class=good>{figure(ratio)}</span>" if ratio < 1.2 else figure(ratio)
-        return [*cells, figure(noise * unit.factor), shown]
+        ratio = pick(last.held_out) / max(pick(c.noise), 1e-300)
+        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < 1.2 else figure(ratio)
+        return [*cells, *(figure(pick(v) * unit.factor) for v in floors.values()), explained]
 
-    rows = [("", [escape(j), *row(lambda v, i=i: float(v[i]), float(c.noise[i]))]) for i, j in enumerate(c.joints)]
+    rows = [("", [escape(joint), *row(lambda v, i=i: float(v[i]))]) for i, joint in enumerate(c.joints)]
     if len(c.joints) > 1:
-        rows.append(("total", ["all", *row(Errors.total, Errors.total(c.noise))]))
+        rows.append(("total", ["all", *row(Errors.total)]))
     names = ["as given", *(title_of(s.added) for s in c.stages)]
     lead = (
         f"Root mean square of measured − predicted [{unit.name}]. Nothing was fitted to the held-out blocks, and nothing"
         " was chosen by them."
     )
+    if c.repeatability is not None:
+        lead += " The same excitation comes twice in this log; what differs between the two times no model explains."
     return _section("Errors", lead, stage_errors(c, unit, names), _table(headings, rows))
 
 

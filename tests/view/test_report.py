@@ -248,3 +248,10 @@ def test_a_number_on_its_bound_is_marked(calibration: Calibration) -> None:
     heavy = EffectValues(name="link_mass", joints=JOINTS, values={"factor": [3.0, 1.0, 1.0, 0.3, 1.0, 1.0]})
     page = html_report(replace(calibration, effects=EffectSet((heavy,))))
     assert page.count("on its bound") == 2
+
+
+def test_repeatability_is_shown_where_the_log_has_it(calibration: Calibration) -> None:
+    assert "repeats within" not in Page(html_report(calibration)).text
+    again = Page(html_report(replace(calibration, repeatability=np.full(len(JOINTS), 5.55e-4))))
+    assert "repeats within" in again.text
+    assert "0.555" in again.text
