@@ -27,6 +27,7 @@ LIMITS = {
     "captured_large": 90,
     "physics_large": 90,
     "captured_bfloat16": 90,
+    "fused": 150,
     "plain": 90,
     "training_captured": 120,
     "training_plain": 120,

@@ -188,17 +188,32 @@ def kernels_stage(settings: Settings, sparse: bool) -> Figures:
 # ---------------------------------------------------------------------- the loop
 
 
-def parts_stage(settings: Settings, worlds: int, **changes: Any) -> Figures:
-    """Time of each part of a control step [ms]; learning is an update's share of it."""
+def parts_stage(settings: Settings, worlds: int, *, fused: bool = False, **changes: Any) -> Figures:
+    """Time of each part of a control step [ms]; learning is an update's share of it.
+
+    With ``fused`` the element-wise code of the environment and the networks goes through a compiler.
+    """
     mdp = dataclasses.replace(settings[0], worlds=worlds)
     learn = dataclasses.replace(settings[1], **changes)
     torch.backends.cuda.matmul.allow_tf32 = True
-    env = flailing(mdp)
+    env = StandTrackEnv(load_description(), mdp, DEVICE, 1)
     with contextlib.redirect_stdout(io.StringIO()):
         runner = OnPolicyRunner(env, runner_config(learn), None, DEVICE)
-    alg = runner.alg
+    alg: Any = runner.alg
+    begin = time.perf_counter()
+    if fused:
+        backend = "inductor" if ON_GPU else "aot_eager"
+        for name in ("_before_physics", "_after_physics"):
+            setattr(env, name, torch.compile(getattr(env, name), backend=backend, dynamic=False, fullgraph=True))
+        for model in (alg.actor, alg.critic):
+            model.mlp.compile(backend=backend)
+    with torch.inference_mode():
+        for _ in range(50 if ON_GPU else 2):
+            env.step(torch.randn(mdp.worlds, 12, device=DEVICE))
+    if fused:
+        say(f"  compiled in {time.perf_counter() - begin:.0f} s")
     alg.train_mode()
-    rollouts, updates = [], []
+    rollouts, updates, losses = [], [], {}
     seen = env.get_observations()
     for _ in range(12 if ON_GPU else 4):
         wait()
@@ -229,7 +244,7 @@ def parts_stage(settings: Settings, worlds: int, **changes: Any) -> Figures:
         "update_ms": update,
         "steps_per_s": 1e3 * worlds * learn.steps / (rollout + update),
     }
-    say(f"  {worlds} worlds {changes}: " + " ".join(f"{k}={v:,.3f}" for k, v in found.items()))
+    say(f"  {worlds} worlds {changes} fused={fused}: " + " ".join(f"{k}={v:,.3f}" for k, v in found.items()))
     say(f"    losses {losses}, first updates {[round(1e3 * t, 1) for t in updates[:3]]} ms")
     if ON_GPU:
         say(f"    memory {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
@@ -331,6 +346,7 @@ STAGES: dict[str, Callable[[Settings, list[str]], Figures]] = {
     "captured_large": lambda s, _: parts_stage(s, LARGE, captured=True),
     "physics_large": lambda s, _: physics_stage(s, LARGE, list(PHYSICS)[:3]),
     "captured_bfloat16": lambda s, _: parts_stage(s, SMALL, captured=True, mixed_precision=True),
+    "fused": lambda s, _: parts_stage(s, SMALL, captured=True, fused=True),
     "plain": lambda s, _: parts_stage(s, SMALL, captured=False),
     "training_captured": lambda s, _: training_stage(s, captured=True),
     "training_plain": lambda s, _: training_stage(s, captured=False),
