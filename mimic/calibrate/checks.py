@@ -67,7 +67,7 @@ def check_log(
     log, warnings = _readable(log)
     rate = log.rate
     warnings += problems.gaps(log)
-    wrong = [*problems.units(log, limits, unit), *problems.turns(log, unit)]
+    wrong = [*problems.units(log, limits, unit)] or [*problems.turns(log, unit)]
     if wrong:
         raise CalibrationError("\n".join(wrong))
     target = log.q_des

@@ -68,17 +68,16 @@ def units(log: MachineLog, limits: FloatArray | None, unit: str) -> Iterator[str
                 )
     if log.q_des is None:
         return
-    for i, joint in enumerate(log.joints):
-        spread, wanted = log.q[:, i].std(), log.q_des[:, i].std()
-        if spread <= 0 or wanted <= 0:
-            continue
-        for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
-            for ratio, larger in ((spread / wanted, "q"), (wanted / spread, "q_des")):
-                if abs(ratio / factor - 1.0) < 0.3:
-                    yield (
-                        f"{larger}.{joint} moves {ratio:.0f} times as far as the other of q and q_des: {what};"
-                        f" divide {larger} by {factor:.6g}"
-                    )
+    spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
+    ratio = np.where((spread > 0) & (wanted > 0), spread / np.maximum(wanted, 1e-300), 1.0)
+    for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
+        for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
+            found = [joint for joint, r in zip(log.joints, of, strict=True) if abs(r / factor - 1.0) < 0.3]
+            if found:
+                yield (
+                    f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des: {what};"
+                    f" divide {larger} by {factor:.6g}"
+                )
 
 
 def turns(log: MachineLog, unit: str) -> Iterator[str]:
@@ -127,10 +126,12 @@ def misassigned(log: MachineLog, correlation: FloatArray, moves: BoolArray) -> I
 def weak_following(log: MachineLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
     """Joints that follow their target badly, or before it comes."""
     own = np.diag(correlation)
-    for i in np.flatnonzero(moves & (own < 0.7)):
+    weak = np.flatnonzero(moves & (own < 0.7))
+    if len(weak):
+        worst = weak[own[weak].argmin()]
         yield (
-            f"{log.joints[i]} follows its target badly (correlation {own[i]:.2f}): weak gains, a blocked joint, or"
-            " targets that do not belong to these readings"
+            f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
+            f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
         )
     early = np.flatnonzero(moves & (lag < -1.5 / log.rate))
     if len(early):

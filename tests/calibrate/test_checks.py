@@ -205,6 +205,9 @@ def test_degrees(log: MachineLog) -> None:
     degrees = replace(log, q=np.rad2deg(log.q), q_des=np.rad2deg(log.q_des))  # type: ignore[arg-type]
     with pytest.raises(CalibrationError, match=r"seems to be in degrees; multiply by pi/180"):
         check_log(degrees, LIMITS)
+    with pytest.raises(CalibrationError, match="in degrees") as refusal:
+        check_log(degrees, LIMITS)
+    assert "wraps" not in str(refusal.value)
     with pytest.raises(CalibrationError, match="in degrees"):
         check_log(degrees)
 
@@ -315,3 +318,10 @@ def test_a_stored_log_is_the_log_checked(log: MachineLog, tmp_path: Path) -> Non
     again = read_log(write_log(log, tmp_path / "log.csv"))
     assert again.joints == JOINTS
     assert check_log(again).noise == pytest.approx(check_log(log).noise, rel=1e-4)
+
+
+def test_joints_that_follow_badly_share_a_line(log: MachineLog) -> None:
+    assert log.q_des is not None
+    shuffled = replace(log, q_des=np.random.default_rng(0).permutation(log.q_des))
+    warning = only(check_log(shuffled).warnings, "hip, knee, ankle: target badly followed")
+    assert "do not belong" in warning
