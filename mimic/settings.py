@@ -448,6 +448,7 @@ class SitDownWeights:
     thighs: float = -0.2
     head_low: float = -4.0
     slip: float = -0.25
+    beyond: float = -1.0
     action_rate: float = -0.008
     torque: float = -2e-4
     joint_velocity: float = -4e-4

@@ -55,7 +55,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
     return PolicyContract(
         robot=description.name,
         joints=JOINTS,
-        default_q=tuple(description.poses["lie" if sits else "upright"].tolist()),
+        default_q=tuple(description.poses["upright"].tolist()),
         action_scale=(settings.action_scale,) * len(JOINTS),
         action_clip=settings.action_clip,
         q_min=tuple((description.q_min + settings.command_margin).tolist()),

@@ -67,6 +67,8 @@ class Descent:
     """True where trunk, hips or shoulders touch the ground (N,)."""
     thighs: torch.Tensor
     """Number of thighs on the ground (N,)."""
+    beyond: torch.Tensor
+    """How far actions ask for joint positions beyond the limits of commands (N, 12) [rad]."""
     head: torch.Tensor
     """Height of the lowest point of the head (N,) [m]."""
     failed: torch.Tensor
@@ -95,6 +97,7 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
         "thighs": d.thighs,
         "head_low": torch.clamp((HEAD_ROOM - d.head) / HEAD_ROOM, 0.0, 1.0),
         "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1) + d.slip.clamp(max=2.0).sum(-1),
+        "beyond": d.beyond.square().sum(-1),
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
@@ -175,6 +178,7 @@ class SitDownEnv(StandTrackEnv):
         trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
         left_up = 2 * (qy * qz + qw * qx)
         overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
+        asked = self._default_q + self.settings.action_scale * self._last_action
         crashed = trunk & (velocity.norm(dim=-1) > self.settings.sit_down.crash_speed)
         self._velocity_before.copy_(velocity)
         self._front_before.copy_(front)
@@ -192,6 +196,7 @@ class SitDownEnv(StandTrackEnv):
             landing=landing,
             trunk=trunk,
             thighs=(low[:, self._thighs] < 0.002).float().sum(-1),
+            beyond=torch.relu(self._q_min - asked) + torch.relu(asked - self._q_max),
             head=head,
             failed=finite & ((head < 0.002) | overturned | crashed),
         )

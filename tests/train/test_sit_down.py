@@ -41,7 +41,7 @@ def test_training_leaves_a_policy_that_says_what_it_is_for(description, tmp_path
     path = train(tmp_path, SIT, learn, report=lambda update, row: rows.append(row))
     contract = Policy(path, description).contract
     assert contract.task == "sit_down"
-    assert np.array_equal(contract.default_q, description.poses["lie"])
+    assert np.array_equal(contract.default_q, description.poses["upright"])
     assert {"sit_down/lying", "sit_down/failed"} <= set(rows[0])
 
 
@@ -59,12 +59,18 @@ def test_starts_are_upright_falling_rising_and_lying(description):
     assert np.ptp(start.heading.numpy()) > 6
 
 
+def to_lie(description) -> torch.Tensor:
+    """Actions that ask for the lying pose at once."""
+    change = description.poses["lie"] - description.poses["upright"]
+    return torch.as_tensor(change / SIT.action_scale, dtype=torch.float32).expand(SIT.worlds, 12)
+
+
 def test_a_robot_that_lies_and_stays_earns_all_that_can_be_earned(description):
     env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=LYING, randomisation=NOMINAL), "cpu", 1)
     env.episode_length_buf.zero_()
     extras: dict = {}
     for _ in range(96):
-        _, reward, done, extras = env.step(torch.zeros(SIT.worlds, 12))
+        _, reward, done, extras = env.step(to_lie(description))
         assert not done.any()
     w = SitDownWeights()
     assert reward.min() > 0.85 * (w.height + w.level + w.pose + w.pose_fine + w.still)
@@ -75,7 +81,7 @@ def test_a_robot_that_drops_pays_for_it(description):
     upright = SitDownSettings(steady_share=1.0, rising_share=0.0, falling_share=0.0, lying_share=0.0)
     env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=upright), "cpu", 1)
     env.episode_length_buf.zero_()
-    rewards = [env.step(torch.zeros(SIT.worlds, 12))[1] for _ in range(20)]  # the lying pose at once
+    rewards = [env.step(to_lie(description))[1] for _ in range(20)]
     assert torch.stack(rewards).amin(0).max() < -1.0
 
 
