@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mimic.store import plain
-from mimic.types import FloatArray
+from mimic.types import BoolArray, FloatArray
 
 FORMAT = 1
 """Version of the keys of :meth:`Calibration.to_json`."""
@@ -88,7 +88,7 @@ class Traces:
 
     t: FloatArray
     """(T,) [s]"""
-    held_out: FloatArray
+    held_out: BoolArray
     """True in held-out blocks (T,)."""
     q: FloatArray
     """Measured (T, J)."""

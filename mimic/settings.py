@@ -665,6 +665,8 @@ class LogSettings:
     """Standard deviation of a position reading [rad]."""
     resolution: float = 2 * 12.5 / 65535
     """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
+    torque_noise: float = 0.02
+    """Standard deviation of a torque reading [N m]; a reading is the mean since the one before."""
     rate: float = 200.0
     """Readings a second [Hz]."""
     lost_samples: float = 0.0

@@ -24,6 +24,9 @@ LEAST_Z = 3.0
 LEAST_IMPROVEMENT = 0.35
 """What leaves the error of some joint, over its noise floor. Smaller crumbs are differences between integrators."""
 
+LEAST_SHARE = 0.15
+"""Share that it takes of what noise does not explain, on the joints where it acts; less is the nearest wrong name."""
+
 LEAST_PARAMETER = 2.0
 """How far an effect's number is from none, in standard deviations."""
 
@@ -145,12 +148,19 @@ def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: Bool
         why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
     elif improvement < LEAST_IMPROVEMENT:
         why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
+    elif (share := _share(problem, incumbent, fitted, channels)) < LEAST_SHARE:
+        why = f"it takes {100 * share:.0f} % of what is unexplained on its joints, below {100 * LEAST_SHARE:.0f} %"
     else:
         why = _pushed(problem, fitted, there)
     overall, _ = paired(after, before)
     return Tried(
         name=name, fitted=fitted, squares=after, gain=overall, z=z, improvement=improvement, joints=there, why=why
     )
+
+
+def _share(problem: Problem, incumbent: Fit, fitted: Fit, channels: BoolArray) -> float:
+    before, after = (problem.mean_squares(f.residual, False)[channels].sum() for f in (incumbent, fitted))
+    return float((before - after) / max(before - channels.sum(), 1e-9))
 
 
 def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArray:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mimic.calibrate.checks import belongs as targets_belong
 from mimic.calibrate.diagnose import Found, earns_its_keep, pruned, search
 from mimic.calibrate.fit import Fit, deviations, fit, penalty, solve, weak_directions
 from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.screen import Motion
@@ -81,22 +83,30 @@ def calibrate(
     for name in names:
         start = start.with_effect(name, machine)
     report("replaying", 0)
-    nominal = _errors(problem, problem.residuals([start])[0])
-    report("fitting the declared model", problem.replay.replays)
-    fitted = fit(problem, start, names, {}, most=5)
+    first = problem.residuals([start])[0]
+    problem.leave_out(~np.isfinite(first).all(-1))
+    nominal = _errors(problem, first)
+    if settings.method == "random":
+        report(f"{settings.samples} random samples", problem.replay.replays)
+        fitted = random_search(problem, start, settings.samples, settings.seed, report)
+    else:
+        report("fitting the declared model", problem.replay.replays)
+        fitted = fit(problem, start, names, {}, most=5)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(_errors(problem, fitted.residual).train / np.maximum(spread, 1e-9))
-    belongs = error < UNRELATED
-    report("comparing with fine steps", problem.replay.replays)
-    _correct(problem, fitted.point)
-    fitted = fit(problem, fitted.point, names, {}, most=2, frozen=fitted)
+    together, why = targets_belong(log)
+    belongs = together and error < UNRELATED
+    if settings.method == "least-squares" and belongs:
+        report("comparing with fine steps", problem.replay.replays)
+        fitted = _compared(problem, fitted, names)
     state = _Search(problem=problem, settings=settings, progress=report, joints={}, names=names, current=fitted)
     stages = [Stage(added="declared", errors=_errors(problem, fitted.residual))]
     before = fitted
-    if belongs:
+    final = fitted
+    if settings.method == "least-squares" and belongs:
         stages += _grow(state)
-    final = _polished(state)
+        final = _polished(state)
     stages[-1] = replace(stages[-1], errors=_errors(problem, final.residual))
     motion = _motion(problem, final)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
@@ -127,7 +137,7 @@ def calibrate(
         stages=tuple(stages),
         effects=effects,
         unexplained=rest,
-        sentence=_sentence(stages, rest, scale, machine, belongs, effects),
+        sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
         belongs=belongs,
         experiments=_experiments(stages),
         warnings=(),
@@ -175,6 +185,19 @@ def _correct(problem: Problem, point: Point) -> None:
     """Correct all residuals from here on by what coarse steps are wrong by at this point."""
     problem.correction = None
     problem.correction = _fine(problem, point) - problem.residuals([point])[0]
+
+
+def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
+    """Return the declared fit again, its coarse steps corrected by fine ones."""
+    _correct(problem, fitted.point)
+    joints = len(problem.machine.joints)
+    if problem.channels == joints:
+        return fit(problem, fitted.point, names, {}, most=2, frozen=fitted)
+    assert problem.correction is not None
+    unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
+    problem.coarsen_torque(unsure)
+    _correct(problem, fitted.point)
+    return fit(problem, fitted.point, names, {}, most=3)
 
 
 def _refined(problem: Problem, fitted: Fit) -> Fit:
@@ -334,13 +357,15 @@ def _experiments(stages: list[Stage]) -> tuple[str, ...]:
 
 
 def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
-    if not joints or len(joints) == len(machine.joints):
-        return "" if not joints else " in all joints"
+    if not joints or len(machine.joints) == 1:
+        return ""
+    if len(joints) == len(machine.joints):
+        return " in all joints"
     return f" in {', '.join(joints)}"
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.1f} um"
+    return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.3g} um"
 
 
 def _sentence(
@@ -350,9 +375,10 @@ def _sentence(
     machine: MachineModel,
     belongs: bool,
     effects: EffectSet,
+    why: str,
 ) -> str:
     if not belongs:
-        return "Log and model do not belong together: what was asked does not explain what was measured."
+        return f"Log and model do not belong together: {why or 'what was asked does not explain what was measured'}."
     unit = machine.unit
     first, last = Errors.total(stages[0].errors.held_out), Errors.total(stages[-1].errors.held_out)
     errors = f"held-out error {_number(first, unit)} → {_number(last, unit)}, noise floor {_number(Errors.total(noise), unit)}"

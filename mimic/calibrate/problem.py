@@ -7,7 +7,7 @@ changed in one replay, and the column of each leg is read from that leg's own jo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import signal
@@ -198,6 +198,15 @@ class Problem:
         inside = self.blocks.held_out[np.maximum(self.blocks.index, 0)] == held_out
         rows = (self.blocks.index >= 0) & inside
         return np.mean(residual[rows].astype(np.float64) ** 2, axis=0)
+
+    def leave_out(self, rows: BoolArray) -> None:
+        """Let these readings (T,) not count."""
+        self.blocks = replace(self.blocks, index=np.where(rows, -1, self.blocks.index))
+
+    def coarsen_torque(self, least: FloatArray) -> None:
+        """Raise the noise floor of the torque channels to this (J,): what coarse steps are unsure of."""
+        joints = len(self.machine.joints)
+        self.noise = np.concatenate([self.noise[:joints], np.maximum(self.noise[joints:], least)])
 
     # ------------------------------------------------------------------ derivatives
 

@@ -9,7 +9,7 @@ from scipy import signal
 
 from mimic.calibrate.screen import Motion
 from mimic.calibration import Remainder
-from mimic.types import FloatArray
+from mimic.types import FloatArray, IntArray
 
 EXPLAINED = 1.2
 """Error over noise floor up to which nothing is left to explain."""
@@ -59,12 +59,11 @@ def _state(j: int, motion: Motion, target: FloatArray, n: int) -> dict[str, Floa
         "position": motion.q[:, [j]],
         "velocity": np.stack([v, np.tanh(v / 0.05)], -1),
         "torque": np.stack([motion.tau[:, j], error, late], -1),
-        "another joint": np.stack([motion.q[:, n], motion.dq[:, n]], -1),
-    }
+    } | ({} if n == j else {"another joint": np.stack([motion.q[:, n], motion.dq[:, n]], -1)})
 
 
 def _remainder(
-    name: str, residual: FloatArray, state: dict[str, FloatArray], blocks: FloatArray, t: FloatArray
+    name: str, residual: FloatArray, state: dict[str, FloatArray], blocks: IntArray, t: FloatArray
 ) -> Remainder:
     rows = (blocks >= 0) & np.isfinite(residual)
     r = residual[rows].astype(np.float64)
@@ -124,7 +123,7 @@ def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:
     return signal.sosfiltfilt(signal.butter(2, cutoff, fs=1 / dt, output="sos"), r)
 
 
-def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: FloatArray, folds: int = 5) -> float:
+def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: IntArray, folds: int = 5) -> float:
     """Return the share of the variance of r (T,) that inputs predict on blocks left out; negative where they mislead.
 
     Ridge regression on random Fourier features of the scaled inputs; whole blocks are left out, because neighbouring

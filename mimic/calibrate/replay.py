@@ -31,7 +31,7 @@ class Prediction:
     residual: FloatArray
     """Measured - predicted position, single precision."""
     torque_residual: FloatArray | None
-    """Measured - predicted torque of the motor, where the log has it."""
+    """Measured - predicted torque of the motor, its mean since the reading before, where the log has it."""
 
 
 class Replay:
@@ -148,6 +148,7 @@ class Replay:
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque else None
         where = self._reading_plan()
+        gone, seen, last = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros(n, dtype=int)
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
         if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
@@ -160,6 +161,8 @@ class Replay:
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             inputs = law.step(q, dq, target, (now * self.dt)[:, None], force)
             fields.write(inputs)
+            if torque is not None:
+                gone += inputs.tau
             batch.step()
             law.settle(dq)
             reading = law.reading(q)
@@ -168,7 +171,10 @@ class Replay:
                 value = before[sims] * (1 - part) + reading[sims] * part if part < 1 else reading[sims]
                 out[:, row] = self.log.q[row] - value
                 if torque is not None and self.log.tau is not None:
-                    torque[:, row] = self.log.tau[row] - inputs.tau[sims]
+                    fresh = last[sims[0]] > 0
+                    mean = (gone[sims] - seen[sims]) / (k + 1 - last[sims[0]]) if fresh else inputs.tau[sims]
+                    torque[:, row] = self.log.tau[row] - mean
+                    seen[sims], last[sims] = gone[sims], k + 1
             before = np.array(reading)
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)

@@ -55,7 +55,11 @@ def simulate_log(
     read = times + settings.jitter * rng.standard_normal(len(times))
     read = np.clip(read, 0.0, fine[-1])
     q = np.stack([np.interp(read, fine, column) for column in q.T], -1)
-    tau = np.stack([np.interp(read, fine, column) for column in tau.T], -1)
+    total = np.concatenate([np.zeros((1, tau.shape[1])), np.cumsum(tau[1:], axis=0)]) * settings.timestep
+    before = np.maximum(read - 1.0 / settings.rate, 0.0)
+    between = np.maximum(read - before, settings.timestep)[:, None]
+    tau = np.stack([np.interp(read, fine, c) - np.interp(before, fine, c) for c in total.T], -1) / between
+    tau = tau + settings.torque_noise * rng.standard_normal(tau.shape)
     q = q + settings.noise * rng.standard_normal(q.shape)
     if settings.resolution > 0:
         q = settings.resolution * np.round(q / settings.resolution)
