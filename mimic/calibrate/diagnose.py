@@ -33,15 +33,6 @@ LEAST_PARAMETER = 2.0
 RIVAL_Z = 2.0
 """A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
 
-MASS_RANGE = (0.6, 1.6)
-"""A link whose mass leaves this range, as a factor of the CAD, is not a mass: three deviations of 15 %."""
-
-FAR_Z = 6.0
-"""Effects this far behind the best, in standard errors, are not fitted to the end."""
-
-STRONG = 4
-"""Effects that are fitted to the end and compared."""
-
 REFINED = 6
 """Effects that are refitted at each stage by rank, besides all with a threshold."""
 
@@ -188,8 +179,6 @@ def _pushed(problem: Problem, fitted: Fit, there: BoolArray) -> str:
         for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
             if abs(value - bound) < 1e-9 and sign * further > 2 * knob.step:
                 return f"it pushes {label} onto its bound {bound:g}"
-        if knob.key[0] == "link_mass" and not MASS_RANGE[0] < value < MASS_RANGE[1]:
-            return f"it makes {label} {value:.2f}, which is no mass"
     return ""
 
 

@@ -32,8 +32,8 @@ def remainders(
     residual: FloatArray,
     motion: Motion,
     target: FloatArray,
-    blocks: FloatArray,
-    neighbour: FloatArray,
+    blocks: IntArray,
+    neighbour: IntArray,
 ) -> tuple[Remainder, ...]:
     """Return what is left of each joint.
 

@@ -172,7 +172,7 @@ class Replay:
                 out[:, row] = self.log.q[row] - value
                 if torque is not None and self.log.tau is not None:
                     fresh = last[sims[0]] > 0
-                    mean = (gone[sims] - seen[sims]) / (k + 1 - last[sims[0]]) if fresh else inputs.tau[sims]
+                    mean = (gone[sims] - seen[sims]) / max(k + 1 - last[sims[0]], 1) if fresh else inputs.tau[sims]
                     torque[:, row] = self.log.tau[row] - mean
                     seen[sims], last[sims] = gone[sims], k + 1
             before = np.array(reading)
