@@ -21,6 +21,7 @@ from torch import nn
 
 from mimic.errors import ConfigError
 from mimic.train.mirror import mirrored_actions, mirrored_observations
+from mimic.train.worlds import capture_mode
 
 RATE_RANGE = (1e-5, 1e-2)
 """Bounds of the adaptive learning rate, those of rsl_rl."""
@@ -54,9 +55,7 @@ class Replayed:
                 self._warm = True
                 return self._on_the_side()
             graph = torch.cuda.CUDAGraph()
-            # other processes' messages are watched by a thread of its own, which may go on while this one captures
-            mode = "thread_local" if torch.distributed.is_initialized() else "global"
-            with torch.cuda.graph(graph, capture_error_mode=mode):
+            with torch.cuda.graph(graph, capture_error_mode=capture_mode()):
                 self._result = self._function()
             self._graph = graph
         self._graph.replay()

@@ -35,7 +35,7 @@ from mimic.train.feet import Feet, sliding
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.worlds import Worlds
+from mimic.train.worlds import Worlds, capture_mode
 from mimic.types import JOINTS, LEGS
 
 SWAY_SECONDS = 0.25
@@ -206,9 +206,9 @@ class StandTrackEnv(VecEnv):
                     self._after_physics()
             torch.cuda.current_stream().wait_stream(side)
             before, after = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
-            with torch.cuda.graph(before):
+            with torch.cuda.graph(before, capture_error_mode=capture_mode()):
                 self._before_physics()
-            with torch.cuda.graph(after):
+            with torch.cuda.graph(after, capture_error_mode=capture_mode()):
                 self._after_physics()
             self._graph = (before, after)
             return

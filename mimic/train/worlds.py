@@ -53,6 +53,14 @@ VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
 
 
+def capture_mode() -> str:
+    """Return how strictly PyTorch watches a capture of a graph.
+
+    With several processes a thread of PyTorch's asks the device whether messages have arrived; that must not spoil it.
+    """
+    return "thread_local" if torch.distributed.is_initialized() else "global"
+
+
 @dataclass
 class _Support:
     """What is needed for the lowest point of each collision shape."""
