@@ -64,7 +64,7 @@ footer{margin-top:48px;padding-top:12px;border-top:1px solid var(--faint);color:
 footer td,footer th{font-size:12.5px;padding:2px 10px 2px 0;border:0}
 @media print{:root{--ink:#000;--soft:#444;--faint:#ccc;--page:#fff;--card:#f4f4f4;--before:#b86a1f;--after:#1257c4;
 --held:#0000000d;--good:#18794e;--bad:#b42318;--grid:#ddd}
-body{max-width:none;padding:0;font-size:11px}p.verdict{font-size:15px}h2{margin-top:22px;break-after:avoid}
+body{max-width:none;padding:0;font-size:11px}table,small,.key,code{font-size:10.5px}p.verdict{font-size:15px}h2{margin-top:22px;break-after:avoid}
 h3{break-after:avoid}tr{break-inside:avoid}.tile{-webkit-print-color-adjust:exact;print-color-adjust:exact}
 .bar,.bar i,tr.taken td{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
 """
