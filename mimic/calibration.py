@@ -100,6 +100,10 @@ class Traces:
     """Residual of the declared model (T, J)."""
     after: FloatArray
     """Residual of the final model (T, J)."""
+    torque_before: FloatArray | None = None
+    """Residual of the measured torque under the declared model (T, J), where it was explained too."""
+    torque_after: FloatArray | None = None
+    """The same under the final model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

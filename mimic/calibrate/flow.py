@@ -120,6 +120,7 @@ def calibrate(
     )
     effects = _effect_set(state, final)
     scale = problem.noise[:joints]
+    measured = problem.channels > joints
     traces = Traces(
         t=log.t - log.t[0],
         held_out=problem.blocks.held_out[np.maximum(problem.blocks.index, 0)] & (problem.blocks.index >= 0),
@@ -128,6 +129,8 @@ def calibrate(
         tau=motion.tau,
         before=before.residual[:, :joints] * scale,
         after=final.residual[:, :joints] * scale,
+        torque_before=before.residual[:, joints:] * problem.noise[joints:] if measured else None,
+        torque_after=final.residual[:, joints:] * problem.noise[joints:] if measured else None,
     )
     return Calibration(
         joints=machine.joints,

@@ -14,7 +14,7 @@ from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import CATALOGUE, unit_of
 from mimic.store import written_whole
 from mimic.types import FloatArray
-from mimic.view.report_plots import Unit, against_state, over_time, spectra, stage_errors, unit_for
+from mimic.view.report_plots import Unit, against_state, over_time, spectra, stage_errors, torque_over_time, unit_for
 from mimic.view.report_style import STYLE
 from mimic.view.svg import figure, number
 
@@ -311,9 +311,11 @@ def _residuals(c: Calibration, unit: Unit) -> str:
     )
     key, timed = f"<p class='key'>{lines}</p>", f"<p class='key'>{lines}<span><i class='held'></i>held out</span></p>"
     noisy = f"<p class='key'>{lines}<span><i class='noise'></i>noise floor</span></p>"
+    torques = torque_over_time(c)
     return "".join(
         (
             _section("Residual over time", "Measured − predicted.", timed, *over_time(c, unit)),
+            _section("Residual of the measured torque", "", timed, *torques) if torques else "",
             _section(
                 "Residual against the state",
                 "Median and middle 80 % of the readings. What is explained lies flat on zero.",

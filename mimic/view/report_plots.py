@@ -45,20 +45,34 @@ def _spread(values: FloatArray) -> float:
 
 def over_time(calibration: Calibration, unit: Unit) -> list[str]:
     """Return a plot for each joint: residual before and after over time, held-out blocks shaded."""
+    traces = calibration.traces
+    return _over_time(calibration, traces.before * unit.factor, traces.after * unit.factor, unit.name)
+
+
+def torque_over_time(calibration: Calibration) -> list[str]:
+    """Return the same of the measured torque; empty where it was not explained."""
+    traces = calibration.traces
+    if traces.torque_before is None or traces.torque_after is None:
+        return []
+    unit = "N" if calibration.unit == "m" else "N m"
+    return _over_time(calibration, traces.torque_before, traces.torque_after, unit)
+
+
+def _over_time(calibration: Calibration, before: FloatArray, after: FloatArray, unit: str) -> list[str]:
     traces, plots = calibration.traces, []
     for j, joint in enumerate(calibration.joints):
-        before, after = traces.before[:, j] * unit.factor, traces.after[:, j] * unit.factor
-        limit = max(_spread(before), _spread(after))
+        limit = max(_spread(before[:, j]), _spread(after[:, j]))
+        rms = " → ".join(f"{figure(float(np.sqrt(np.nanmean(r[:, j] ** 2))))}" for r in (before, after))
         plot = Plot(
             x=(float(traces.t[0]), float(traces.t[-1])),
             y=(-limit, limit),
             title=joint,
-            y_label=unit.name,
+            y_label=f"rms {rms} {unit}",
             x_label="time [s]" if j + 1 == len(calibration.joints) else "",
         )
         plot.shade(traces.t, traces.held_out.astype(bool))
-        plot.curve(traces.t, before, "before")
-        plot.curve(traces.t, after, "after")
+        plot.curve(traces.t, before[:, j], "before")
+        plot.curve(traces.t, after[:, j], "after")
         plots.append(plot.svg(f"residual of {joint} over time, before and after"))
     return plots
 

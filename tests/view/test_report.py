@@ -255,3 +255,13 @@ def test_repeatability_is_shown_where_the_log_has_it(calibration: Calibration) -
     again = Page(html_report(replace(calibration, repeatability=np.full(len(JOINTS), 5.55e-4))))
     assert "repeats within" in again.text
     assert "0.555" in again.text
+
+
+def test_measured_torque_has_plots_of_its_own_where_it_was_explained(calibration: Calibration, page: Page) -> None:
+    traces = replace(
+        calibration.traces, torque_before=calibration.traces.tau, torque_after=0.1 * calibration.traces.tau
+    )
+    more = Page(html_report(replace(calibration, traces=traces)))
+    assert more.tags.count("svg") == page.tags.count("svg") + len(JOINTS)
+    assert "Residual of the measured torque" in more.text
+    assert "Residual of the measured torque" not in page.text
