@@ -33,6 +33,12 @@ LEAST_PARAMETER = 2.0
 RIVAL_Z = 2.0
 """A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
 
+FAR_Z = 6.0
+"""Effects this far behind the best, in standard errors, are not fitted to the end."""
+
+STRONG = 4
+"""Effects that are fitted to the end and compared."""
+
 REFINED = 6
 """Effects that are refitted at each stage by rank, besides all with a threshold."""
 
