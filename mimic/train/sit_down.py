@@ -85,7 +85,7 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
         "height": torch.exp(-((d.height_error / 0.06) ** 2)),
         "level": torch.exp(-((d.pitch_error / 0.4) ** 2)),
         "roll": d.left_up.square(),
-        "pose": torch.exp(-off / 0.15) * d.progress,
+        "pose": 0.5 * (torch.exp(-off / 0.6) + torch.exp(-off / 0.1)) * d.progress,
         "pose_fine": near * there,
         "still": calm * there * torch.exp(-((d.height_error / 0.08) ** 2)),
         "sinking": torch.clamp(-d.velocity[:, 2] - SINKING, 0.0, 3.0).square(),
