@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.errors import AssetError
+from mimic.errors import AssetError, ConfigError
 from mimic.shipped import shipped
 from mimic.types import JOINTS, LEGS, FloatArray
 
@@ -154,3 +155,17 @@ def load_description(name: str = "cyberdog2") -> RobotDescription:
         )
     except KeyError as missing:
         raise AssetError(f"{folder / 'robot.toml'} lacks {missing}") from None
+
+
+def with_timestep(description: RobotDescription, timestep: float) -> RobotDescription:
+    """Return the robot with another physics step [s] at the same control step.
+
+    Raises:
+        ConfigError: If the control step is no multiple of it.
+    """
+    decimation = round(description.dt / timestep)
+    if not np.isclose(decimation * timestep, description.dt, rtol=1e-9):
+        raise ConfigError(
+            f"the timestep is {timestep:g} s; the control step of {description.dt:g} s must be a multiple"
+        )
+    return dataclasses.replace(description, timestep=timestep, decimation=decimation)

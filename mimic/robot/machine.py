@@ -133,17 +133,13 @@ def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
 def _machine(
     spec: Any, *, kp: FloatArray, kd: FloatArray, torque: FloatArray, flat: FloatArray, speed: FloatArray
 ) -> MachineModel:
-    for group in (spec.actuators, spec.keys, spec.sensors, spec.equalities, spec.tendons):
+    for group in (spec.keys, spec.sensors, spec.equalities, spec.tendons):
         for item in list(group):
             spec.delete(item)
     names = [joint.name for joint in spec.joints]
     if len(set(names)) < len(names) or "" in names:
         raise AssetError("every joint of the model needs a name of its own")
-    for name in names:
-        servo = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
-        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        servo.forcelimited, servo.ctrllimited = True, False
-        servo.forcerange = [-UNLIMITED, UNLIMITED]
+    add_servos(spec, names)
     for body in spec.bodies:
         body.simple = 0  # effects move its centre of mass
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -178,6 +174,17 @@ def _machine(
         high=np.where(limited, model.jnt_range[:, 1], np.inf),
         unit="m" if slides.all() else "rad",
     )
+
+
+def add_servos(spec: Any, joints: Sequence[str]) -> None:
+    """Replace the actuators of a model by one position servo for each joint, whose numbers a law writes."""
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for name in joints:
+        servo = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        servo.forcelimited, servo.ctrllimited = True, False
+        servo.forcerange = [-UNLIMITED, UNLIMITED]
 
 
 def _chains(model: mujoco.MjModel, body: IntArray) -> tuple[IntArray, IntArray]:

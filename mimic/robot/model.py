@@ -2,7 +2,8 @@
 
 The actuator law is MuJoCo's own ``dcmotor`` in the MJCF: tau = kp (q_des - q) - kd dq, through a motor whose voltage
 limit gives the torque-speed line, clipped at the peak torque. MuJoCo on a CPU and MuJoCo Warp on a GPU both run it,
-and both integrate it implicitly.
+and both integrate it implicitly. With calibrated effects a bare servo at each joint takes its place, which
+:mod:`mimic.robot.law` drives.
 
 A command takes effect after a delay that varies from robot to robot. It is applied on the way to the motors
 (:func:`command_in_effect`) and not by the native ``delay`` of the MJCF, so that it can be drawn anew for each episode.
@@ -19,6 +20,7 @@ import mujoco
 import numpy as np
 
 from mimic.robot.description import RobotDescription
+from mimic.robot.machine import add_servos
 from mimic.settings import Randomisation
 from mimic.types import JOINTS, LEGS, FloatArray
 
@@ -35,6 +37,7 @@ def load_model(
     floor: bool = True,
     visuals: bool = True,
     payloads: Mapping[str, float] | None = None,
+    servos: bool = False,
 ) -> mujoco.MjModel:
     """Compile the robot.
 
@@ -43,6 +46,7 @@ def load_model(
         floor: Put it on a floor.
         visuals: Keep the shapes that are only looked at.
         payloads: Mass [kg] that the toe of a leg carries, as a ball of the toe's size.
+        servos: Instead of the motors put a bare position servo at each joint, for a law that drives it.
     """
     spec = mujoco.MjSpec.from_file(str(description.scene if floor else description.mjcf))
     for actuator in spec.actuators:
@@ -52,6 +56,8 @@ def load_model(
         for geom in list(spec.geoms):
             if geom.classname is not None and geom.classname.name == "visual":
                 spec.delete(geom)
+    if servos:
+        add_servos(spec, JOINTS)
     for leg, mass in (payloads or {}).items():
         inertia = 0.4 * mass * description.toe_radius**2
         load = spec.body(f"{leg}_knee").add_body(pos=description.raw["toe"]["position"], explicitinertial=True)

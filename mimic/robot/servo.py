@@ -7,6 +7,7 @@ becomes parameters (:func:`parameters_of`), these become a :class:`~mimic.robot.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,8 @@ from mimic.robot.effects import CATALOGUE
 from mimic.robot.law import Law, Parameters
 from mimic.robot.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
 from mimic.types import FloatArray
+
+log = logging.getLogger(__name__)
 
 INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 """Fields of a model that masses and their places are in."""
@@ -153,6 +156,31 @@ def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, 
                 row[index] = e.values[parameter.name]
             found[e.name, parameter.name] = row[None]
     return found
+
+
+STAND = ("base_tilt",)
+"""Effects of the stand that a robot hangs in: on its feet it does not have them."""
+
+
+def without_stand(effects: EffectSet) -> EffectSet:
+    """Return the effects that a hung robot keeps on its feet, and tell of those that it does not."""
+    for e in effects.applied:
+        if e.name in STAND:
+            log.warning(
+                "%s is of the stand that the robot hung in; on its feet it is left out", CATALOGUE[e.name].title
+            )
+    return EffectSet(tuple(e for e in effects if e.name not in STAND))
+
+
+def refuse_stand(effects: EffectSet) -> None:
+    """Refuse effects that a robot on its feet cannot have.
+
+    Raises:
+        ConfigError: If there is one.
+    """
+    for e in effects.applied:
+        if e.name in STAND:
+            raise ConfigError(f"effect {e.name!r} is of a stand, and this robot stands on its feet; leave it out")
 
 
 def target_shift(p: Parameters, timestep: float) -> Any:

@@ -8,27 +8,14 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mimic.errors import ConfigError, PlantError
-from mimic.robot.description import RobotDescription
+from mimic.errors import PlantError
+from mimic.robot.description import RobotDescription, with_timestep
+from mimic.robot.effect_set import EffectSet
 from mimic.robot.model import GAIN_KD, GAIN_KP, Variation, command_in_effect, draw_variation, load_model, vary_model
 from mimic.run.disturbances import Disturber, payloads
-from mimic.settings import CALM, NOMINAL, Disturbance, Randomisation, Solver
+from mimic.run.motors import LawMotors
+from mimic.settings import CALM, EFFECTS_TIMESTEP, NOMINAL, Disturbance, Randomisation, Solver
 from mimic.types import FloatArray, JointCommand, JointSamples, RobotState, Tick
-
-
-def with_timestep(description: RobotDescription, timestep: float) -> RobotDescription:
-    """Return the robot with another physics step [s] at the same control step.
-
-    Raises:
-        ConfigError: If the control step is no multiple of it.
-    """
-    decimation = round(description.dt / timestep)
-    if not np.isclose(decimation * timestep, description.dt, rtol=1e-9):
-        raise ConfigError(
-            f"the timestep is {timestep:g} s; the control step of {description.dt:g} s must be a multiple"
-        )
-    return dataclasses.replace(description, timestep=timestep, decimation=decimation)
-
 
 Watch = Callable[[mujoco.MjModel, mujoco.MjData], None]
 
@@ -48,6 +35,7 @@ class SimulatedPlant:
         samples: bool = True,
         disturbance: Disturbance = CALM,
         solver: Solver | None = None,
+        effects: EffectSet | None = None,
         watch: Watch | None = None,
     ) -> None:
         """Make a robot.
@@ -57,16 +45,20 @@ class SimulatedPlant:
             seed: Draws the variation, the start and the pushes.
             samples: Also record the joints at each physics step.
             disturbance: What happens to the robot besides.
-            solver: How the physics is integrated; by default as the description says.
+            solver: How the physics is integrated; by default as the description says, with effects in steps of 2.5 ms.
+            effects: What a calibration found; the law of the drives then takes the place of the native motors.
             watch: Sees the physics after each of its steps.
 
         Raises:
-            ConfigError: If the control step is no multiple of the solver's step.
+            ConfigError: If the control step is no multiple of the solver's step, or the effects are not of this robot.
         """
+        if effects is not None and solver is None:
+            solver = Solver(timestep=EFFECTS_TIMESTEP)
         self._description = description if solver is None else with_timestep(description, solver.timestep)
         self._disturbance = disturbance
-        self._nominal = load_model(description, visuals=False, payloads=payloads(disturbance))
-        self.model = load_model(description, visuals=False, payloads=payloads(disturbance))
+        self._motors = None if effects is None else LawMotors(self._description, effects)
+        kind = {"visuals": False, "payloads": payloads(disturbance), "servos": effects is not None}
+        self._nominal, self.model = load_model(description, **kind), load_model(description, **kind)
         if solver is not None:
             option = self.model.opt
             option.timestep = solver.timestep
@@ -91,6 +83,8 @@ class SimulatedPlant:
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
         self._gains_kp, self._gains_kd = self._description.kp, self._description.kd
         self.disturber = Disturber(self._disturbance, self.model, seed)
+        if self._motors is not None:
+            self._motors.fit(self.model, self.data, self.variation, seed)
 
     def start(self) -> RobotState:
         """Put the robot on the ground, lying on its folded legs, and return its state."""
@@ -105,21 +99,45 @@ class SimulatedPlant:
         reach = -(-self.variation.delay_steps // d.decimation)
         self._commands = [q] * max(reach + 1, 3)
         self._next_push = self._ranges.push_interval
+        if self._motors is not None:
+            self._motors.start(q, data.qvel[6:])
         return self._state()
 
     def _state(self) -> RobotState:
         data = self.data
+        q, tau = self._joints()
         state = RobotState(
             t=data.time,
-            q=data.qpos[7:].copy(),
+            q=q,
             dq=data.qvel[6:].copy(),
-            tau=data.actuator_force.copy(),
+            tau=tau,
             quat_WB=data.qpos[3:7].copy(),
             omega_B=data.qvel[3:6].copy(),
             p_WB=data.qpos[:3].copy(),
             v_WB=data.qvel[:3].copy(),
         )
         return self.disturber.sensed(state)
+
+    def _joints(self) -> tuple[FloatArray, FloatArray]:
+        """Return positions as the encoders read them, and torques as the motors give them (12,)."""
+        if self._motors is not None:
+            return self._motors.reading(self.data.qpos[7:]), self._motors.tau
+        return self.data.qpos[7:].copy(), self.data.actuator_force.copy()
+
+    def _drive(self, substep: int) -> None:
+        """Set motors and pull for the next physics step."""
+        data, decimation = self.data, self._description.decimation
+        if self._motors is not None:
+            applied = self._motors.drive(substep, data)
+            data.qfrc_applied[:] = 0.0
+            self.disturber.pull(data)
+            data.qfrc_applied[6:] += applied
+            return
+        newest, before, before_that, *older = self._commands
+        data.ctrl[:] = command_in_effect(
+            substep, decimation, self.variation.delay_steps, newest, before, before_that, np.where, older
+        )
+        self.disturber.pull(data)
 
     def _set_gains(self, command: JointCommand) -> None:
         if not (np.array_equal(command.kp, self._gains_kp) and np.array_equal(command.kd, self._gains_kd)):
@@ -144,25 +162,27 @@ class SimulatedPlant:
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
         if np.any(command.dq_des) or np.any(command.tau_ff):
             raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
-        if self.disturber.command_lost():
+        lost = self.disturber.command_lost()
+        if lost or (self._motors is not None and self._motors.command_lost()):
             command = dataclasses.replace(command, q_des=self._commands[0])
-        self._set_gains(command)
+        if self._motors is None:
+            self._set_gains(command)
+        else:
+            self._motors.send(command)
         self._push()
         model, data, decimation = self.model, self.data, self._description.decimation
         self._commands = [command.q_des, *self._commands[:-1]]
-        newest, before, before_that, *older = self._commands
         rows: list[tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for k in range(decimation):
-            data.ctrl[:] = command_in_effect(
-                k, decimation, self.variation.delay_steps, newest, before, before_that, np.where, older
-            )
-            self.disturber.pull(data)
+            self._drive(k)
             mujoco.mj_step(model, data)
+            if self._motors is not None:
+                self._motors.settle(data)
             if self._watch is not None:
                 self._watch(model, data)
             if self._samples:
-                force = data.actuator_force.copy()
-                rows.append((data.time, data.qpos[7:].copy(), data.qvel[6:].copy(), force, command.q_des))
+                q, tau = self._joints()
+                rows.append((data.time, q, data.qvel[6:].copy(), tau, command.q_des))
         if not np.all(np.isfinite(data.qpos)):
             raise PlantError(
                 f"the simulation is no longer finite at {data.time:.2f} s; this is a bug, please report it"
