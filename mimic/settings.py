@@ -61,8 +61,21 @@ class RetargetSettings:
         _check_range("scale", self.scale, 0.2, 2.0)
 
 
-EFFECTS_TIMESTEP = 0.0025
-"""Physics step of a robot with effects [s]: lags and backlash are shorter than the 5 ms that do without."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EffectsSettings:
+    """What a calibration found out about the robot that is simulated."""
+
+    effects: str | None = None
+    """effects.toml of a calibration; None simulates the robot as described."""
+    timestep: float = 0.0025
+    """Physics step with effects [s]; lags and backlash are shorter than the 5 ms that do without effects."""
+
+    def __post_init__(self) -> None:
+        _check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
+
+
+AS_DESCRIBED = EffectsSettings()
+"""The robot without effects."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -169,6 +182,8 @@ class EvaluateSettings:
     workers: int = 0
     """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
         _check_range("episodes", self.episodes, 1, 100_000)
@@ -191,6 +206,8 @@ class SitDownEvaluateSettings:
     tracker: str | None = None
     """Policy that stands and tracks before; None takes the shipped one."""
     randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
         _check_range("episodes", self.episodes, 1, 100_000)
@@ -213,6 +230,8 @@ class TableSettings:
     workers: int = 0
     """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
         _check_range("episodes", self.episodes, 1, 100_000)
@@ -249,6 +268,8 @@ class StandUpSettings:
     workers: int = 0
     """Processes; 0 takes one for each core."""
     randomisation: Randomisation = STAND_UP_RANGES
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
         _check_range("episodes", self.episodes, 1, 100_000)
@@ -322,6 +343,8 @@ class RobustnessSettings:
     """Seed of the first episode."""
     workers: int = 0
     """Processes; 0 takes one for each core."""
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
         _check_range("episodes", self.episodes, 1, 100_000)

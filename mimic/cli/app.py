@@ -14,6 +14,7 @@ from mimic import __version__
 from mimic.errors import ConfigError, MimicError
 from mimic.settings import (
     CalibrateSettings,
+    EffectsSettings,
     EvaluateSettings,
     LearnSettings,
     LogSettings,
@@ -55,6 +56,7 @@ def play(
     pose: Annotated[PoseSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
     run: Annotated[RunSettings | None, Flat] = None,
+    robot: Annotated[EffectsSettings | None, Flat] = None,
 ) -> int:
     """Play a human video, or targets stored before, on the robot.
 
@@ -83,6 +85,7 @@ def play(
         pose=pose or PoseSettings(),
         retarget=retarget or RetargetSettings(),
         run=run or RunSettings(),
+        robot=robot or EffectsSettings(),
     )
 
 
@@ -122,6 +125,7 @@ def evaluate(
     seconds: float | None = None,
     seed: int = EvaluateSettings().seed,
     workers: int = 0,
+    robot: Annotated[EffectsSettings | None, Flat] = None,
 ) -> int:
     """Judge a policy in plain MuJoCo from the lying start: standing up, reaching, walking, turning.
 
@@ -155,7 +159,7 @@ def evaluate(
 
     if table + robustness + stand_up > 1:
         raise ConfigError("--table, --robustness and --stand-up are ways of judging; give one of them")
-    given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers}
+    given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if table:
         return judge.evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))

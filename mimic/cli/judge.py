@@ -9,9 +9,10 @@ from typing import Any
 from mimic import store
 from mimic.cli import COMMAND
 from mimic.cli.app import DONE
-from mimic.cli.console import console, matrix, note, progress_bar, table
+from mimic.cli.console import console, matrix, note, progress_bar, table, warn
 from mimic.errors import AssetError, MissingExtra
 from mimic.settings import (
+    EffectsSettings,
     EvaluateSettings,
     LearnSettings,
     MdpSettings,
@@ -22,13 +23,26 @@ from mimic.settings import (
 )
 
 
+def tell_of_stand(robot: EffectsSettings) -> None:
+    """Say which effects of a hung robot its simulation on its feet does without."""
+    if robot.effects is None:
+        return
+    from mimic.robot.effect_set import read_effects
+    from mimic.robot.servo import of_stand
+
+    for name in of_stand(read_effects(Path(robot.effects))):
+        warn(f"effect {name!r} is of the stand that the robot hung in; on its feet it is left out")
+
+
 def _judged(judge: Callable[..., dict[str, Any]], policy: Path, out: Path, settings: Any) -> dict[str, Any]:
     """Return what a way of judging finds, shown as it goes and written with its provenance."""
     if not policy.is_file():
         raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
+    tell_of_stand(settings.robot)
     with progress_bar("episodes") as progress:
         result = judge(policy, settings, progress=progress)
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"policy": policy})
+    inputs = {"policy": policy} | ({} if settings.robot.effects is None else {"effects": Path(settings.robot.effects)})
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     store.save_json({**result, "provenance": made_by}, out)
     return result
 

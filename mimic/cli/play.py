@@ -10,8 +10,9 @@ from mimic import store
 from mimic.cli import COMMAND
 from mimic.cli.app import DONE, STOPPED
 from mimic.cli.console import note, progress_bar, table, warn
+from mimic.cli.judge import tell_of_stand
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.settings import PoseSettings, RetargetSettings, RunSettings
+from mimic.settings import EffectsSettings, PoseSettings, RetargetSettings, RunSettings
 from mimic.types import CommandTrack, PoseTrack, TargetTrack
 
 SCENE, LOG, JOINTS, TARGETS, POSE, METRICS = (
@@ -129,6 +130,7 @@ def play_source(
     pose: PoseSettings,
     retarget: RetargetSettings,
     run: RunSettings,
+    robot: EffectsSettings,
 ) -> int:
     """Play a source in simulation and write its run folder."""
     from mimic.metrics import run_metrics
@@ -136,6 +138,7 @@ def play_source(
     from mimic.retarget.commands import command_track
     from mimic.robot.description import load_description
     from mimic.run.loop import run_policy
+    from mimic.run.pool import simulated
     from mimic.run.simulation import SimulatedPlant
 
     if not source.exists():
@@ -144,6 +147,8 @@ def play_source(
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
     _keep_source(source, film)
     folder = _run_folder(source, out)
+    tell_of_stand(robot)
+    options = simulated(robot)
     description = load_description()
     policy = load_policy(run.policy, description)
     track: PoseTrack | None = None
@@ -154,12 +159,13 @@ def play_source(
     commands: CommandTrack = command_track(targets)
 
     sit_down = load_sit_down(description)
-    plant = SimulatedPlant(description, seed=run.seed)
+    plant = SimulatedPlant(description, seed=run.seed, **options)
     with progress_bar("simulation") as progress:
         result = run_policy(plant, policy, commands, run, sit_down=sit_down, progress=progress)
 
-    settings = {"pose": pose, "retarget": retarget, "run": run}
+    settings = {"pose": pose, "retarget": retarget, "run": run, "robot": robot}
     inputs = {"source": source, "policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
+    inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     if track is not None:
         store.save(track, folder / POSE, made_by=made_by)

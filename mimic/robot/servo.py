@@ -7,8 +7,8 @@ becomes parameters (:func:`parameters_of`), these become a :class:`~mimic.robot.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,13 +16,11 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet
+from mimic.robot.effect_set import EffectSet, read_effects
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.law import Law, Parameters
 from mimic.robot.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
 from mimic.types import FloatArray
-
-log = logging.getLogger(__name__)
 
 INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 """Fields of a model that masses and their places are in."""
@@ -162,14 +160,18 @@ STAND = ("base_tilt",)
 """Effects of the stand that a robot hangs in: on its feet it does not have them."""
 
 
-def without_stand(effects: EffectSet) -> EffectSet:
-    """Return the effects that a hung robot keeps on its feet, and tell of those that it does not."""
-    for e in effects.applied:
-        if e.name in STAND:
-            log.warning(
-                "%s is of the stand that the robot hung in; on its feet it is left out", CATALOGUE[e.name].title
-            )
-    return EffectSet(tuple(e for e in effects if e.name not in STAND))
+def of_stand(effects: EffectSet) -> tuple[str, ...]:
+    """Return the names of the applied effects that a hung robot has and one on its feet has not."""
+    return tuple(e.name for e in effects.applied if e.name in STAND)
+
+
+def read_standing(path: Path) -> EffectSet:
+    """Read an effects.toml without the effects of the stand: of :func:`of_stand`, whoever reads it should tell.
+
+    Raises:
+        ConfigError: If it is no such file, or a value does not fit the catalogue.
+    """
+    return EffectSet(tuple(e for e in read_effects(path) if e.name not in STAND))
 
 
 def refuse_stand(effects: EffectSet) -> None:
@@ -178,9 +180,8 @@ def refuse_stand(effects: EffectSet) -> None:
     Raises:
         ConfigError: If there is one.
     """
-    for e in effects.applied:
-        if e.name in STAND:
-            raise ConfigError(f"effect {e.name!r} is of a stand, and this robot stands on its feet; leave it out")
+    for name in of_stand(effects):
+        raise ConfigError(f"effect {name!r} is of a stand, and this robot stands on its feet; leave it out")
 
 
 def target_shift(p: Parameters, timestep: float) -> Any:

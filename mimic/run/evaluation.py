@@ -16,9 +16,9 @@ from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription, load_description
 from mimic.robot.goals import draw_goals
 from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import loaded_policy, play_all
+from mimic.run.pool import loaded_policy, play_all, simulated
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, EvaluateSettings, Randomisation, RunSettings
+from mimic.settings import NOMINAL, EffectsSettings, EvaluateSettings, Randomisation, RunSettings
 from mimic.types import CommandTrack, FloatArray
 
 STOOD_WITHIN = 1.5
@@ -84,13 +84,14 @@ class _Job:
     ranges: Randomisation
     speed: float | None = None
     turn: float | None = None
+    robot: EffectsSettings
 
 
 def _play(job: _Job, policy: Policy, description: RobotDescription) -> RunResult:
     rng = np.random.default_rng([job.seed, 5])
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False)
+    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False, **simulated(job.robot))
     return run_policy(plant, policy, track, TIMING)
 
 
@@ -133,16 +134,24 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
 
 
 def _jobs(settings: EvaluateSettings) -> Iterator[_Job]:
-    seconds = settings.seconds
+    seconds, robot = settings.seconds, settings.robot
     for i in range(settings.episodes):
-        yield _Job(kind="randomised", seed=settings.seed + i, seconds=seconds, ranges=settings.randomisation)
+        yield _Job(
+            kind="randomised", seed=settings.seed + i, seconds=seconds, ranges=settings.randomisation, robot=robot
+        )
     for i in range(10):
-        yield _Job(kind="toes", seed=settings.seed + i, seconds=seconds, ranges=NOMINAL, speed=0.0, turn=0.0)
+        yield _Job(
+            kind="toes", seed=settings.seed + i, seconds=seconds, ranges=NOMINAL, speed=0.0, turn=0.0, robot=robot
+        )
     for i in range(4):
         for speed in (-0.3, 0.3):
-            yield _Job(kind="walk", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=speed, turn=0.0)
+            yield _Job(
+                kind="walk", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=speed, turn=0.0, robot=robot
+            )
         for turn in TURNS:
-            yield _Job(kind="turn", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=0.0, turn=turn)
+            yield _Job(
+                kind="turn", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=0.0, turn=turn, robot=robot
+            )
 
 
 def evaluate(
@@ -152,8 +161,10 @@ def evaluate(
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
+        ConfigError: If its effects cannot be read.
     """
     Policy(policy_path, load_description())
+    simulated(settings.robot)
     jobs = list(_jobs(settings))
     play = partial(_figures, policy_path=str(policy_path))
     rows = play_all(play, jobs, workers=settings.workers, progress=progress)

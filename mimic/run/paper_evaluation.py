@@ -26,7 +26,7 @@ from mimic.run.paper_table import (
     terms,
     velocity_error,
 )
-from mimic.run.pool import Progress, loaded_policy, play_all
+from mimic.run.pool import Progress, loaded_policy, play_all, simulated
 from mimic.run.simulation import SimulatedPlant
 from mimic.settings import RunSettings, TableSettings
 from mimic.types import JOINTS, FloatArray, RunLog
@@ -109,7 +109,8 @@ def _play(job: _Job, policy_path: str) -> tuple[int, dict[str, Episode]]:
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     seconds = (steps + 1) * description.dt - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, first=neutral)
-    plant = SimulatedPlant(description, ranges=job.settings.randomisation, seed=job.seed, samples=False)
+    s = job.settings
+    plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, samples=False, **simulated(s.robot))
     log = run_policy(plant, policy, track, TIMING).log
     ground = ground_facts(log, description)
     return job.group, {name: judge(log, ground, description, steps=steps, rules=rules) for name, rules in RULES.items()}
@@ -156,6 +157,7 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
     loaded_policy(str(policy_path))
+    simulated(settings.robot)
     jobs = [
         _Job(group=group, seed=settings.seed + group * SEEDS_APART + i, settings=settings)
         for group in range(settings.seeds)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mimic.policy.runtime import Policy
-from mimic.robot.description import load_description
+from mimic.robot.description import load_description, with_timestep
+from mimic.robot.servo import read_standing
+from mimic.settings import EffectsSettings, Solver
 
 Job = TypeVar("Job")
 Row = TypeVar("Row")
@@ -30,6 +33,19 @@ def loaded_policy(path: str) -> Policy:
     if path not in _loaded:
         _loaded[path] = Policy(Path(path), load_description())
     return _loaded[path]
+
+
+@cache
+def simulated(robot: EffectsSettings) -> dict[str, Any]:
+    """Return what a simulated plant is given so that it is this robot; effects are read once in each process.
+
+    Raises:
+        ConfigError: If the effects cannot be read, or the control step is no multiple of the physics step.
+    """
+    if robot.effects is None:
+        return {}
+    with_timestep(load_description(), robot.timestep)
+    return {"effects": read_standing(Path(robot.effects)), "solver": Solver(timestep=robot.timestep)}
 
 
 def play_all(

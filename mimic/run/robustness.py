@@ -21,9 +21,9 @@ from mimic.robot.description import load_description
 from mimic.run.axes import AXES, START, World, all_at_once
 from mimic.run.evaluation import TIMING, command_script, stands_at_end
 from mimic.run.loop import run_policy
-from mimic.run.pool import Progress, loaded_policy, play_all
+from mimic.run.pool import Progress, loaded_policy, play_all, simulated
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import CALM, TRAINING_RANDOMISATION, Randomisation, RobustnessSettings, Solver
+from mimic.settings import CALM, TRAINING_RANDOMISATION, EffectsSettings, Randomisation, RobustnessSettings, Solver
 from mimic.types import SIDES
 
 KEPT = 0.95
@@ -56,6 +56,7 @@ class _Job:
     seconds: float
     world: World
     solver: Solver | None = None
+    robot: EffectsSettings
 
 
 def _jobs(settings: RobustnessSettings) -> list[_Job]:
@@ -65,8 +66,8 @@ def _jobs(settings: RobustnessSettings) -> list[_Job]:
         for seed in range(settings.seed, settings.seed + settings.episodes):
             ranges, disturbance = world(seed)
             sided = dataclasses.replace(disturbance, toe=SIDES[seed % 2])
-            job = _Job(key=(kind, name), seed=seed, seconds=settings.seconds, world=(ranges, sided), solver=solver)
-            jobs.append(job)
+            made = {"seed": seed, "seconds": settings.seconds, "world": (ranges, sided), "robot": settings.robot}
+            jobs.append(_Job(key=(kind, name), solver=solver, **made))
 
     def fixed(world: World) -> Callable[[int], World]:
         return lambda seed: world
@@ -88,9 +89,8 @@ def _survives(job: _Job, policy_path: str) -> bool:
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, np.random.default_rng([job.seed, 5]))
     ranges, disturbance = job.world
-    plant = SimulatedPlant(
-        description, ranges=ranges, seed=job.seed, samples=False, disturbance=disturbance, solver=job.solver
-    )
+    robot: dict[str, Any] = simulated(job.robot) | ({} if job.solver is None else {"solver": job.solver})
+    plant = SimulatedPlant(description, ranges=ranges, seed=job.seed, samples=False, disturbance=disturbance, **robot)
     try:
         result = run_policy(plant, policy, track, TIMING)
     except PlantError:  # the simulation exploded
@@ -126,6 +126,7 @@ def evaluate_robustness(
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
     loaded_policy(str(policy_path))
+    simulated(settings.robot)
     jobs = _jobs(settings)
     play = partial(_survives, policy_path=str(policy_path))
     survived: dict[tuple[str, str], list[bool]] = {}

@@ -14,7 +14,7 @@ from mimic.robot.effect_set import EffectSet
 from mimic.robot.model import GAIN_KD, GAIN_KP, Variation, command_in_effect, draw_variation, load_model, vary_model
 from mimic.run.disturbances import Disturber, payloads
 from mimic.run.motors import LawMotors
-from mimic.settings import CALM, EFFECTS_TIMESTEP, NOMINAL, Disturbance, Randomisation, Solver
+from mimic.settings import CALM, NOMINAL, Disturbance, EffectsSettings, Randomisation, Solver
 from mimic.types import FloatArray, JointCommand, JointSamples, RobotState, Tick
 
 Watch = Callable[[mujoco.MjModel, mujoco.MjData], None]
@@ -53,7 +53,7 @@ class SimulatedPlant:
             ConfigError: If the control step is no multiple of the solver's step, or the effects are not of this robot.
         """
         if effects is not None and solver is None:
-            solver = Solver(timestep=EFFECTS_TIMESTEP)
+            solver = Solver(timestep=EffectsSettings().timestep)
         self._description = description if solver is None else with_timestep(description, solver.timestep)
         self._disturbance = disturbance
         self._motors = None if effects is None else LawMotors(self._description, effects)

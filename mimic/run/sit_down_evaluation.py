@@ -15,10 +15,10 @@ from mimic.policy.runtime import Policy, load_policy
 from mimic.robot.description import RobotDescription, load_description
 from mimic.run.evaluation import TIMING, command_script
 from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import loaded_policy, play_all
+from mimic.run.pool import loaded_policy, play_all, simulated
 from mimic.run.simulation import SimulatedPlant
 from mimic.run.touches import TouchRecorder
-from mimic.settings import Randomisation, SitDownEvaluateSettings
+from mimic.settings import AS_DESCRIBED, EffectsSettings, Randomisation, SitDownEvaluateSettings
 from mimic.types import PHASES, RunLog
 
 GENTLE = 0.8
@@ -50,6 +50,7 @@ class _Job:
     seed: int
     seconds: float
     ranges: Randomisation
+    robot: EffectsSettings = AS_DESCRIBED
 
 
 def final_pose(log: RunLog, description: RobotDescription) -> dict[str, float]:
@@ -83,7 +84,8 @@ def hand_over(job: _Job, tracker: Policy, sit_down: Policy) -> tuple[RunResult, 
     seconds = rng.uniform(EARLIEST, job.seconds) - TIMING.stand_up - TIMING.blend
     track = command_script(description, max(seconds, 2 * description.dt), rng)
     recorder = TouchRecorder()
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False, watch=recorder)
+    options = {"samples": False, "watch": recorder, **simulated(job.robot)}
+    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **options)
     return run_policy(plant, tracker, track, TIMING, sit_down=sit_down), recorder
 
 
@@ -115,10 +117,11 @@ def evaluate_sit_down(
         AssetError, ContractError: If a policy cannot be run on this robot, or does something else.
     """
     description = load_description()
+    simulated(settings.robot)
     tracker = load_policy(settings.tracker, description).path
     load_policy(policy_path, description, task="sit_down")
     jobs = [
-        _Job(seed=settings.seed + i, seconds=settings.seconds, ranges=settings.randomisation)
+        _Job(seed=settings.seed + i, seconds=settings.seconds, ranges=settings.randomisation, robot=settings.robot)
         for i in range(settings.episodes)
     ]
     play = partial(_figures, tracker=str(tracker), sit_down=str(policy_path))

@@ -14,9 +14,9 @@ from mimic.metrics import stand_up_time
 from mimic.robot.description import load_description
 from mimic.run.evaluation import STOOD_WITHIN, TIMING, stands_at_end
 from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import Progress, loaded_policy, play_all
+from mimic.run.pool import Progress, loaded_policy, play_all, simulated
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, Randomisation, StandUpSettings
+from mimic.settings import NOMINAL, EffectsSettings, Randomisation, StandUpSettings
 from mimic.types import CommandTrack
 
 SETTLED = 2.0
@@ -32,6 +32,7 @@ class _Job:
     seed: int
     seconds: float
     ranges: Randomisation
+    robot: EffectsSettings
 
 
 def _stand(job: _Job, policy_path: str) -> RunResult:
@@ -45,7 +46,8 @@ def _stand(job: _Job, policy_path: str) -> RunResult:
         heading=np.zeros(ticks),
         p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
     )
-    return run_policy(SimulatedPlant(description, ranges=job.ranges, seed=job.seed), policy, track, TIMING)
+    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **simulated(job.robot))
+    return run_policy(plant, policy, track, TIMING)
 
 
 def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
@@ -77,8 +79,14 @@ def evaluate_stand_up(
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
     loaded_policy(str(policy_path))
-    rise = {"kind": "rise", "seconds": settings.seconds, "ranges": settings.randomisation}
-    still = {"kind": "still", "seconds": SETTLED + settings.still_seconds, "ranges": STILL_RANGES}
+    simulated(settings.robot)
+    rise = {"kind": "rise", "seconds": settings.seconds, "ranges": settings.randomisation, "robot": settings.robot}
+    still = {
+        "kind": "still",
+        "seconds": SETTLED + settings.still_seconds,
+        "ranges": STILL_RANGES,
+        "robot": settings.robot,
+    }
     jobs = [_Job(seed=settings.seed + i, **still) for i in range(settings.still_episodes)]
     jobs += [_Job(seed=settings.seed + i, **rise) for i in range(settings.episodes)]
     play = partial(_figures, policy_path=str(policy_path))
