@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.problem import Point, Problem
-from mimic.calibrate.screen import Motion, Start, screen
+from mimic.calibrate.screen import Motion, Start, least_order, screen
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
@@ -134,6 +134,9 @@ def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: Bool
     fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
     improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
     there = present(fitted, problem, name, joints) & _better(problem, before, after)
+    if name == "cogging":
+        least = [least_order(q) for q in problem.replay.log.q.T]
+        there &= fitted.point.values["cogging", "order"] >= least
     channels = there[problem.channel_joint]
     gain, z = paired(after, before, channels) if there.any() else paired(after, before)
     why = ""

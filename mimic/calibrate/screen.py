@@ -18,8 +18,14 @@ from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
-FINEST_ORDER = 0.25
-"""Spacing of the orders at which cogging is looked for [1/rad]: below the width of a peak over a range of 2 rad."""
+FINEST_ORDER = 0.5
+"""Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
+
+MOST_PERIODS = 40
+"""Most periods of cogging in the range of motion."""
+
+LEAST_PERIODS = 1.5
+"""Fewest; a longer wave is a spring, or whatever else depends on position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +90,7 @@ def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
 def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
     """Order whose sine and cosine over position explain most of the residual."""
     r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
-    orders = np.arange(2.0, 120.0, FINEST_ORDER)
+    orders = np.arange(least_order(q), 2 * np.pi * MOST_PERIODS / max(np.ptp(q), 1e-9), FINEST_ORDER / np.ptp(q))
     calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
     r, q = r[calm], q[calm]
     r = r - r.mean()
@@ -93,8 +99,13 @@ def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) ->
         a = np.stack([np.cos(n * q), np.sin(n * q)], -1)
         a = a - a.mean(0)
         x, *_ = np.linalg.lstsq(a, r, rcond=None)
-        power[i] = float(np.sum((a @ x) ** 2)) * (1.0 if n > 6 else 0.3)  # slow waves are also made by gravity
+        power[i] = float(np.sum((a @ x) ** 2))
     return float(orders[int(np.argmax(power))])
+
+
+def least_order(q: FloatArray) -> float:
+    """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
+    return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
 
 
 def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
