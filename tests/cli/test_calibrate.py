@@ -77,6 +77,17 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
     assert "spring or cable pull" in capsys.readouterr().out
 
 
+def test_a_wave_longer_than_the_motion_is_no_cogging(here: Path) -> None:
+    assert simulated("-o", "log.parquet") == 0  # its spring is a wave of any long period
+    assert (
+        main(["calibrate", "log.parquet", "--model", "robot.xml", "-o", "out", "--no-torque", "--effects", "cogging"])
+        == 0
+    )
+    data = json.loads((here / "out" / "calibration.json").read_text())
+    assert data["found"] == []
+    assert data["stages"][-1]["candidates"][0]["name"] == "cogging"
+
+
 def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
     assert simulated("-o", "log.parquet") == 0
     log = read_log(here / "log.parquet")
