@@ -27,7 +27,7 @@ LEAST_IMPROVEMENT = 0.35
 LEAST_SHARE = 0.15
 """Share that it takes of what noise does not explain, on the joints where it acts; less is the nearest wrong name."""
 
-LEAST_PARAMETER = 2.0
+LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
 
 RIVAL_Z = 2.0

@@ -305,7 +305,7 @@ class Problem:
             mine = np.flatnonzero(self.channel_chain == c)
             index = members[c]
             stacked = (
-                np.stack([columns[i][:, mine] for i in index])
+                np.stack([columns[int(i)][:, mine] for i in index.tolist()])
                 if len(index)
                 else np.zeros((0, len(residual), len(mine)))
             )
@@ -313,7 +313,7 @@ class Problem:
             for b, rows in enumerate(rows_of):
                 if not len(rows):
                     continue
-                a = stacked[:, rows].reshape(len(index), -1).astype(np.float64)
+                a = stacked[:, rows].reshape(len(index), len(rows) * len(mine)).astype(np.float64)
                 r = own[rows].reshape(-1).astype(np.float64)
                 good = np.isfinite(r)
                 if not good.all() or not np.isfinite(a).all():

@@ -1,0 +1,151 @@
+"""A whole calibration on a small arm: truth is found, nothing is invented."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.flow import calibrate
+from mimic.calibrate.simulate import simulate_log
+from mimic.calibration import Calibration
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.machine import MachineModel, read_machine
+from mimic.settings import CalibrateSettings, LogSettings
+
+ARM = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <body name="upper" pos="0 0 1">
+      <joint name="shoulder" axis="0 1 0" armature="0.003" damping="0.04" frictionloss="0.05"/>
+      <inertial pos="0 0 -0.06" mass="0.5" diaginertia="0.001 0.001 0.0003"/>
+      <body name="lower" pos="0 0 -0.12">
+        <joint name="elbow" axis="0 1 0" armature="0.003" damping="0.04" frictionloss="0.05"/>
+        <inertial pos="0 0 -0.09" mass="0.2" diaginertia="0.0008 0.0008 0.0001"/>
+        <site name="tip" pos="0 0 -0.18"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+DECLARED = (
+    EffectValues(name="coulomb", joints=("shoulder", "elbow"), values={"level": np.array([0.09, 0.04])}),
+    EffectValues(name="viscous", joints=("shoulder", "elbow"), values={"coefficient": np.array([0.07, 0.03])}),
+    EffectValues(name="link_mass", joints=("shoulder", "elbow"), values={"factor": np.array([1.05, 0.93])}),
+    EffectValues(name="delay", values={"time": np.array([0.011])}),
+)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(ARM)
+    return read_machine(path, {"kp": 20.0, "kd": 0.8})
+
+
+def targets(seconds: float = 14.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Sines of several speeds, holds, and steps at 50 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.02)
+    phase = rng.uniform(0, 2 * np.pi, (6, 2))
+    rates = (0.13, 0.31, 0.7, 1.3, 2.2, 3.7)
+    q = sum((0.5 / (1 + k)) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
+    steps = np.repeat(rng.uniform(-0.5, 0.5, (len(t) // 40 + 1, 2)), 40, axis=0)[: len(t)]
+    return t, np.where((t % 10 > 7)[:, None], steps, q)
+
+
+def log_of(arm: MachineModel, *hidden: EffectValues, seed: int = 1) -> MachineLog:
+    t, q_des = targets(seed=seed)
+    made = simulate_log(arm, t, q_des, EffectSet((*DECLARED, *hidden)), LogSettings(seed=seed))
+    return replace(made, tau=None)
+
+
+def both(name: str, **values: float) -> EffectValues:
+    return EffectValues(
+        name=name, joints=("shoulder", "elbow"), values={k: np.array([v, v]) for k, v in values.items()}
+    )
+
+
+def added(result: Calibration) -> list[str]:
+    return [s.added for s in result.stages if s.added not in ("", "declared")]
+
+
+@cache
+def clean_result(arm: MachineModel) -> Calibration:
+    return calibrate(log_of(arm), arm, CalibrateSettings())
+
+
+def test_nothing_is_added_to_a_machine_that_lacks_nothing(arm: MachineModel) -> None:
+    result = clean_result(arm)
+    assert added(result) == []
+    assert "lacks nothing" in result.sentence
+    assert all(r.verdict == "explained" for r in result.unexplained)
+
+
+def test_the_declared_numbers_are_found_within_their_intervals(arm: MachineModel) -> None:
+    found = {e.name: e for e in clean_result(arm).effects}
+    for truth in DECLARED:
+        for name, value in truth.values.items():
+            interval = found[truth.name].intervals[name]
+            wider = 1.5 * (interval[:, 1] - interval[:, 0])
+            assert np.all(np.abs(found[truth.name].values[name] - value) < np.maximum(wider, 1e-4)), (truth.name, name)
+
+
+def test_the_error_falls_to_the_noise_floor_on_blocks_that_were_not_used(arm: MachineModel) -> None:
+    result = clean_result(arm)
+    assert np.all(result.nominal.held_out > 3 * result.noise)
+    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        both("stribeck", level=0.12, speed=0.15),
+        both("velocity_lag", time=0.006),
+        EffectValues(
+            name="spring", joints=("elbow",), values={"stiffness": np.array([0.5]), "moment": np.array([0.1])}
+        ),
+    ],
+    ids=lambda e: e.name,
+)
+def test_a_hidden_effect_is_named_with_its_numbers(arm: MachineModel, hidden: EffectValues) -> None:
+    result = calibrate(log_of(arm, hidden), arm, CalibrateSettings())
+    assert added(result) == [hidden.name] or hidden.name in [*added(result)[:1], *result.stages[-1].rivals]
+    found = next(e for e in result.effects if e.name == hidden.name)
+    assert set(hidden.joints) <= set(found.joints)
+    for name, value in hidden.values.items():
+        got = np.array([found.values[name][found.joints.index(j)] for j in hidden.joints])
+        assert got == pytest.approx(value, rel=0.25, abs=0.02), name
+    assert np.all(result.stages[-1].errors.held_out < 1.2 * result.noise)
+
+
+def test_targets_in_another_order_do_not_belong_to_the_log(arm: MachineModel) -> None:
+    log = log_of(arm)
+    assert log.q_des is not None
+    shuffled = np.random.default_rng(0).permutation(len(log.t) // 40)
+    order = np.concatenate([np.arange(40) + 40 * i for i in shuffled])
+    result = calibrate(replace(log.part(slice(0, len(order))), q_des=log.q_des[order]), arm, CalibrateSettings())
+    assert not result.belongs
+    assert added(result) == []
+    assert "do not belong together" in result.sentence
+
+
+def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) -> None:
+    log = log_of(arm)
+    random = calibrate(log, arm, CalibrateSettings(method="random", samples=256))
+    ours = clean_result(arm)
+    assert random.replays > 256
+    assert np.sqrt(np.mean(random.stages[0].errors.held_out ** 2)) > 1.5 * np.sqrt(
+        np.mean(ours.stages[0].errors.held_out ** 2)
+    )
+
+
+def test_the_same_log_gives_the_same_answer(arm: MachineModel) -> None:
+    again = calibrate(log_of(arm), arm, CalibrateSettings())
+    assert again.sentence == clean_result(arm).sentence
+    for one, other in zip(again.effects, clean_result(arm).effects, strict=True):
+        for name, value in one.values.items():
+            assert np.array_equal(value, other.values[name])
