@@ -451,6 +451,9 @@ class RewardWeights:
 REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 """Reward terms that grow during training, once the robot stands."""
 
+TASKS = ("velocity", "toes", "toes_fine", "gait")
+"""Reward terms of what a standing robot does."""
+
 LATE = ("slip", "foot_shift", "rules", "flight", "overload", "joint_speed")
 """Reward terms that hardly count before the robot stands. With all of them from the beginning a world loses more by each
 step than by falling, and a policy learns to fall at once; that was tried."""
@@ -585,6 +588,8 @@ class MdpSettings:
     with the square of the share done."""
     ease_latest: float = 16_800.0
     """From this control step of a world on they grow in any case."""
+    task_share: float = 1.0
+    """Share of their weight that the TASKS reward terms have before; it grows to 1."""
     late_share: float = 0.05
     """Share of their weight that the LATE reward terms have before; it grows to 1."""
     calm_share: float = 0.2

@@ -155,7 +155,7 @@ class StandTrackEnv(VecEnv):
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
         self._mean_velocity = zeros(2)
-        start = weights_at(0.0, self._rewards, self.settings.regularisation, self._late(0.0))
+        start = weights_at(0.0, self._rewards, self.settings.regularisation, *self._shares(0.0))
         self._weights = torch.tensor(start, device=device)
         self._terms = [f.name for f in fields(self._rewards)]
         self._log: dict[str, torch.Tensor] = {}
@@ -179,7 +179,7 @@ class StandTrackEnv(VecEnv):
         if self._calls % 240 == 0:
             progress = min(1.0, self._calls / self.settings.ramp_steps)
             ramp = self._grown()
-            now = weights_at(progress, self._rewards, self.settings.regularisation, self._late(ramp))
+            now = weights_at(progress, self._rewards, self.settings.regularisation, *self._shares(ramp))
             self._weights.copy_(torch.tensor(now))
             self._rule_share.fill_(ramp**2)
             self._ease(ramp)
@@ -312,9 +312,10 @@ class StandTrackEnv(VecEnv):
         """The weights of the task's reward terms."""
         return self.settings.rewards
 
-    def _late(self, ramp: float) -> float:
-        """Return the factor on the weights of the late terms, for the share of their ramp that is done."""
-        return self.settings.late_share + (1 - self.settings.late_share) * ramp
+    def _shares(self, ramp: float) -> tuple[float, float]:
+        """Return the factors on the weights of late terms and of tasks, for the share of the ramp that is done."""
+        late, tasks = self.settings.late_share, self.settings.task_share
+        return late + (1 - late) * ramp, tasks + (1 - tasks) * ramp
 
     def _draw(self) -> Start:
         """Return a start for every world."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from mimic.settings import LATE, REGULARISERS, MdpSettings
+from mimic.settings import LATE, REGULARISERS, TASKS, MdpSettings
 
 
 @dataclass
@@ -130,7 +130,7 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     }
 
 
-def weights_at(progress: float, weights: Any, factor: float, late: float = 1.0) -> list[float]:
+def weights_at(progress: float, weights: Any, factor: float, late: float = 1.0, tasks: float = 1.0) -> list[float]:
     """Return the weight of each term in the order of the settings.
 
     Args:
@@ -138,9 +138,14 @@ def weights_at(progress: float, weights: Any, factor: float, late: float = 1.0) 
         weights: Weights at its beginning, a settings record with a field for each term.
         factor: What the regularisers' weights are multiplied by at its end.
         late: What the weights of the late terms are multiplied by now.
+        tasks: And those of the tasks of a standing robot.
     """
     grown = 1 + (factor - 1) * progress
-    factors: dict[str, float] = {**dict.fromkeys(REGULARISERS, grown), **dict.fromkeys(LATE, late)}
+    factors: dict[str, float] = {
+        **dict.fromkeys(REGULARISERS, grown),
+        **dict.fromkeys(LATE, late),
+        **dict.fromkeys(TASKS, tasks),
+    }
     return [value * factors.get(name, 1.0) for name, value in asdict(weights).items()]
 
 
