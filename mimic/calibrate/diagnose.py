@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.problem import Point, Problem
-from mimic.calibrate.screen import Motion, Start, least_order, screen
+from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
@@ -137,6 +137,8 @@ def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: Bool
     if name == "cogging":
         least = [least_order(q) for q in problem.replay.log.q.T]
         there &= fitted.point.values["cogging", "order"] >= least
+    if name == "periodic_force":
+        there &= ~on_harmonic(problem, fitted.point.values["periodic_force", "frequency"])
     channels = there[problem.channel_joint]
     gain, z = paired(after, before, channels) if there.any() else paired(after, before)
     why = ""

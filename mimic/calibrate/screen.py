@@ -14,6 +14,7 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, solve
 from mimic.calibrate.problem import Knob, Point, Problem, Sums
+from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
@@ -109,13 +110,28 @@ def least_order(q: FloatArray) -> float:
 
 
 def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
+    """Frequency at which the residual is strongest, of those that the motion itself does not have."""
     r = _slow(problem, incumbent, joint)
     dt = float(np.median(np.diff(motion.t)))
     size = 8 * len(r)
     spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
     frequency = np.fft.rfftfreq(size, dt)
-    inside = (frequency > 0.1) & (frequency < 20.0)
+    inside = (frequency > 0.1) & (frequency < 20.0) & ~on_harmonic(problem, frequency)
     return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
+
+
+def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
+    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
+
+    What depends on the state repeats with the motion, so that nothing external can be told from it there.
+    """
+    log = problem.replay.log
+    asked = log.q_des if log.q_des is not None else log.force
+    every = None if asked is None else period(log.t, asked)
+    if every is None:
+        return np.zeros(np.shape(frequency), dtype=bool)
+    turns = np.asarray(frequency) * every
+    return np.abs(turns - np.round(turns)) < 0.6 * every / log.duration
 
 
 def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:

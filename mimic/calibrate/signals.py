@@ -101,6 +101,28 @@ def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat
     return best
 
 
+def period(t: FloatArray, target: FloatArray, shortest: float = 1.0) -> float | None:
+    """Return the time [s] after which all targets (T, J) come again, over the whole log; None where they do not.
+
+    It must pass at least twice.
+    """
+    grid = 0.02
+    clock = np.arange(t[0], t[-1], grid)
+    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
+    scale = np.ptp(x, axis=0)
+    if not (scale > 0).any():
+        return None
+    x = x[:, scale > 0] / scale[scale > 0]
+    best: tuple[float, int] | None = None
+    for lag in range(int(shortest / grid), len(x) // 2):
+        apart = np.abs(x[lag:] - x[:-lag]).max(axis=1)
+        if (apart < 0.03).mean() > 0.98:
+            best = min(best or (np.inf, 0), (float(apart.mean()), lag))
+        elif best is not None:
+            break
+    return None if best is None else best[1] * grid
+
+
 def _longest(true: BoolArray) -> tuple[int, int]:
     """Return start and length of the longest run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))

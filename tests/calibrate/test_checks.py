@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mimic.calibrate.checks import belongs, check_log
+from mimic.calibrate.signals import period
 from mimic.errors import CalibrationError
 from mimic.machine_log import MachineLog, read_log, write_log
 from mimic.types import FloatArray
@@ -97,6 +98,14 @@ def test_a_repeated_excitation_gives_the_repeatability() -> None:
 
 def test_an_excitation_that_never_comes_again_gives_none(log: MachineLog) -> None:
     assert check_log(log).repeat is None
+
+
+def test_a_motion_that_repeats_has_a_period(log: MachineLog) -> None:
+    again = made_log(seconds=26.0, q_des=lambda t: targets(np.mod(t, 6.24)))
+    assert again.q_des is not None
+    assert log.q_des is not None
+    assert period(again.t, again.q_des) == pytest.approx(6.24)
+    assert period(log.t, log.q_des) is None
 
 
 def test_the_lag_is_that_of_the_drive(log: MachineLog) -> None:
