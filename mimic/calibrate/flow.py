@@ -368,7 +368,7 @@ def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.3g} um"
+    return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.3g} µm"
 
 
 def _sentence(
