@@ -114,6 +114,9 @@ def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray) -> Bool
     deviation = deviations(fitted, problem)
     there = np.zeros(len(problem.machine.joints), dtype=bool)
     sized = [p for p in spec.parameters if not p.fixed and not p.shape]
+    if not sized:  # read off the log, not fitted
+        values = [fitted.point.values[name, p.name] != neutral(name, p.name, problem.machine) for p in spec.parameters]
+        return np.any(values, axis=0) & joints
     for i, knob in enumerate(fitted.knobs):
         if knob.key[0] != name or knob.key[1] not in [p.name for p in sized]:
             continue

@@ -19,6 +19,9 @@ from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
+AGREEMENT = 0.5
+"""Mean of the unit vectors of the readings from which on they are multiples of a step."""
+
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
 
@@ -60,6 +63,9 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: Motion) -> li
         peak, fast = np.abs(motion.tau).max(0), np.abs(motion.dq).max(0)
         grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
         return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
+    if name == "encoder_step":
+        angle = np.array([_step_of(problem.replay.log.q[:, j], problem.noise[j]) for j in range(len(machine.joints))])
+        return [_clipped(incumbent.point.with_effect(name, machine, {"angle": angle}))] if angle.any() else []
     if name == "cogging":
         best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
@@ -81,6 +87,24 @@ def _clipped(point: Point) -> Point:
         p = CATALOGUE[name].parameter(parameter)
         values[name, parameter] = np.clip(row, p.low, p.high)
     return Point(values)
+
+
+def _step_of(q: FloatArray, noise: float) -> float:
+    """Return the step of a coarse encoder whose readings q have noise added, 0 where no step is seen.
+
+    Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
+    """
+    q = q[:: max(1, len(q) // 3000)]
+    q = q - q.mean()
+    around = np.arange(1.0 / 0.1, 1.0 / max(6.0 * noise, 1e-4), 1.0 / (6.0 * max(np.ptp(q), 1e-6)))
+    if not len(around):
+        return 0.0
+    agreement = np.array([abs(np.mean(np.exp(2j * np.pi * f * q))) for f in around])
+    best = int(np.argmax(agreement))
+    if agreement[best] < AGREEMENT:
+        return 0.0
+    near = around[best] + np.linspace(-1, 1, 41) * (around[1] - around[0] if len(around) > 1 else 0.0)
+    return float(1.0 / near[int(np.argmax([abs(np.mean(np.exp(2j * np.pi * f * q))) for f in near]))])
 
 
 def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
@@ -160,8 +184,7 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
             plans.append((name, points[min(rows, key=lambda i: float(left[i].sum()))][1], everywhere))
         else:
             mixed = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
-            if mixed is not None:
-                plans.append((name, *mixed))
+            plans.append((name, *mixed))
     bases = problem.residuals([p for _, p, _ in plans])
     asked = []
     for name, point, mask in plans:
@@ -200,7 +223,7 @@ def _channel_squares(problem: Problem, residual: FloatArray) -> FloatArray:
 
 def _mixed(
     name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem
-) -> tuple[Point, BoolArray] | None:
+) -> tuple[Point, BoolArray]:
     """Return the point at which each joint has the start that suits it best, or none, and which joints have one."""
     joints = len(problem.machine.joints)
     by_joint = np.zeros((len(points) + 1, joints))
@@ -208,7 +231,9 @@ def _mixed(
         np.add.at(by_joint[row], problem.channel_joint, square)
     choice = np.argmin(by_joint, axis=0)
     mask = choice > 0
-    if not mask.any():  # the mildest start where it does the least harm
+    if not CATALOGUE[name].structural:  # a derivative at neutral tells of the joints that no start suits
+        mask = np.ones(joints, dtype=bool)
+    elif not mask.any():  # the mildest start where it does the least harm
         harm = by_joint[1:] - by_joint[0]
         choice[:] = 0
         j = int(np.argmin(harm.min(0)))

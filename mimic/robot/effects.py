@@ -253,7 +253,11 @@ _ALL = (
         name="torque_lag",
         title="lag of the current loop",
         equation="time dtau/dt + tau = tau_cmd",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40),),
+        parameters=(
+            Parameter(
+                name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40, starts=(4.0, 16.0, 30.0)
+            ),
+        ),
         signature="phase lag that grows with frequency, not with the target",
         experiment="chirp and steps",
         enters="actuator bias at every step; dcmotor inductance in MJCF",
@@ -263,7 +267,11 @@ _ALL = (
         name="velocity_lag",
         title="velocity filter of the drive",
         equation="the Kd term sees w, time dw/dt + w = v",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40),),
+        parameters=(
+            Parameter(
+                name="time", unit="s", neutral=0.0, low=0.0, high=0.05, step=0.0005, spread=40, starts=(4.0, 16.0)
+            ),
+        ),
         signature="less damping, ringing after steps",
         experiment="steps with a high Kd",
         enters="actuator bias at every step",
@@ -400,11 +408,7 @@ _ALL = (
         name="encoder_step",
         title="coarse encoder",
         equation="reading = angle round(q / angle)",
-        parameters=(
-            Parameter(
-                name="angle", unit="rad", neutral=0.0, low=0.0, high=0.05, step=0.001, starts=(3.0, 12.0), spread=30
-            ),
-        ),
+        parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=0.0, high=0.1, step=0.001, fixed=True),),
         structural=True,
         signature="steps of equal size in the reading",
         experiment="slow ramps",
@@ -493,7 +497,9 @@ _ALL = (
         name="joint_delay",
         title="extra delay of a joint",
         equation="the target of this joint acts time later than those of the others",
-        parameters=(Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.001, spread=30),),
+        parameters=(
+            Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.001, spread=30, starts=(4.0, 12.0)),
+        ),
         signature="residual of one joint in proportion to the speed of its target",
         experiment="steps and a chirp",
         enters="command path; actuator delay in MJCF",
