@@ -41,9 +41,8 @@ Calibrate = Callable[[MachineLog], Calibration]
 def calibrate_log(log: MachineLog) -> Calibration:
     """Calibrate the hung robot against a log, as ``mimic calibrate`` does."""
     from mimic.calibrate.flow import calibrate
-    from mimic.robot.machine import hung_robot
-
     from mimic.robot.description import load_description
+    from mimic.robot.machine import hung_robot
     from mimic.settings import CalibrateSettings
 
     return calibrate(log, hung_robot(load_description()), CalibrateSettings(threads=1))
