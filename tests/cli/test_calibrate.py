@@ -74,7 +74,9 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
     assert found["spring"].values["stiffness"] == pytest.approx([2.0], rel=0.1)
     assert found["coulomb"].values["level"] == pytest.approx([0.2], abs=0.02)
     assert "spring or cable pull" in (here / "out" / "report.html").read_text()
-    assert "spring or cable pull" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "spring or cable pull" in told
+    assert "Held-out error [mrad]" in told
 
 
 def test_a_wave_longer_than_the_motion_is_no_cogging(here: Path) -> None:

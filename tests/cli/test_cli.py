@@ -78,11 +78,23 @@ def test_importing_it_loads_no_heavy_library(module):
 def test_help_tells_the_commands_and_the_options(capsys):
     assert main(["--help"]) == 0
     told = capsys.readouterr().out
-    for word in ("evaluate", "retarget", "train", "view", "--sim", "--rate", "--mirror", "--video", "--seed"):
+    for word in (
+        "evaluate",
+        "retarget",
+        "train",
+        "view",
+        "calibrate",
+        "log",
+        "--sim",
+        "--rate",
+        "--mirror",
+        "--video",
+        "--seed",
+    ):
         assert word in told, word
 
 
-@pytest.mark.parametrize("command", ["retarget", "evaluate", "train", "view"])
+@pytest.mark.parametrize("command", ["retarget", "evaluate", "train", "view", "calibrate", "log"])
 def test_each_command_has_its_help(command, capsys):
     assert main([command, "--help"]) == 0
     assert command in capsys.readouterr().out
