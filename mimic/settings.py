@@ -527,6 +527,10 @@ class MdpSettings:
     """What is different for sitting down."""
     worlds: int = 8192
     """Robots simulated at once."""
+    effects: str = ""
+    """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
+    timestep: float = 0.0025
+    """Physics step with effects [s]; without, that of the description."""
     episode_steps: int = 600
     """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
     stand_up_steps: int = 50
@@ -614,6 +618,7 @@ class MdpSettings:
         if self.task not in ("stand_track", "sit_down"):
             raise ConfigError(f"task is {self.task!r}; expected stand_track or sit_down")
         _check_range("worlds", self.worlds, 1, 1_000_000)
+        _check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
         _check_range("episode-steps", self.episode_steps, 100, 100_000)
         _check_range("solver-iterations", self.solver_iterations, 1, 200)
 

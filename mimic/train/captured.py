@@ -9,7 +9,6 @@ and actions are drawn without torch.normal, whose check of the spread waits for 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from itertools import chain
 from typing import Any
 
@@ -20,8 +19,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from mimic.errors import ConfigError
+from mimic.train.graphs import Replayed
 from mimic.train.mirror import mirrored_actions, mirrored_observations
-from mimic.train.worlds import capture_mode
 
 RATE_RANGE = (1e-5, 1e-2)
 """Bounds of the adaptive learning rate, those of rsl_rl."""
@@ -34,40 +33,6 @@ class DeviceGaussian(GaussianDistribution):
         """Return actions (N, 12)."""
         with torch.no_grad():
             return torch.randn_like(self.mean) * self.std + self.mean
-
-
-class Replayed:
-    """A function of static tensors: run as written at first, then captured once and replayed; on a CPU always run."""
-
-    def __init__(self, function: Callable[[], Any], device: str) -> None:
-        self._function = function
-        self._on_gpu = str(device).startswith("cuda")
-        self._graph: torch.cuda.CUDAGraph | None = None
-        self._warm = False
-        self._result: Any = None
-
-    def __call__(self) -> Any:
-        """Return what the function returns; on a GPU the same tensors each time from the second call on."""
-        if not self._on_gpu:
-            return self._function()
-        if self._graph is None:
-            if not self._warm:  # a real call: libraries set themselves up, lazy state comes to life
-                self._warm = True
-                return self._on_the_side()
-            graph = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(graph, capture_error_mode=capture_mode()):
-                self._result = self._function()
-            self._graph = graph
-        self._graph.replay()
-        return self._result
-
-    def _on_the_side(self) -> Any:
-        side = torch.cuda.Stream()
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
-            result = self._function()
-        torch.cuda.current_stream().wait_stream(side)
-        return result
 
 
 class CapturedPPO(PPO):

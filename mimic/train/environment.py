@@ -24,7 +24,7 @@ from mimic.policy.contract import (
     observation_frame,
     push_frame,
 )
-from mimic.robot.description import RobotDescription
+from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg import front_toes
 from mimic.robot.model import command_in_effect
@@ -32,10 +32,11 @@ from mimic.settings import MdpSettings
 from mimic.store import plain
 from mimic.train.disturbances import Disturbances, quat_multiply, quat_rotate
 from mimic.train.feet import Feet, sliding
+from mimic.train.graphs import capture_mode
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.worlds import Worlds, capture_mode
+from mimic.train.worlds import Worlds
 from mimic.types import JOINTS, LEGS
 
 SWAY_SECONDS = 0.25
@@ -80,6 +81,8 @@ class StandTrackEnv(VecEnv):
     """A joint nearer to its limit than this costs [rad]."""
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
+        if settings.effects:
+            description = with_timestep(description, settings.timestep)
         self.description, self.settings = description, settings
         self.contract = make_contract(description, settings)
         self.device = device
@@ -228,11 +231,26 @@ class StandTrackEnv(VecEnv):
         before_that.copy_(before)
         before.copy_(newest)
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
-        newest.copy_(torch.where(self.disturbances.arrives(), asked, before))
+        arrives, motors = self.disturbances.arrives(), self.worlds.motors
+        if motors is not None:
+            arrives = arrives & motors.arrives()
+        newest.copy_(torch.where(arrives, asked, before))
         self._pull()
+        if motors is not None:
+            motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
+            motors.send(newest)
+            self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
+            return
         for k in range(self.worlds.decimation):
             ctrl = command_in_effect(k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where)
             self.worlds.substep_ctrl[k].copy_(ctrl)
+
+    def _delay_seen(self) -> torch.Tensor:
+        """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
+        motors = self.worlds.motors
+        if motors is None:
+            return self._delay.float()
+        return motors.delay(self._delay).mean(-1, keepdim=True) * (self.description.timestep / 0.005)
 
     def _pull(self) -> None:
         """Drag the front toes: a force at the toe is the same force at the lower leg's centre of mass, and its moment."""
@@ -394,7 +412,7 @@ class StandTrackEnv(VecEnv):
             phase=self._phase(),
             low=(low[:, self._front_low] < 0.03).float().sum(-1) + (low[:, self._knees] < 0.03).float().sum(-1),
             action_change=self._last_action - self._before_last,
-            torque=w.actuator_force,
+            torque=w.motor_torque,
             dq=dq.clamp(-50, 50),
             ddq=ddq,
             limit_excess=excess,
@@ -466,6 +484,8 @@ class StandTrackEnv(VecEnv):
             put(buffer, torch.zeros_like(buffer))
         low, high = self._delay_range
         put(self._delay, torch.randint_like(self._delay, low, high + 1))
+        if w.motors is not None:
+            w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
         put(self._upright_start, start.upright)
         put(self.phase_at_start, self._first_phase(start))
         self.disturbances.reset(mask)
@@ -478,7 +498,7 @@ class StandTrackEnv(VecEnv):
         s, w = self.settings, self.worlds
         n = self.num_envs
         frame = observation_frame(
-            q_offset=w.qpos[:, 7:] - self._default_q,
+            q_offset=w.read_q - self._default_q,
             quat_WB=quat_multiply(self._quat_WB(), self.disturbances.mount),
             last_action=self._last_action,
             v_des=self.moves.velocity,
@@ -503,7 +523,7 @@ class StandTrackEnv(VecEnv):
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
             self._up(heading)[:, None],
-            (self._delay.float() - 3.5) * 0.3,
+            (self._delay_seen() - 3.5) * 0.3,
             (feet < 0.003).float(),
             feet.clamp(max=0.2) * 10,
             (self._toes() - self.goals.now).reshape(n, 6) * 5,

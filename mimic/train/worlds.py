@@ -11,7 +11,11 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -20,9 +24,13 @@ import torch
 import warp as wp
 
 from mimic.robot.description import RobotDescription
+from mimic.robot.machine import SOLREF_STEPS
 from mimic.robot.model import carry, draw_variation, load_model, vary_model
+from mimic.robot.servo import Servo, read_standing
 from mimic.settings import MdpSettings
 from mimic.train.disturbances import quat_rotate
+from mimic.train.graphs import Replayed
+from mimic.train.motors import WorldMotors
 from mimic.types import LEGS
 
 log = logging.getLogger(__name__)
@@ -43,6 +51,9 @@ RANDOMISED = (
 )
 """Model fields that differ from world to world."""
 
+DRIVEN = ("dof_armature", "actuator_biasprm", "actuator_forcerange")
+"""… and more of them, where a law drives the joints."""
+
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
 
@@ -51,14 +62,6 @@ SPARE_CONTACTS = 64
 
 VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
-
-
-def capture_mode() -> str:
-    """Return how strictly PyTorch watches a capture of a graph.
-
-    With several processes a thread of PyTorch's asks the device whether messages have arrived; that must not spoil it.
-    """
-    return "thread_local" if torch.distributed.is_initialized() else "global"
 
 
 @dataclass
@@ -78,7 +81,13 @@ class Worlds:
         wp.init()
         self.device = device
         self.decimation = description.decimation
-        model = load_model(description, visuals=False)
+        effects = read_standing(Path(settings.effects)) if settings.effects else None
+        self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
+        """The law of the drives, where a calibration's effects take the place of the native motors."""
+        model = load_model(description, visuals=False, servos=effects is not None)
+        model.opt.timestep = description.timestep
+        if self.motors is not None:
+            model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
         model.opt.iterations = settings.solver_iterations
         model.opt.ls_iterations = settings.linesearch_iterations
         if settings.sparse:
@@ -89,12 +98,13 @@ class Worlds:
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
         with wp.ScopedDevice(device):
-            sizes = {name: n for name in RANDOMISED}
+            fields = RANDOMISED if self.motors is None else (*RANDOMISED, *DRIVEN)
+            sizes = {name: n for name in fields}
             self.model = mjw.put_model(model, batch_sizes=sizes)
             self.model.opt.warn_overflow = 0
             contacts = settings.contacts + math.ceil(SPARE_CONTACTS / n)
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=settings.rows)
-            self._randomise(description, settings, n, seed)
+            self._randomise(description, settings, n, seed, fields)
             self.qpos = wp.to_torch(self.data.qpos)
             self.qvel = wp.to_torch(self.data.qvel)
             self.warmstart = wp.to_torch(self.data.qacc_warmstart)
@@ -109,19 +119,28 @@ class Worlds:
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
         self._graph = None
+        self._pieces: dict[Callable[..., None], Any] = {}
+        self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
 
-    def _randomise(self, description: RobotDescription, settings: MdpSettings, n: int, seed: int) -> None:
+    def _randomise(
+        self, description: RobotDescription, settings: MdpSettings, n: int, seed: int, names: Sequence[str]
+    ) -> None:
         rng = np.random.default_rng([seed, 17])
         other = np.random.default_rng([seed, 18])
-        nominal = load_model(description, visuals=False)
-        varied = load_model(description, visuals=False)
+        driven = self.motors is not None
+        nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
         count = min(n, VARIANTS)
-        rows: dict[str, list[np.ndarray]] = {name: [] for name in RANDOMISED}
-        features, slopes, d = [], [], settings.disturbances
-        for _ in range(count):
+        rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
+        features, slopes, variations, d = [], [], [], settings.disturbances
+        if self.motors is not None:
+            self.motors.draw(count, np.random.default_rng([seed, 19]))
+        for i in range(count):
             v = draw_variation(settings.randomisation, description.timestep, rng)
             v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
             vary_model(varied, nominal, v)
+            if self.motors is not None:
+                self.motors.write_static(varied, i)
+            variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, np.array(description.raw["toe"]["position"]))
             floor = varied.geom("floor").id
@@ -130,19 +149,21 @@ class Worlds:
             slopes.append(
                 [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
             )
-            for name in RANDOMISED:
+            for name in names:
                 rows[name].append(np.array(getattr(varied, name)))
             features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
             features[-1] += [*(10 * v.com), 10 * v.joint_friction.mean()]
             features[-1] += [10 * payload * (side == k) for k in range(2)]
         index = np.arange(n) % count
-        for name in RANDOMISED:
+        for name in names:
             target = getattr(self.model, name)
             values = np.stack(rows[name])[index]
             if target.shape[0] != n:
                 raise RuntimeError(f"{name} has {target.shape[0]} rows, expected {n}")
             tensor = wp.to_torch(target)
             tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
+        if self.motors is not None:
+            self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
@@ -157,12 +178,37 @@ class Worlds:
 
     def ease(self, share: float) -> None:
         """Give each world this share of its own gains and slope, and the usual ones for the rest."""
-        self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
+        if self.motors is None:
+            self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
+        else:
+            self.motors.ease(share)
         level = torch.zeros_like(self._own_slope)
         level[:, 0] = 1.0
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
+
+    def _servo(self) -> Servo:
+        m, d = self.model, self.data
+        return Servo(
+            ctrl=wp.to_torch(d.ctrl),
+            applied=wp.to_torch(d.qfrc_applied)[:, 6:],
+            gain=wp.to_torch(m.actuator_gainprm),
+            bias=wp.to_torch(m.actuator_biasprm),
+            limits=wp.to_torch(m.actuator_forcerange),
+            friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
+        )
+
+    @property
+    def motor_torque(self) -> torch.Tensor:
+        """Torque that each motor gives (N, 12) [N m]."""
+        return self.actuator_force if self.motors is None else self.motors.tau
+
+    @property
+    def read_q(self) -> torch.Tensor:
+        """Joint positions as the encoders read them (N, 12) [rad]."""
+        q = self.qpos[:, 7:]
+        return q if self.motors is None else self.motors.reading(q)
 
     def _make_support(self) -> _Support:
         model = self.mj_model
@@ -200,6 +246,9 @@ class Worlds:
 
     def step(self) -> None:
         """Advance all worlds by a control step, with the commands in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
+        if self.motors is not None:
+            self._step_driven()
+            return
         if not str(self.device).startswith("cuda"):
             with wp.ScopedDevice(self.device):
                 self._run()
@@ -210,6 +259,48 @@ class Worlds:
         stream = wp.stream_from_torch(torch.cuda.current_stream())
         with wp.ScopedStream(stream):
             wp.capture_launch(self._graph, stream=stream)
+
+    def _step_driven(self) -> None:
+        """Let the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's."""
+        for drive in self._between[:-1]:
+            drive()
+            self._physics(mjw.step)
+        self._between[-1]()
+        self._physics(mjw.kinematics)
+
+    def _drive(self, substep: int) -> None:
+        """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
+        assert self.motors is not None
+        q, dq = self.qpos[:, 7:], self.qvel[:, 6:]
+        if substep > 0:
+            self.motors.settle(dq)
+        if substep < self.decimation:
+            self.motors.drive(q, dq, self.substep_ctrl[substep], substep)
+
+    def _physics(self, part: Callable[..., None]) -> None:
+        if not str(self.device).startswith("cuda"):
+            with wp.ScopedDevice(self.device):
+                part(self.model, self.data)
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream())
+        if part not in self._pieces:
+            self._pieces[part] = self._captured(part)
+            return
+        with wp.ScopedStream(stream):
+            wp.capture_launch(self._pieces[part], stream=stream)
+
+    def _captured(self, part: Callable[..., None]) -> Any:
+        """Run a part of the physics once, and return its graph."""
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            stream = wp.stream_from_torch(side)
+            with wp.ScopedStream(stream):
+                part(self.model, self.data)
+                with wp.ScopedCapture(stream=stream) as capture:
+                    part(self.model, self.data)
+        torch.cuda.current_stream().wait_stream(side)
+        return capture.graph
 
     def _capture(self) -> None:
         side = torch.cuda.Stream()  # PyTorch's default stream cannot be captured

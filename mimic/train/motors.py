@@ -1,0 +1,174 @@
+"""Motors of the training worlds as a calibration found them: the law of every other flow, in PyTorch on the device.
+
+Everything that changes from step to step is in tensors that stay where they are, so that a step can be captured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from mimic.robot.description import RobotDescription
+from mimic.robot.effect_set import EffectSet
+from mimic.robot.effects import CATALOGUE
+from mimic.robot.law import Drives, Law
+from mimic.robot.machine import MachineModel, hung_robot
+from mimic.robot.model import Variation
+from mimic.robot.servo import Servo, parameters_of, refuse_stand, static_model, target_in_effect, target_shift
+from mimic.types import FloatArray, IntArray
+
+MARGIN = 0.1
+"""Where a value has no interval, worlds are drawn within this share of it."""
+
+
+def drawn_parameters(
+    effects: EffectSet, machine: MachineModel, count: int, rng: np.random.Generator
+) -> dict[tuple[str, str], FloatArray]:
+    """Return ``count`` machines around the calibrated one: (count, J), or (count, 1) for the whole machine.
+
+    Uniform over the 95 % interval of each value, or within MARGIN of it where it has none; inside the catalogue's bounds.
+    """
+    found = {}
+    for (name, parameter), row in parameters_of(effects, machine).items():
+        e, spec = next(e for e in effects.applied if e.name == name), CATALOGUE[name].parameter(parameter)
+        low, high = row[0].copy(), row[0].copy()
+        if parameter in e.values and not spec.fixed:
+            at = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
+            value = np.asarray(e.values[parameter])
+            around = np.stack([value - MARGIN * np.abs(value), value + MARGIN * np.abs(value)], -1)
+            ends = np.clip(e.intervals.get(parameter, around), spec.low, spec.high)
+            low[at], high[at] = ends[:, 0], ends[:, 1]
+        found[name, parameter] = rng.uniform(low, high, (count, len(low)))
+    return found
+
+
+class WorldMotors:
+    """The drives of all worlds, from the command as it is sent to the force at the joint.
+
+    What the effects declare, such as friction or the delay, replaces what training draws; gains are multiplied.
+    """
+
+    def __init__(self, description: RobotDescription, effects: EffectSet, worlds: int, device: str) -> None:
+        """Take the effects.
+
+        Args:
+            description: The robot, at the physics step of the worlds.
+            effects: What a calibration found.
+            worlds: Their number.
+            device: Where the tensors are.
+
+        Raises:
+            ConfigError: If an effect names an unknown joint, or is one of the stand of a hung robot.
+        """
+        refuse_stand(effects)
+        self._d, self._effects, self._n, self._device = description, effects, worlds, device
+        self._machine = hung_robot(description)
+        self.time = torch.zeros(worlds, 1, device=device)
+        """Since the beginning of each world's episode, at the start of the control step (N, 1) [s]."""
+        self.tau = torch.zeros(worlds, 12, device=device)
+        """Torque of each motor at the start of the last physics step (N, 12) [N m]."""
+
+    # ------------------------------------------------------------------ set-up
+
+    def draw(self, count: int, rng: np.random.Generator) -> None:
+        """Draw the effects of ``count`` robots."""
+        self._p = drawn_parameters(self._effects, self._machine, count, rng)
+
+    def write_static(self, model: mujoco.MjModel, i: int) -> None:
+        """Write what the effects of robot i change once into its model."""
+        static_model(model, self._machine, {key: value[i : i + 1] for key, value in self._p.items()})
+
+    def fit(self, variations: Sequence[Variation], index: IntArray, servo: Servo, latest: float) -> None:
+        """Put the motors in; world i has robot index[i] (N,); no drawn delay is longer than ``latest`` [s]."""
+        h, count = self._d.timestep, len(variations)
+        shift = np.broadcast_to(target_shift(self._p, h), (count, 12))
+        self._delayed = ("delay", "time") in self._p
+        spread = self._p.get(("delay_jitter", "spread"), np.zeros((count, 1))) / h
+        most = shift.max() + spread.max() + (0.0 if self._delayed else latest / h)
+        kept = max(math.ceil(most / self._d.decimation), 1) + 1
+        p = {key: self._tensor(value[index]) for key, value in self._p.items() if not CATALOGUE[key[0]].random}
+        self._shift, self._spread = self._tensor(shift[index]), self._tensor(spread[index])
+        self._lost = self._tensor(self._p.get(("lost_commands", "share"), np.zeros((count, 1)))[index])
+        self._targets = [torch.zeros_like(self.tau) for _ in range(kept)]
+        self._late = [torch.zeros_like(self.time) for _ in range(kept)]
+        drives = self._machine.drives
+        self._usual = self._tensor(drives.kp), self._tensor(drives.kd)
+        factors = (np.array([getattr(v, name) for v in variations])[index] for name in ("kp", "kd"))
+        self._own = tuple(u * self._tensor(factor) for u, factor in zip(self._usual, factors, strict=True))
+        p.setdefault(("coulomb", "level"), self._tensor(np.array([v.joint_friction for v in variations])[index]))
+        rows = {f.name: self._tensor(getattr(drives, f.name)) for f in fields(Drives) if f.name != "neighbour"}
+        neighbour = torch.as_tensor(np.asarray(drives.neighbour), device=self._device)
+        self._law = Law(Drives(**rows, neighbour=neighbour), p, h, (self._n, 12), torch)
+        self._states = dict(self._law.states)
+        self._servo = servo
+        self.ease(1.0)
+
+    def _tensor(self, values: Any) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self._device)
+
+    def ease(self, share: float) -> None:
+        """Give each world this share of its own gains, and the usual ones for the rest."""
+        self._law.set_gains(*(u + share * (own - u) for u, own in zip(self._usual, self._own, strict=True)))
+
+    # ------------------------------------------------------------------ commands
+
+    def reset(self, mask: torch.Tensor, q: torch.Tensor, dq: torch.Tensor, command: torch.Tensor) -> None:
+        """Begin an episode where ``mask`` (N,), at link positions q, told to hold ``command`` (N, 12)."""
+        where = mask[:, None]
+        self._law.begin(q, dq, where=where)
+        self._keep()
+        for target, late in zip(self._targets, self._late, strict=True):
+            target.copy_(torch.where(where, command, target))
+            late.copy_(torch.where(where, torch.zeros_like(late), late))
+
+    def arrives(self) -> torch.Tensor:
+        """Return whether the command of this control step arrives (N, 1)."""
+        return torch.rand_like(self._lost) >= self._lost
+
+    def send(self, target: torch.Tensor) -> None:
+        """Take the command of a control step (N, 12), which acts after its delay."""
+        for row in (self._targets, self._late):
+            for age in reversed(range(1, len(row))):
+                row[age].copy_(row[age - 1])
+        self._targets[0].copy_(target)
+        self._late[0].copy_(self._spread * torch.rand_like(self._spread))
+
+    def delay(self, drawn: torch.Tensor) -> torch.Tensor:
+        """Return the physics steps from a command to its effect (N, 12), where drawn ones are (N, 1)."""
+        return self._shift if self._delayed else self._shift + drawn
+
+    def targets(self, drawn: torch.Tensor) -> list[torch.Tensor]:
+        """Return the target in effect in each physics step of the control step (N, 12), in order."""
+        usual, count = self.delay(drawn), self._d.decimation
+        shifts = [torch.clip(usual + late, 0.0, None) for late in self._late]
+        return [target_in_effect(k, count, shifts, self._targets, torch) for k in range(count)]
+
+    # ------------------------------------------------------------------ physics
+
+    def drive(self, q: torch.Tensor, dq: torch.Tensor, target: torch.Tensor, substep: int) -> None:
+        """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
+        inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep)
+        self._servo.write(inputs)
+        self.tau.copy_(inputs.tau)
+        self._keep()
+
+    def settle(self, dq: torch.Tensor) -> None:
+        """Bring lags and rotors to the end of the physics step just made."""
+        self._law.settle(dq)
+        self._keep()
+
+    def reading(self, q: torch.Tensor) -> torch.Tensor:
+        """Return what the encoders read at link positions (N, 12)."""
+        return self._law.reading(q)
+
+    def _keep(self) -> None:
+        """Copy the states to where they are read by captured steps."""
+        for name, buffer in self._states.items():
+            if self._law.states[name] is not buffer:
+                self._law.states[name] = buffer.copy_(self._law.states[name])
