@@ -183,6 +183,7 @@ def train(
     resume: Path | None = None,
     task: Literal["stand-track", "sit-down"] = "stand-track",
     worlds: int = MdpSettings().worlds,
+    robot: Annotated[EffectsSettings | None, Flat] = None,
     learn: Annotated[LearnSettings | None, Flat] = None,
     set: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
 ) -> int:
@@ -203,7 +204,9 @@ def train(
     """
     from mimic.cli.judge import train_policy
 
-    mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"))
+    robot = robot or EffectsSettings()
+    around = {"effects": robot.effects or "", "timestep": robot.timestep}
+    mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"), **around)
     return train_policy(out, resume, mdp, learn or LearnSettings(), set or [])
 
 

@@ -205,6 +205,7 @@ def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnS
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
     mdp, learn = with_overrides(mdp, learn, overrides)
+    tell_of_stand(EffectsSettings(effects=mdp.effects or None))
 
     figure, unit = ("track/toe_error_cm", "cm toes") if mdp.task == "stand_track" else ("sit_down/lying", "lying")
 

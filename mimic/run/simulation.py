@@ -88,19 +88,31 @@ class SimulatedPlant:
 
     def start(self) -> RobotState:
         """Put the robot on the ground, lying on its folded legs, and return its state."""
-        d, v, data = self._description, self.variation, self.data
+        d, v = self._description, self.variation
+        qpos = np.zeros(19)
+        qpos[2] = d.pose_height["lie"] + 0.005 + v.start_height
+        qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
+        qpos[7:] = np.clip(d.poses["lie"] + v.start_q, d.q_min + 0.01, d.q_max - 0.01)
+        self.disturber.place(qpos)
+        return self.start_at(qpos, np.zeros(18))
+
+    def start_at(self, qpos: FloatArray, qvel: FloatArray) -> RobotState:
+        """Put the robot into a state, told to hold its joints where they are, and return it.
+
+        Args:
+            qpos: Base position and orientation, then joints (19,), as in MuJoCo.
+            qvel: Base velocity, world axes, and angular velocity, base axes, then joints (18,).
+        """
+        data = self.data
         mujoco.mj_resetData(self.model, data)
-        q = np.clip(d.poses["lie"] + v.start_q, d.q_min + 0.01, d.q_max - 0.01)
-        data.qpos[:3] = 0.0, 0.0, d.pose_height["lie"] + 0.005 + v.start_height
-        data.qpos[3:7] = np.cos(v.heading / 2), 0.0, 0.0, np.sin(v.heading / 2)
-        data.qpos[7:] = q
-        self.disturber.place(data.qpos)
+        data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, data)
-        reach = -(-self.variation.delay_steps // d.decimation)
-        self._commands = [q] * max(reach + 1, 3)
+        reach = -(-self.variation.delay_steps // self._description.decimation)
+        self._commands = [qpos[7:].copy()] * max(reach + 1, 3)
         self._next_push = self._ranges.push_interval
         if self._motors is not None:
-            self._motors.start(q, data.qvel[6:])
+            self._motors.start(data.qpos[7:], data.qvel[6:])
+            self._commands = [self._motors.reading(data.qpos[7:])] * 3
         return self._state()
 
     def _state(self) -> RobotState:
