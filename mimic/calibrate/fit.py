@@ -13,6 +13,9 @@ from mimic.types import BoolArray, FloatArray
 DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""
 
+LARGEST = 1e12
+"""Stands for the sum of squares of a replay that blew up."""
+
 CONVERGED = 2e-3
 """A fit has converged when the sum of squares falls by less than this share."""
 
@@ -190,8 +193,8 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
         moves[row, index] = -change
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
-        squares[row] = np.sum(residual.astype(np.float64) ** 2, axis=0)
-    return squares, moves
+        squares[row] = np.nan_to_num(np.sum(residual.astype(np.float64) ** 2, axis=0), nan=np.inf)
+    return np.minimum(squares, LARGEST), moves
 
 
 def deviations(fitted: Fit, problem: Problem) -> FloatArray:

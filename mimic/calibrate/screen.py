@@ -39,6 +39,8 @@ class Start:
     name: str
     point: Point
     """After one linear step."""
+    begin: Point
+    """Before it."""
     joints: BoolArray
     """Joints that may have the effect (J,)."""
     gain: float
@@ -242,9 +244,7 @@ def _mixed(
     values = dict(points[0].values)
     for p in CATALOGUE[name].parameters:
         rows = np.stack([neutral(name, p.name, problem.machine), *(x.values[name, p.name] for x in points)])
-        values[name, p.name] = (
-            rows[choice, np.arange(joints)] if not p.shape else rows[np.maximum(choice, 1), np.arange(joints)]
-        )
+        values[name, p.name] = rows[np.maximum(choice, 1) if p.shape and not p.fixed else choice, np.arange(joints)]
     return Point(values), mask
 
 
@@ -279,4 +279,4 @@ def _predicted(
     total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
     joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
     gain = float(max(total, joint.max() / len(joint)))
-    return Start(name=name, point=point.moved(knobs, step), joints=mask, gain=gain)
+    return Start(name=name, point=point.moved(knobs, step), begin=point, joints=mask, gain=gain)

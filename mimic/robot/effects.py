@@ -462,7 +462,7 @@ _ALL = (
         title="payload at the end of the limb",
         equation="a point of mass at the tip of the last link",
         tip=True,
-        parameters=(Parameter(name="mass", unit="kg", neutral=0.0, low=-0.5, high=5.0, step=0.01, spread=20),),
+        parameters=(Parameter(name="mass", unit="kg", neutral=0.0, low=0.0, high=5.0, step=0.01, spread=20),),
         signature="follows gravity over the pose of the whole limb, and acceleration",
         experiment="static poses and a chirp",
         enters="body_mass, body_inertia, body_ipos",

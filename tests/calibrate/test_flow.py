@@ -104,7 +104,7 @@ def test_the_error_falls_to_the_noise_floor_on_blocks_that_were_not_used(arm: Ma
     "hidden",
     [
         both("stribeck", level=0.12, speed=0.15),
-        both("velocity_lag", time=0.006),
+        both("torque_speed", torque=1.6, speed=7.0, flat=0.0),
         EffectValues(
             name="spring", joints=("elbow",), values={"stiffness": np.array([0.5]), "moment": np.array([0.1])}
         ),
