@@ -15,15 +15,8 @@ from mimic.settings import DisturbanceRanges
 
 def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     """Return the product of quaternions wxyz (..., 4)."""
-    a, b, c, d = one.unbind(-1)
-    w, x, y, z = other.unbind(-1)
-    parts = [
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    ]
-    return torch.stack(parts, -1)
+    a, v, b, u = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
+    return torch.cat([a * b - (v * u).sum(-1, keepdim=True), a * u + b * v + torch.linalg.cross(v, u)], -1)
 
 
 def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:

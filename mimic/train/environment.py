@@ -195,7 +195,7 @@ class StandTrackEnv(VecEnv):
         self._calls += 1
         extras: dict[str, Any] = {"time_outs": self._time_out.clone()}
         if self._calls % 24 == 0:
-            extras["log"] = {k: v.clone() for k, v in self._log.items()}
+            extras["log"] = dict(zip(self._log, self._log_values.clone().unbind(), strict=True))
         return self.get_observations(), self._reward.clone(), self._done.long(), extras
 
     def _step_captured(self) -> None:
@@ -275,27 +275,24 @@ class StandTrackEnv(VecEnv):
         self.disturbances.share.fill_(share)
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
-    def _quat_WB(self) -> torch.Tensor:
-        """Orientation of the base in the true world, whose z is up also where the ground is inclined (N, 4)."""
-        return quat_multiply(self.worlds.slope_quat, self.worlds.qpos[:, 3:7])
+    def _measure(self) -> None:
+        """Work out, once for each state, what many look at.
+
+        ``quat_WB`` is the orientation of the base in the true world, whose z is up also where the ground is inclined.
+        """
+        w = self.worlds
+        self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
+        self._heading = torch.arctan2(*heading_sin_cos(*self._quat()))
+        self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
+        self._toes = front_toes(w.qpos[:, 7:], self.description, torch)
 
     def _quat(self) -> tuple[torch.Tensor, ...]:
-        return self._quat_WB().unbind(-1)
+        return self._quat_WB.unbind(-1)
 
-    def _heading(self) -> torch.Tensor:
-        sine, cosine = heading_sin_cos(*self._quat())
-        return torch.arctan2(sine, cosine)
-
-    def _up(self, heading: torch.Tensor) -> torch.Tensor:
-        return upright_cosine(*self._quat(), heading=heading, direction=self._upright, xp=torch)
-
-    def _velocity(self, heading: torch.Tensor) -> torch.Tensor:
+    def _velocity(self) -> torch.Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
-        v, cosine, sine = self.worlds.qvel, torch.cos(heading), torch.sin(heading)
+        v, cosine, sine = self.worlds.qvel, torch.cos(self._heading), torch.sin(self._heading)
         return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
-
-    def _toes(self) -> torch.Tensor:
-        return front_toes(self.worlds.qpos[:, 7:], self.description, torch)
 
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > self.settings.stand_up_steps)
@@ -309,6 +306,7 @@ class StandTrackEnv(VecEnv):
         w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
         w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
         self.episode_length_buf.add_(1)
+        self._measure()
         self._command()
         low = w.lowest()
         terms, failed, figures = self._judge(finite, low)
@@ -342,7 +340,7 @@ class StandTrackEnv(VecEnv):
     def _command(self) -> None:
         """Let goals and velocity commands go on by a control step."""
         first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
-        self.goals.advance(self._tracking(), first, self._toes())
+        self.goals.advance(self._tracking(), first, self._toes)
         self.moves.advance()
 
     def _judge(
@@ -363,8 +361,7 @@ class StandTrackEnv(VecEnv):
 
     def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
         w = self.worlds
-        heading = self._heading()
-        up = self._up(heading)
+        heading, up = self._heading, self._up
         step = self.episode_length_buf
         toes = w.site_xpos[:, self._toe_sites]
         hind = w.site_xpos[:, self._hind_sites]
@@ -374,7 +371,7 @@ class StandTrackEnv(VecEnv):
         motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
         slip = sliding(toes[..., 2], *motion, below=self.settings.slip_height)
         height = w.qpos[:, 2]
-        velocity = self._velocity(heading)
+        velocity = self._velocity()
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
@@ -401,7 +398,7 @@ class StandTrackEnv(VecEnv):
             moving=(self.moves.velocity.abs().sum(-1) > 0.05) | (error.abs() > self.settings.turn_threshold),
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
-            toe_error=self._toes() - self.goals.now,
+            toe_error=self._toes - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
             clearance=low[:, self._hind_toes],
@@ -439,13 +436,15 @@ class StandTrackEnv(VecEnv):
         }
 
     def _remember(self, terms: dict[str, torch.Tensor], figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
-        figures = figures | {f"reward/{name}": value.mean() for name, value in terms.items()}
-        figures["track/non_finite"] = 1 - finite.float().mean()
-        for name, value in figures.items():
-            if name in self._log:
-                self._log[name].copy_(value)
-            else:
-                self._log[name] = value.clone()
+        # stacked, since on a GPU a launch costs more than the numbers
+        means = torch.stack([value.float() for value in terms.values()]).mean(-1)
+        others = torch.stack([*figures.values(), 1 - finite.float().mean()])
+        values = torch.cat([means, others])
+        if not self._log:
+            names = [*(f"reward/{name}" for name in terms), *figures, "track/non_finite"]
+            self._log_values = values.clone()
+            self._log = dict(zip(names, self._log_values.unbind(), strict=True))
+        self._log_values.copy_(values)
 
     def _phase(self) -> torch.Tensor:
         rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
@@ -478,6 +477,7 @@ class StandTrackEnv(VecEnv):
 
         put(w.qpos, start.qpos)
         put(w.qvel, start.qvel)
+        self._measure()
         for command in self._commands:
             put(command, start.command)
         for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity):
@@ -492,14 +492,14 @@ class StandTrackEnv(VecEnv):
         put(self._q_before, start.q)
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
-        self.goals.reset(mask, start.upright, self._toes())
+        self.goals.reset(mask, start.upright, self._toes)
 
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         s, w = self.settings, self.worlds
         n = self.num_envs
         frame = observation_frame(
             q_offset=w.read_q - self._default_q,
-            quat_WB=quat_multiply(self._quat_WB(), self.disturbances.mount),
+            quat_WB=quat_multiply(self._quat_WB, self.disturbances.mount),
             last_action=self._last_action,
             v_des=self.moves.velocity,
             heading_des=self.moves.heading,
@@ -514,24 +514,23 @@ class StandTrackEnv(VecEnv):
         first = noisy[:, None, :].expand_as(pushed)
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
         self._policy_obs.copy_(self._history.reshape(n, -1))
-        heading = self._heading()
         feet = low[:, self._hind_toes]
         extras = [
-            torch.cat([self._velocity(heading), w.qvel[:, 2:3]], -1),
+            torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
-            self._up(heading)[:, None],
+            self._up[:, None],
             (self._delay_seen() - 3.5) * 0.3,
             (feet < 0.003).float(),
             feet.clamp(max=0.2) * 10,
-            (self._toes() - self.goals.now).reshape(n, 6) * 5,
+            (self._toes - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],
             torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
             w.features,
             quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
-            quat_rotate(self._quat_WB(), self._floor_up, inverse=True),
+            quat_rotate(self._quat_WB, self._floor_up, inverse=True),
             (self.disturbances.pull(self.episode_length_buf)[..., :2] * 0.2).reshape(n, 4),
             self.disturbances.lost_share * 10,
         ]
