@@ -166,6 +166,9 @@ BAD = [
     ("evaluate text.onnx", text_file("text.onnx"), "not an ONNX model"),
     ("evaluate text.onnx --episodes 0", text_file("text.onnx"), "episodes is 0"),
     ("evaluate text.onnx --seconds 0.5", text_file("text.onnx"), "seconds is 0.5"),
+    ("targets.parquet --sim --effects nowhere.toml", nothing, "nowhere.toml cannot be read"),
+    ("targets.parquet --sim --effects text.toml", text_file("text.toml"), "text.toml is not"),
+    ("evaluate text.onnx --table --effects nowhere.toml", text_file("text.onnx"), "nowhere.toml cannot be read"),
     ("view nowhere", nothing, "nowhere"),
     ("view folder", folder, "there is no scene.rrd in folder"),
     ("dance", nothing, "add --sim"),
@@ -176,6 +179,7 @@ BAD_TRAINING = [
     ("train new --set colour=red", "there is no setting 'colour'"),
     ("train new --set rewards.mood=1", "there is no setting 'rewards.mood'"),
     ("train new --set worlds=many", "expected a whole number"),
+    ("train new --effects nowhere.toml", "nowhere.toml cannot be read"),
     ("train new --resume nowhere.pt", "there is no checkpoint nowhere.pt"),
 ]
 
