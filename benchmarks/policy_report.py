@@ -1,8 +1,8 @@
-"""The tables of docs/policy.md for a policy, as markdown: the paper's Table III and the robustness matrix.
+"""The tables of docs/policy.md for a policy, as markdown: the paper's Table III, standing up, the robustness matrix.
 
-python benchmarks/policy_report.py [POLICY]                        # measure and print, about 12 minutes on 2 cores
+python benchmarks/policy_report.py [POLICY]                        # measure and print, about 14 minutes on 2 cores
 python benchmarks/policy_report.py [POLICY] --write docs/policy.md # … and put it there, with the heat map
-python benchmarks/policy_report.py [POLICY] --table a.json --robustness b.json   # print what was measured before
+python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --robustness c.json   # what was measured before
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from mimic.robot.description import load_description
 from mimic.run.paper_evaluation import evaluate_table
 from mimic.run.pool import loaded_policy
 from mimic.run.robustness import evaluate_robustness
-from mimic.settings import RobustnessSettings, TableSettings
+from mimic.run.stand_up import evaluate_stand_up
+from mimic.settings import RobustnessSettings, StandUpSettings, TableSettings
 from mimic.store import sha256_of
 from mimic.view.heat_map import draw_heat_map
 
@@ -86,10 +87,33 @@ def robustness_table(result: dict[str, Any]) -> str:
     )
 
 
+def stand_up_table(result: dict[str, Any]) -> str:
+    s = result["summary"]
+    return rows(
+        ("standing up and standing still", "measured"),
+        [
+            ("upright within 1.5 s", f"{100 * s['upright_in_time']:.1f} %"),
+            ("… and still standing at 3 s", f"{100 * s['upright_in_time_and_kept']:.1f} %"),
+            (
+                "time to stand up",
+                f"{s['stand_up_median_s']:.2f} s median, {s['stand_up_p95_s']:.2f} s at the 95th percentile",
+            ),
+            ("fastest joint", f"{s['joint_speed_max_rad_s']:.1f} of {s['joint_speed_limit_rad_s']:.1f} rad/s"),
+            ("largest torque", f"{s['torque_max_nm']:.1f} of {s['torque_limit_nm']:.1f} N·m"),
+            (
+                "drift in 20 s of standing still",
+                f"{s['still_drift_mean_m']:.2f} m mean, {s['still_drift_max_m']:.2f} m at most",
+            ),
+            ("turned meanwhile", f"{s['still_turned_max_rad']:.2f} rad at most"),
+        ],
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", type=Path, default=Path("policies/stand_track.onnx"))
     parser.add_argument("--table", type=Path, help="JSON of mimic evaluate --table")
+    parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate --stand-up")
     parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
     parser.add_argument("--write", type=Path, help="markdown file whose measured part is replaced")
     given = parser.parse_args()
@@ -114,6 +138,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
         if given.robustness
         else evaluate_robustness(given.policy, RobustnessSettings())
     )
+    rise = stored(given.stand_up, "summary") if given.stand_up else evaluate_stand_up(given.policy, StandUpSettings())
     episodes, points = len(table["episodes"]["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [
@@ -121,6 +146,10 @@ def report(given: argparse.Namespace, robot: str) -> None:
             "### The paper's Table III",
             f"`mimic evaluate {given.policy} --table`, {episodes} episodes.",
             paper_table(table),
+            "### Standing up and standing still",
+            f"`mimic evaluate {given.policy} --stand-up`, {rise['summary']['starts']} starts, "
+            f"{rise['summary']['still_episodes']} nominal robots that stand still.",
+            stand_up_table(rise),
             "### Robustness",
             f"`mimic evaluate {given.policy} --robustness`, {points} episodes at each point.",
             robustness_table(robust),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -213,7 +214,7 @@ def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnS
         if update % 10 == 0 or update == learn.iterations - 1:
             console.print(
                 f"update {update:5d}  {row['steps'] / 1e6:7.1f} M steps  {row['elapsed_s']:6.0f} s  "
-                f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  {row[figure]:5.2f} {unit}"
+                f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  {row.get(figure, math.nan):5.2f} {unit}"
             )
 
     if resume is not None and not resume.is_file():

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
+from mimic.robot.description import with_timestep
 from mimic.robot.leg import front_toes
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings
+from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings, Solver
 from mimic.types import JointCommand
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -75,11 +76,13 @@ def test_the_critic_sees_what_the_policy_sees_and_more(env):
     assert torch.equal(seen["critic"][:, :width], seen["policy"].clamp(-50, 50))
 
 
-def test_training_physics_is_that_of_the_simulation(description):
+@pytest.mark.parametrize("timestep", [0.005, 0.0025])
+def test_training_physics_is_that_of_the_simulation(description, timestep):
     """From the same lying start, through the same actuators and delay, with the same actions, solved to the end."""
+    solver, description = Solver(timestep=timestep), with_timestep(description, timestep)
     solved = {"solver_iterations": 100, "linesearch_iterations": 50, "command_margin": 0.0}
     env = make(description, worlds=1, upright_share=0.0, randomisation=NOMINAL, **solved)
-    plant = SimulatedPlant(description)
+    plant = SimulatedPlant(description, solver=solver)
     state = plant.start()
     env.episode_length_buf.zero_()
     env.worlds.qpos[0] = torch.as_tensor(np.concatenate([state.p_WB, state.quat_WB, state.q]))
