@@ -163,7 +163,7 @@ def ordered(rounds: int = 6, seconds: float = 60.0) -> Iterator[Scenario]:
             for n in ALIENS
             if reachable(n, "medium")
         )
-        for _ in range(20):
+        for _ in range(25):
             yield one("clean", seed=clean, kind=KINDS[clean % 2])
             clean += 1
         yield from (one("pair", names, "medium") for names in PAIRS)
