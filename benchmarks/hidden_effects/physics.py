@@ -9,7 +9,7 @@ Where two readings of an equation of the catalogue are possible, this is the one
     friction     dry and viscous friction act on the link, not on the motor (column ``motor_side`` moves them)
     torque       PD, then torque constant, then lag, then limits
     base tilt    the base is turned: gravity in base axes = (Ry(pitch) Rx(roll))^T (0, 0, -g)
-    sag          power of the step before
+    sag          the share of supply at which what the motors draw leaves just that share, down to 0.2
     encoder step the drive's position term sees the steps, its velocity term does not
 
 Source: Featherstone 2008, chapter 5 (recursive Newton-Euler); Acary and Brogliato 2008, chapter 10 (Moreau-Jean).
@@ -188,6 +188,33 @@ def _stick_or_slide(w, low, high, v, impulse, n):
 
 
 @njit(cache=True)
+def _limits(p, left, v):
+    """Least and greatest torque of a motor at speed v with a share of its supply left."""
+    tmax, vmax, flat = p[TMAX] * left, p[VMAX] * left, p[VFLAT] * left
+    up = min(tmax, max(0.0, tmax * (vmax - v) / (vmax - flat)))
+    down = -min(tmax, max(0.0, tmax * (vmax + v) / (vmax - flat)))
+    return down, up
+
+
+@njit(cache=True)
+def _supply(drop, asked, speed, par):
+    """Share of the supply that is left where what the motors then draw leaves it: the root of a falling function."""
+    low, high = 0.2, 1.0
+    for _ in range(20):
+        left = 0.5 * (low + high)
+        power = 0.0
+        for l in range(asked.shape[0]):
+            for j in range(3):
+                down, up = _limits(par[l, j], left, speed[l, j])
+                power += max(0.0, min(max(asked[l, j], down), up) * speed[l, j])
+        if 1.0 - drop * power > left:
+            low = left
+        else:
+            high = left
+    return 0.5 * (low + high)
+
+
+@njit(cache=True)
 def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target, held, extra, extra_dt, q_out, tau_out):
     """Step all legs from rest at the held targets and write every ``every``-th state after ``skip`` steps.
 
@@ -218,7 +245,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
     slot = np.zeros(3, np.int64)
     g, none = np.zeros(3), np.zeros(3)
     n_extra = extra.shape[0]
-    power = 0.0
+    asked, at_speed = np.zeros((legs, 3)), np.zeros((legs, 3))
     row = 0
     step = -skip
     while row < rows:
@@ -234,8 +261,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     q_out[row, l, j] = r
                     tau_out[row, l, j] = tau[l, j]
             row += 1
-        left = max(0.2, 1.0 - drop * power)
-        power = 0.0
+        left = _supply(drop, asked, at_speed, par) if drop > 0.0 else 1.0
         for l in range(legs):
             parts = SUBSTEPS if any_own[l] else 1
             h = dt / parts
@@ -309,16 +335,13 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         cmd = 0.5 * (old + lagged[l, j])
                         stiff = 0.0
                         damp = 0.0
-                    tmax = p[TMAX] * left
-                    vmax, flat = p[VMAX] * left, p[VFLAT] * left
-                    up = min(tmax, max(0.0, tmax * (vmax - vm) / (vmax - flat)))
-                    down = -min(tmax, max(0.0, tmax * (vmax + vm) / (vmax - flat)))
+                    asked[l, j], at_speed[l, j] = cmd, vm
+                    down, up = _limits(p, left, vm)
                     if cmd > up:
                         cmd, stiff, damp = up, 0.0, 0.0
                     elif cmd < down:
                         cmd, stiff, damp = down, 0.0, 0.0
                     tau[l, j] = cmd
-                    power += max(0.0, cmd * vm) / parts
                     heat[l, j] += h * (cmd * cmd - heat[l, j]) / p[HTIME]
                     # Inertia of the rotor; it may depend on the angle (not in the catalogue).
                     inertia = p[JA]

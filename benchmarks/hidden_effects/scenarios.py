@@ -158,15 +158,11 @@ def ordered(rounds: int = 6, seconds: float = 60.0) -> Iterator[Scenario]:
 
         for strength in ("strong", "medium"):
             yield from (one("single", (n,), strength) for n in FAMILIES if reachable(n, strength))
-        yield from (
-            one("alien", (n,), "strong" if reachable(n, "strong") else "medium")
-            for n in ALIENS
-            if reachable(n, "medium")
-        )
+        yield from (one("pair", names, "medium") for names in PAIRS)
+        yield from (one("triple", names, "medium") for names in TRIPLES)
+        yield from (one("single", (n,), "weak") for n in FAMILIES if reachable(n, "weak"))
+        for strength in ("strong", "medium"):
+            yield from (one("alien", (n,), strength) for n in ALIENS if reachable(n, strength))
         for _ in range(25):
             yield one("clean", seed=clean, kind=KINDS[clean % 2])
             clean += 1
-        yield from (one("pair", names, "medium") for names in PAIRS)
-        yield from (one("single", (n,), "weak") for n in FAMILIES if reachable(n, "weak"))
-        yield from (one("triple", names, "medium") for names in TRIPLES)
-        yield from (one("alien", (n,), "medium") for n in ALIENS if reachable(n, "strong"))

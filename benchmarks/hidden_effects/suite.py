@@ -3,7 +3,7 @@
     python -m benchmarks.hidden_effects.suite OUT --processes 8 --limit 560 [--only single/stribeck] [--rounds 6]
 
 OUT/results.jsonl grows as results come; scenarios that are in it are not run again. At the time limit the workers are
-ended and what is done stays. Each worker uses one thread.
+ended, what is done stays, and OUT/unfinished.json says what was cut off. Each worker uses one thread.
 """
 
 # ruff: noqa: E402
@@ -167,14 +167,14 @@ def run_suite(
     waiting = [s.key for s in scenarios if s.key not in known]
     waiting.reverse()
     context = multiprocessing.get_context("fork")  # what is imported and compiled is shared
-    workers: dict[Any, tuple[Any, str]] = {}
+    workers: dict[Any, tuple[Any, str, float]] = {}
     done = 0
 
     def give(pipe: Any, process: Any) -> None:
         key = waiting.pop() if waiting else None
         pipe.send(key)
         if key is not None:
-            workers[pipe] = (process, key)
+            workers[pipe] = (process, key, time.monotonic())
 
     def start() -> None:
         ours, theirs = context.Pipe()
@@ -188,7 +188,7 @@ def run_suite(
             start()
         while workers and (left := end - time.monotonic()) > 0:
             for pipe in wait(list(workers), timeout=min(left, 3600.0)):
-                process, key = workers.pop(pipe)
+                process, key, _ = workers.pop(pipe)
                 try:
                     record = pipe.recv()
                 except EOFError:  # the worker is gone, killed by the system or a crash
@@ -203,8 +203,10 @@ def run_suite(
                 done += 1
                 named = "ERROR" if "error" in record else "+".join(record["named"]) or "nothing"
                 print(f"{done:5d} {record.get('seconds', 0):6.1f} s  {key} -> {named}", flush=True)
-    for process, _ in workers.values():
+    for process, *_ in workers.values():
         process.kill()
+    cut = [{"key": key, "seconds": time.monotonic() - began} for _, key, began in workers.values()]
+    (out / "unfinished.json").write_text(json.dumps(cut), encoding="utf-8")
     return done
 
 
