@@ -14,6 +14,7 @@ pytest.importorskip("numba")
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from benchmarks.hidden_effects import physics, suite, summary
+from benchmarks.hidden_effects.agreement import disagreement
 from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
 from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, links, measured, simulate
 from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable
@@ -193,6 +194,16 @@ def test_an_effect_that_cannot_be_so_strong_is_refused():
     assert not reachable("kt_gain", "strong")
     with pytest.raises(ValueError, match="cannot be strong"):
         build(Scenario(group="single", names=("kt_gain",), strength="strong"))
+
+
+@pytest.mark.parametrize(
+    ("name", "strength"), [("torque_speed", "medium"), ("velocity_lag", "medium"), ("payload", "weak")]
+)
+def test_the_replay_of_mimic_with_the_true_numbers_is_the_truth(name, strength):
+    scenario = Scenario(group="single", names=(name,), strength=strength, seconds=10.0)
+    without, with_it = disagreement(scenario)
+    assert without.max() > 3.0
+    assert with_it.max() < 1.0
 
 
 def silent(log) -> Calibration:
