@@ -2,12 +2,13 @@
 
 A size is judged by what the declared model could not absorb: the motion with the effect less the motion without it
 (same targets, no noise), after the best linear change of friction, damping, mass of every link and delay is taken
-out; root mean square over the affected joints, without the first half second, over the noise floor. Each motion
+out, each with a plausible spread, since a link that weighs three times its CAD is no explanation; root mean square over the affected joints, without the first half second, over the noise floor. Each motion
 carries the effect on the abad of one leg, the hip of another and the knee of a third, three times with the legs
 exchanged; the table holds the geometric mean for each of the three joints. Between simulated sizes (seven, a factor
 apart) the relation is taken as straight in logarithms.
 
-    python -m benchmarks.hidden_effects.sizes [NAME ...]
+    python -m benchmarks.hidden_effects.sizes [NAME ...]       # measures these, or all
+    python -m benchmarks.hidden_effects.sizes --plot FILE.png  # draws the table
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ TABLE = Path(__file__).with_name("sizes.json")
 STRENGTHS = {"weak": 2.0, "medium": 5.0, "strong": 15.0}
 """Over the noise floor."""
 SEED, SECONDS, POINTS, SPAN = 20261121, 60.0, 7, 300.0
+PLAUSIBLE = {"friction": 0.1, "damping": 0.1, "mass": 0.15}
+"""Standard deviation of the declared numbers [N m, N m s/rad, share]; of the delay 10 ms."""
 SKIP, THIN = 100, 5
 """Readings left out at the start, and one of how many is looked at."""
 
@@ -45,15 +48,21 @@ class Rig:
             friction=0.03 + 0.09 * half, damping=0.02 + 0.08 * half, mass=0.9 + 0.25 * half, delay=0.0125
         )
         self.plain = self._rows(self.machine)
-        columns = [self._column(replace(self.machine, delay=self.machine.delay + 0.5e-3), np.arange(12))]
+        columns, spread = (
+            [self._column(replace(self.machine, delay=self.machine.delay + 0.5e-3), np.arange(12))],
+            [20.0],
+        )
         for name, change in (("friction", 0.01), ("damping", 0.01), ("mass", 0.03)):
             for part in range(3):
                 row = np.array(getattr(self.machine, name))
                 row[part::3] += change
                 moved = replace(self.machine, **{name: row})
                 columns += [self._column(moved, np.arange(3 * leg, 3 * leg + 3)) for leg in range(4)]
-        basis = np.stack([c.ravel() for c in columns], -1)
-        self.basis, _ = np.linalg.qr(basis / np.linalg.norm(basis, axis=0))
+                spread += [PLAUSIBLE[name] / change] * 4
+        weight = np.sqrt(THIN) / FLOOR
+        self.basis = np.stack([c.ravel() for c in columns], -1)
+        self.hessian = weight**2 * self.basis.T @ self.basis + np.diag(np.array(spread) ** -2.0)
+        self.weight = weight
 
     def _rows(self, machine: Machine) -> FloatArray:
         return simulate(machine, self.motion, SEED).q[SKIP::THIN]
@@ -69,7 +78,8 @@ class Rig:
     def left(self, machine: Machine) -> FloatArray:
         """Return what the declared model cannot absorb, root mean square (12,) over the noise floor."""
         difference = (self._rows(machine) - self.plain).ravel()
-        rest = difference - self.basis @ (self.basis.T @ difference)
+        absorbed = np.linalg.solve(self.hessian, self.weight**2 * self.basis.T @ difference)
+        rest = difference - self.basis @ absorbed
         return np.sqrt((rest.reshape(-1, 12) ** 2).mean(0)) / FLOOR
 
 
@@ -124,7 +134,43 @@ def _size_at(sizes: FloatArray, ratios: FloatArray, ratio: float) -> float | Non
     return float(np.round(sizes[k - 1] * (sizes[k] / sizes[k - 1]) ** share, 7))
 
 
+def plot(path: Path) -> None:
+    """Draw how far each effect can rise above the noise on this robot."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    table = json.loads(TABLE.read_text(encoding="utf-8"))
+    rows = [n for n in table if n in FAMILIES]
+    rows.sort(key=lambda n: max(table[n]["ratio_at_cap"].values()))
+    figure, axes = plt.subplots(figsize=(8, 7.5), constrained_layout=True)
+    markers = dict(zip(PARTS, ("^", "s", "o"), strict=True))
+    for row, name in enumerate(rows):
+        reach = table[name]["ratio_at_cap"]
+        axes.plot([0.05, max(reach.values())], [row, row], color="#c9d3de", lw=5, solid_capstyle="butt", zorder=1)
+        shown = {"machine": max(reach.values())} if effect(name).scope == "machine" else reach
+        for part, value in shown.items():
+            axes.scatter(value, row, marker=markers.get(part, "D"), s=30, color="#1f5fa8", zorder=2)
+    for strength, ratio in STRENGTHS.items():
+        axes.axvline(ratio, color="#e07b1f", lw=1, zorder=0)
+        axes.text(ratio, len(rows) - 0.3, strength, ha="center", va="bottom", color="#b35c0e")
+    for part, marker in (*markers.items(), ("whole machine", "D")):
+        axes.scatter([], [], marker=marker, color="#1f5fa8", s=30, label=part)
+    axes.set(xscale="log", xlim=(0.07, 400), ylim=(-0.6, len(rows) + 0.4))
+    axes.set_yticks(range(len(rows)), [n.replace("_", " ") for n in rows])
+    axes.set_xticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
+    axes.set_xlabel("what the declared model cannot absorb at the greatest plausible size, over the noise floor")
+    axes.legend(frameon=False, loc="lower right")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
 def main(names: list[str]) -> None:
+    if names[:1] == ["--plot"]:
+        return plot(Path(names[1]))
     rig = Rig()
     table = json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else {}
     for name in names or [*FAMILIES, *ALIENS]:
