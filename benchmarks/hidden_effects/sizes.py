@@ -2,7 +2,7 @@
 
 A size is judged by what the declared model could not absorb: the motion with the effect less the motion without it
 (same targets, no noise), after the best linear change of friction, damping, mass of every link and delay is taken
-out, each with a plausible spread, since a link that weighs three times its CAD is no explanation; root mean square over the affected joints, without the first half second, over the noise floor. Each motion
+out, each inside its bounds in the catalogue; root mean square over the affected joints, without the first half second, over the noise floor. Each motion
 carries the effect on the abad of one leg, the hip of another and the knee of a third, three times with the legs
 exchanged; the table holds the geometric mean for each of the three joints. Between simulated sizes (seven, a factor
 apart) the relation is taken as straight in logarithms.
@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, PARTS, alien, hidden_effect
 from benchmarks.hidden_effects.generator import ALIENS, FLOOR, Machine, simulate
@@ -32,8 +33,15 @@ TABLE = Path(__file__).with_name("sizes.json")
 STRENGTHS = {"weak": 2.0, "medium": 5.0, "strong": 15.0}
 """Over the noise floor."""
 SEED, SECONDS, POINTS, SPAN = 20261121, 60.0, 7, 300.0
-PLAUSIBLE = {"friction": 0.1, "damping": 0.1, "mass": 0.15}
-"""Standard deviation of the declared numbers [N m, N m s/rad, share]; of the delay 10 ms."""
+BOUNDS = {
+    name: (effect(which).parameter(number).low, effect(which).parameter(number).high)
+    for name, (which, number) in {
+        "friction": ("coulomb", "level"),
+        "damping": ("viscous", "coefficient"),
+        "mass": ("link_mass", "factor"),
+    }.items()
+}
+"""How far the declared numbers can go, as in the catalogue."""
 SKIP, THIN = 100, 5
 """Readings left out at the start, and one of how many is looked at."""
 
@@ -48,21 +56,19 @@ class Rig:
             friction=0.03 + 0.09 * half, damping=0.02 + 0.08 * half, mass=0.9 + 0.25 * half, delay=0.0125
         )
         self.plain = self._rows(self.machine)
-        columns, spread = (
-            [self._column(replace(self.machine, delay=self.machine.delay + 0.5e-3), np.arange(12))],
-            [20.0],
-        )
+        later = replace(self.machine, delay=self.machine.delay + 0.5e-3)
+        columns, room = [self._column(later, np.arange(12))], [(-25.0, 175.0)]
         for name, change in (("friction", 0.01), ("damping", 0.01), ("mass", 0.03)):
             for part in range(3):
                 row = np.array(getattr(self.machine, name))
+                least, most = ((bound - row[part]) / change for bound in BOUNDS[name])
                 row[part::3] += change
                 moved = replace(self.machine, **{name: row})
                 columns += [self._column(moved, np.arange(3 * leg, 3 * leg + 3)) for leg in range(4)]
-                spread += [PLAUSIBLE[name] / change] * 4
-        weight = np.sqrt(THIN) / FLOOR
+                room += [(least, most)] * 4
         self.basis = np.stack([c.ravel() for c in columns], -1)
-        self.hessian = weight**2 * self.basis.T @ self.basis + np.diag(np.array(spread) ** -2.0)
-        self.weight = weight
+        self.root = np.linalg.qr(self.basis, mode="r")
+        self.room = tuple(np.array(room).T)
 
     def _rows(self, machine: Machine) -> FloatArray:
         return simulate(machine, self.motion, SEED).q[SKIP::THIN]
@@ -78,7 +84,8 @@ class Rig:
     def left(self, machine: Machine) -> FloatArray:
         """Return what the declared model cannot absorb, root mean square (12,) over the noise floor."""
         difference = (self._rows(machine) - self.plain).ravel()
-        absorbed = np.linalg.solve(self.hessian, self.weight**2 * self.basis.T @ difference)
+        wanted = np.linalg.solve(self.root.T, self.basis.T @ difference)
+        absorbed = lsq_linear(self.root, wanted, self.room).x
         rest = difference - self.basis @ absorbed
         return np.sqrt((rest.reshape(-1, 12) ** 2).mean(0)) / FLOOR
 
@@ -113,6 +120,7 @@ def measure(rig: Rig, name: str) -> dict[str, object]:
     row: dict[str, object] = {
         "unit": ALIENS[name] if is_alien else FAMILIES[name].unit,
         "cap": cap,
+        "bounded": True,
         "why_no_more": ALIEN_CAPS[name][1] if is_alien else FAMILIES[name].why,
         "ratio_at_cap": dict(zip(parts, ratios[-1].round(2).tolist(), strict=True)),
     }

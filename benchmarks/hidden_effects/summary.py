@@ -259,7 +259,9 @@ def plot(records: Sequence[Record], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    singles = [r for r in records if r["group"] == "single" and "error" not in r]
+    singles = [
+        r for r in records if r["group"] == "single" and "error" not in r and not CATALOGUE[r["names"][0]].random
+    ]
     if not singles:
         return
     x = np.array([declared_error(r) for r in singles])
