@@ -58,7 +58,7 @@ def play(seed: int, answer: str, tracker: str, sit_down: str) -> dict[str, Any] 
             q = state.q
         begin -= 0.2  # what it is late by, in the median
     quat = result.log.quat_WB[-1] if state is None else state.quat_WB
-    landing = recorder.landing(begin, description.toe_radius)
+    landing = recorder.landing(begin)
     belly_down = bool(rotation_from_quat(quat)[2, 2] > 0.8)
     sat = int((result.log.phase == PHASES.index("sit_down")).sum())
     return dataclasses.asdict(landing) | {"belly_down": belly_down, "ticks": sat, "seed": seed}

@@ -108,6 +108,8 @@ def evaluate_sit_down(policy: Path, out: Path, settings: SitDownEvaluateSettings
             "base speed when the trunk touches": told("impact_speed", "m/s"),
             "downward base speed": told("sinking_speed", "m/s"),
             "front toes meet the ground": told("toe_speed", "m/s"),
+            "hind knees meet the ground": told("knee_speed", "m/s"),
+            "acceleration of the base": told("acceleration", "m/s^2"),
             "joints off the lying pose": told("pose_error_rad", "rad"),
             "about to fall before": f"{s['falling_before']} more, not counted",
             "written": str(out),

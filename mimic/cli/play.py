@@ -134,7 +134,7 @@ def play_source(
 ) -> int:
     """Play a source in simulation and write its run folder."""
     from mimic.metrics import run_metrics
-    from mimic.policy.runtime import load_policy, load_sit_down
+    from mimic.policy.runtime import load_policy
     from mimic.retarget.commands import command_track
     from mimic.robot.description import load_description
     from mimic.run.loop import run_policy
@@ -158,13 +158,13 @@ def play_source(
         track, targets = targets_of(source, pose, retarget)
     commands: CommandTrack = command_track(targets)
 
-    sit_down = load_sit_down(description)
+    sit_down = load_policy(None, description, task="sit_down")
     plant = SimulatedPlant(description, seed=run.seed, **options)
     with progress_bar("simulation") as progress:
         result = run_policy(plant, policy, commands, run, sit_down=sit_down, progress=progress)
 
     settings = {"pose": pose, "retarget": retarget, "run": run, "robot": robot}
-    inputs = {"source": source, "policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
+    inputs = {"source": source, "policy": policy.path, "sit_down": sit_down.path}
     inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     if track is not None:
@@ -199,12 +199,7 @@ def play_source(
     rows = _target_rows(targets) | _metric_rows(metrics) | {"run folder": str(folder)}
     table(source.name, rows | ({"film": str(film)} if film else {}))
     if result.fell_at is not None:
-        what = (
-            "tipped over at {:.1f} s and was damped"
-            if sit_down is None
-            else "was about to fall at {:.1f} s and sat down"
-        )
-        warn("the robot " + what.format(result.fell_at))
+        warn(f"the robot was about to fall at {result.fell_at:.1f} s and sat down")
     if result.error is not None:
         raise result.error
     if view or (view is None and display_available()):

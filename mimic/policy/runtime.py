@@ -54,14 +54,6 @@ class Policy:
         return np.asarray(action, dtype=np.float64)[0]
 
 
-def load_sit_down(description: RobotDescription) -> Policy | None:
-    """Load the shipped policy that sits down; None where none ships yet."""
-    try:
-        return load_policy(None, description, task="sit_down")
-    except AssetError:
-        return None
-
-
 def load_policy(path: str | Path | None, description: RobotDescription, *, task: str = "stand_track") -> Policy:
     """Load a policy for a task; None takes the shipped one.
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mimic.robot.model import TOES
 from mimic.types import BoolArray, FloatArray
 
 TRUNK = ("body", "shoulder", "abad")
@@ -15,6 +14,9 @@ TRUNK = ("body", "shoulder", "abad")
 
 HEAD = ("head_0", "head_1")
 """Shapes of the head."""
+
+LIMBS = ("FL_toe", "FR_toe", "RL_rubber", "RR_rubber")
+"""Balls whose way to the ground is recorded: front toes and hind knees."""
 
 JOLT_SECONDS = 0.02
 """The base's acceleration is averaged over this long [s]."""
@@ -34,6 +36,8 @@ class Landing:
     """Greatest downward speed of the base [m/s]."""
     toe_speed: float
     """Greatest downward speed with which a front toe met the ground [m/s]."""
+    knee_speed: float
+    """Greatest downward speed with which a hind knee met the ground [m/s]."""
     acceleration: float
     """Greatest acceleration of the base, averaged over 20 ms [m/s^2]."""
 
@@ -51,22 +55,21 @@ class TouchRecorder:
             names = {model.geom(i).name: i for i in range(model.ngeom)}
             trunk = frozenset(i for name, i in names.items() if name.endswith(TRUNK))
             head = frozenset(names[name] for name in HEAD)
-            self._parts = trunk, head, [model.site(name).id for name in TOES[:2]]
-        trunk, head, toes = self._parts
+            self._parts = trunk, head, [names[name] for name in LIMBS]
+        trunk, head, limbs = self._parts
         touching = set(data.contact.geom[:, 1].tolist()) | set(data.contact.geom[:, 0].tolist())
-        toe_heights = data.site_xpos[toes, 2].copy()
-        self._rows.append((data.time, bool(touching & trunk), bool(touching & head), data.qvel[:3].copy(), toe_heights))
+        clearance = data.geom_xpos[limbs, 2] - model.geom_size[limbs, 0]
+        self._rows.append((data.time, bool(touching & trunk), bool(touching & head), data.qvel[:3].copy(), clearance))
 
-    def landing(self, begin: float, toe_radius: float) -> Landing:
+    def landing(self, begin: float) -> Landing:
         """Return how gently the robot came down from time ``begin`` [s] on.
 
         Args:
             begin: When it began to come down.
-            toe_radius: Of the toes [m].
         """
-        t, trunk, head, velocity, toes = (np.array(column) for column in zip(*self._rows, strict=True))
+        t, trunk, head, velocity, limbs = (np.array(column) for column in zip(*self._rows, strict=True))
         rows = t > begin
-        t, trunk, head, velocity, toes = t[rows], trunk[rows], head[rows], velocity[rows], toes[rows]
+        t, trunk, head, velocity, limbs = t[rows], trunk[rows], head[rows], velocity[rows], limbs[rows]
         speed = np.linalg.norm(velocity, axis=1)
         span = max(1, round(JOLT_SECONDS / float(t[1] - t[0])))
         change = np.linalg.norm(velocity[span:] - velocity[:-span], axis=1)
@@ -75,7 +78,8 @@ class TouchRecorder:
             trunk_touched=bool(trunk.any()),
             impact_speed=float(speed[max(int(np.argmax(trunk)) - 1, 0)]) if trunk.any() else 0.0,
             sinking_speed=float(np.max(-velocity[:, 2], initial=0.0)),
-            toe_speed=_met_at(toes - toe_radius, t),
+            toe_speed=_met_at(limbs[:, :2], t),
+            knee_speed=_met_at(limbs[:, 2:], t),
             acceleration=float(change.max() / (span * (t[1] - t[0]))),
         )
 

@@ -60,7 +60,9 @@ def test_a_run_ends_well_and_leaves_its_files(played):
 
 def test_every_file_names_version_settings_and_inputs(played, targets):
     _, run = played
-    inputs = {"source": store.sha256_of(targets), "policy": store.sha256_of(shipped("policies", "stand_track.onnx"))}
+    tasks = {"policy": "stand_track", "sit_down": "sit_down"}
+    inputs = {name: store.sha256_of(shipped("policies", f"{task}.onnx")) for name, task in tasks.items()}
+    inputs["source"] = store.sha256_of(targets)
     heads = [store.header(run / name)["provenance"] for name in sorted(FILES) if name.endswith(".parquet")]
     heads.append(json.loads((run / "metrics.json").read_text())["provenance"])
     for head in heads:
@@ -75,7 +77,8 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_200_hz(played, t
     log, joints = store.load(run / "log.parquet", RunLog), store.load(run / "joints.parquet", JointSamples)
     wanted = store.load(targets, TargetTrack)
     settings = RunSettings(hold=0.5)
-    assert len(log.t) == len(wanted.t) + round((settings.stand_up + settings.blend + settings.hold) / 0.02)
+    besides = settings.stand_up + settings.blend + settings.hold + settings.sit_down
+    assert len(log.t) == len(wanted.t) + round(besides / 0.02)
     assert np.allclose(np.diff(log.t), 0.02)
     assert np.allclose(np.diff(joints.t), 0.005)
     assert len(joints.t) == 4 * len(log.t)
@@ -92,6 +95,15 @@ def test_the_targets_in_the_run_folder_are_those_that_were_played(played, target
     one, other = (store.load(path, TargetTrack) for path in (played[1] / "targets.parquet", targets))
     assert np.array_equal(one.p_BE, other.p_BE)
     assert one.report == other.report
+
+
+def test_the_robot_ends_lying_on_its_feet(played):
+    log = store.load(played[1] / "log.parquet", RunLog)
+    rows = log.phase == PHASES.index("sit_down")
+    assert rows[-1]
+    assert log.p_WB[rows, 2].max() > 0.4
+    assert 0.08 < log.p_WB[-1, 2] < 0.14
+    assert -log.v_WB[rows, 2].min() < 1.0
 
 
 def test_figures_tell_that_the_robot_stood(played):

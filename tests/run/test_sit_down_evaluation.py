@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.errors import ContractError
+from mimic.policy.runtime import load_policy
 from mimic.run.loop import damping_command
 from mimic.run.simulation import SimulatedPlant
 from mimic.run.sit_down_evaluation import evaluate_sit_down, lies, summarise
@@ -50,7 +51,14 @@ def test_lying_means_level_low_still_and_folded(wrong):
 
 
 def test_robots_that_fell_before_are_counted_apart():
-    figures = {"impact_speed": 0.1, "sinking_speed": 0.4, "toe_speed": 0.2, "acceleration": 9.0, "head_touched": False}
+    figures = {
+        "impact_speed": 0.1,
+        "sinking_speed": 0.4,
+        "toe_speed": 0.2,
+        "knee_speed": 0.1,
+        "acceleration": 9.0,
+        "head_touched": False,
+    }
     row = LYING | figures | {"trunk_touched": True, "gentle": True, "lies": True, "success": True, "handed_over": True}
     summary = summarise([row, row | {"success": False, "gentle": False}, row | {"handed_over": False}])
     assert summary["hand_overs"] == 2
@@ -72,15 +80,24 @@ def test_what_touches_and_how_fast_is_seen_at_each_physics_step(description):
     )
     for _ in range(8):
         plant.step(stiff)
-    flying = recorder.landing(0.0, description.toe_radius)
+    flying = recorder.landing(0.0)
     assert not flying.trunk_touched
     assert flying.impact_speed == 0.0
     assert flying.sinking_speed == pytest.approx(9.81 * 0.16, rel=0.05)
     for _ in range(60):
         state = plant.step(damping_command(state.q, 0.2)).state
-    down = recorder.landing(0.0, description.toe_radius)
+    down = recorder.landing(0.0)
     assert down.trunk_touched
     assert not down.head_touched
     assert down.toe_speed == pytest.approx((2 * 9.81 * 0.2) ** 0.5, rel=0.25)
     assert 0.0 < down.impact_speed < down.sinking_speed
     assert down.acceleration > 9.0
+
+
+def test_the_shipped_policy_comes_down_gently(description):
+    path = load_policy(None, description, task="sit_down").path
+    s = evaluate_sit_down(path, SitDownEvaluateSettings(episodes=40, seed=7001))["summary"]
+    assert s["hand_overs"] >= 38
+    assert s["success"] >= 0.97
+    assert s["head_contacts"] == 0
+    assert s["sinking_speed"]["p95"] < 1.9
