@@ -14,7 +14,7 @@ import numpy as np
 from mimic import store
 from mimic.cli import main as mimic
 from mimic.robot.description import load_description
-from mimic.types import RunLog
+from mimic.types import PHASES, RunLog
 from mimic.view.side_by_side import RobotFilm
 from mimic.view.viewer import screenshot
 
@@ -24,11 +24,13 @@ MOMENTS = {"boxing": 8.9, "ballet": 8.0, "waving": 4.0}
 """Time in each clip that the picture shows [s]."""
 STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
 """Times of the stand-up that its strip shows [s]."""
+SIT_DOWN = (0.0, 0.16, 0.36, 0.52, 0.64, 0.76, 0.92, 1.5)
+"""Times after the beginning of sitting down that its strip shows [s]."""
 
 
-def strip(log: RunLog, path: Path) -> None:
-    """Write the stand-up as a row of pictures."""
-    ticks = [int(np.argmin(np.abs(log.t - t))) for t in STAND_UP]
+def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
+    """Write moments of a run as a row of pictures."""
+    ticks = [int(np.argmin(np.abs(log.t - begin - t))) for t in times]
     with RobotFilm(log, load_description(), width=260, height=320) as film:
         pictures = [film.picture(tick) for tick in ticks]
     cv2.imwrite(str(path), cv2.cvtColor(np.hstack(pictures), cv2.COLOR_RGB2BGR))
@@ -54,8 +56,11 @@ def main() -> None:
             assert status == 0, f"{name} ended with exit status {status}"
             screenshot(run / "scene.rrd", images / f"{name}.png", time_s=moment)
             small(images / f"{name}.png")
-        strip(store.load(Path(folder) / "boxing" / "log.parquet", RunLog), images / "stand_up.png")
-        small(images / "stand_up.png", width=1600)
+        log = store.load(Path(folder) / "boxing" / "log.parquet", RunLog)
+        sits = float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))])
+        for name, begin, times in (("stand_up", 0.0, STAND_UP), ("sit_down", sits, SIT_DOWN)):
+            strip(log, images / f"{name}.png", begin, times)
+            small(images / f"{name}.png", width=1600)
 
 
 if __name__ == "__main__":
