@@ -111,10 +111,9 @@ MATERIAL = 0.025
 """Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
 
 
-def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray) -> BoolArray:
-    """Return the joints where an effect's main number differs from none by more than LEAST_PARAMETER deviations."""
+def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:
+    """Return the joints where an effect's main number differs from none by more than LEAST_PARAMETER deviations (P,)."""
     spec = CATALOGUE[name]
-    deviation = deviations(fitted, problem)
     there = np.zeros(len(problem.machine.joints), dtype=bool)
     sized = [p for p in spec.parameters if not p.fixed and not p.shape]
     if not sized:  # read off the log, not fitted
@@ -124,22 +123,27 @@ def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray) -> Bool
         if knob.key[0] != name or knob.key[1] not in [p.name for p in sized]:
             continue
         value = fitted.point.values[knob.key][max(knob.joint, 0)]
-        if abs(value - _none(problem, knob.key, knob.joint)) > LEAST_PARAMETER * deviation[i]:
+        none = float(neutral(*knob.key, problem.machine)[max(knob.joint, 0)])
+        if abs(value - none) > LEAST_PARAMETER * deviation[i]:
             there[slice(None) if knob.joint < 0 else knob.joint] = True
     return there & joints if spec.scope == "joint" else there
 
 
-def _none(problem: Problem, key: tuple[str, str], joint: int) -> float:
-    return float(neutral(*key, problem.machine)[max(joint, 0)])
+def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitted: Fit, joints: BoolArray) -> Tried:
+    """Compare a fit that has one more effect with the one that lacks it, on the joints where it acts.
 
-
-def judge(problem: Problem, incumbent: Fit, name: str, fitted: Fit, joints: BoolArray) -> Tried:
-    """Compare a fit that has one more effect with the one that lacks it, on the joints where it acts."""
-    before, _ = left_out(incumbent, problem)
-    after, _ = left_out(fitted, problem)
+    Args:
+        problem: Log and model.
+        incumbent: The fit that lacks it.
+        before: Its blocks, each judged without itself (B_train, C).
+        name: The effect.
+        fitted: The fit that has it.
+        joints: Joints that may have it (J,).
+    """
+    after, moves = left_out(fitted, problem)
     fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
     improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
-    there = present(fitted, problem, name, joints) & _better(problem, before, after)
+    there = present(fitted, problem, name, joints, deviations(fitted, problem, moves)) & _better(problem, before, after)
     if name == "cogging":
         least = [least_order(q) for q in problem.replay.log.q.T]
         there &= fitted.point.values["cogging", "order"] >= least
@@ -185,8 +189,7 @@ def _pushed(problem: Problem, fitted: Fit, there: BoolArray) -> str:
 
     A number that the log hardly determines stays near its prior and says nothing.
     """
-    sums, train = fitted.sums, problem.blocks.train
-    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+    hessian, gradient = fitted.sums.over(problem.blocks.train)
     for i, knob in enumerate(fitted.knobs):
         if not CATALOGUE[knob.key[0]].declared or (knob.joint >= 0 and not there[knob.joint]):
             continue
@@ -236,6 +239,7 @@ def search(
     tick("screening")
     picked = _pick(screen(problem, incumbent, candidates, motion))
     masks = {s.name: s.joints for s in picked}
+    before, _ = left_out(incumbent, problem)
     tick(f"refitting {len(picked)} effects")
     fits = fit_all(
         problem,
@@ -244,7 +248,7 @@ def search(
             for s in picked
         ],
     )
-    tried = [judge(problem, incumbent, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
+    tried = [judge(problem, incumbent, before, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
     hard = [t for t in tried if CATALOGUE[t.name].structural and (t.gain < LEAST_GAIN or t.z < LEAST_Z)]
     if hard and np.mean(problem.mean_squares(incumbent.residual, False)) > FAR:
         tick(f"refitting {', '.join(CATALOGUE[t.name].title for t in hard)} from the model's numbers")
@@ -257,7 +261,7 @@ def search(
             ],
         )
         for t, f in zip(hard, fits, strict=True):
-            again = judge(problem, incumbent, t.name, f, masks[t.name])
+            again = judge(problem, incumbent, before, t.name, f, masks[t.name])
             if again.gain > t.gain:
                 tried[tried.index(t)] = again
     tried.sort(key=lambda t: -t.gain)
@@ -267,7 +271,7 @@ def search(
         tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         fits = fit_all(problem, [fitting(problem, t.fitted.point, [*names, t.name], joints, most=4) for t in strong])
         for t, f in zip(strong, fits, strict=True):
-            tried[tried.index(t)] = judge(problem, incumbent, t.name, refine(f), masks[t.name])
+            tried[tried.index(t)] = judge(problem, incumbent, before, t.name, refine(f), masks[t.name])
     tried.sort(key=lambda t: -t.gain)
     good = [t for t in tried if not t.why]
     if not good:
@@ -293,12 +297,7 @@ def _rivals(problem: Problem, best: Tried, other: Tried) -> bool:
 
 
 def _pick(starts: Sequence[Start]) -> list[Start]:
-    best: dict[str, Start] = {}
-    for s in starts:
-        if s.name not in best:
-            best[s.name] = s
-    ranked = list(best.values())
-    return [s for i, s in enumerate(ranked) if (i < REFINED and s.gain > 0.004) or CATALOGUE[s.name].structural]
+    return [s for i, s in enumerate(starts) if (i < REFINED and s.gain > 0.004) or CATALOGUE[s.name].structural]
 
 
 def pruned(problem: Problem, best: Tried, names: Sequence[str], joints: dict[str, BoolArray]) -> Fit:

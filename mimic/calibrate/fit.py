@@ -62,14 +62,36 @@ def solve(
         index = np.flatnonzero(free)
         h = hessian[np.ix_(index, index)] + np.diag(scale[index])
         g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~free))] @ step[~free]
-        d = 1.0 / np.sqrt(np.diag(h))
-        step[index] = d * np.linalg.lstsq(h * d[:, None] * d[None], g * d, rcond=1e-12)[0]
+        step[index] = _scaled_solution(h, g, 1e-12)
         out = free & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
         if not out.any():
             break
         step[out] = np.clip(at[out] + step[out], low[out], high[out]) - at[out]
         free &= ~out
     return np.clip(at + step, low, high) - at
+
+
+def _scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> FloatArray:
+    """Return the solution of normal equations whose unknowns have units of their own, scaled to a diagonal of ones."""
+    d = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    return d * np.linalg.lstsq(hessian * d[:, None] * d[None], gradient * d, rcond=rcond)[0]
+
+
+def linear_step(
+    problem: Problem,
+    point: Point,
+    residual: FloatArray,
+    columns: Sequence[FloatArray],
+    knobs: Sequence[Knob],
+    damping: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return a step of the knobs (P,), and the residual (T, C) that it would leave were the model linear."""
+    hessian, gradient = problem.sums(residual, columns, knobs).over(problem.blocks.train)
+    step = solve(hessian, gradient, knobs, point.read(knobs), damping)
+    left = residual.copy()
+    for size, column in zip(step, columns, strict=True):
+        left -= np.float32(size) * column
+    return step, left
 
 
 Asking = Generator[Sequence[Point], FloatArray, "Fit"]
@@ -146,7 +168,7 @@ def fitting(
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
         stacked = [columns[k.key, k.joint] for k in knobs]
         sums = problem.sums(residual, stacked, knobs)
-        hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
+        hessian, gradient = sums.over(train)
         at = point.read(knobs)
         trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
         replayed = yield trials
@@ -177,7 +199,7 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     squares = problem.block_squares(fitted.residual)[train]
     if not fitted.knobs:
         return squares, np.zeros((len(train), 0))
-    total = s.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
+    total = s.over(train)[0] + np.diag(prior(fitted.knobs))
     low_high = np.array([k.bounds for k in fitted.knobs]).reshape(-1, 2)
     at = fitted.point.read(fitted.knobs)
     free = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
@@ -188,8 +210,7 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
         if stacked is None:
             break
         rest = (total - s.hessian[b])[np.ix_(index, index)]
-        d = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
-        change = d * np.linalg.lstsq(rest * d[:, None] * d[None], s.gradient[b][index] * d, rcond=1e-10)[0]
+        change = _scaled_solution(rest, s.gradient[b][index], 1e-10)
         moves[row, index] = -change
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
@@ -197,15 +218,19 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     return np.minimum(squares, LARGEST), moves
 
 
-def deviations(fitted: Fit, problem: Problem) -> FloatArray:
-    """Return the standard deviation of each knob by the jackknife over blocks (P,), robust to coloured residuals."""
-    _, moves = left_out(fitted, problem)
+def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:
+    """Return the standard deviation of each knob by the jackknife over blocks (P,), robust to coloured residuals.
+
+    Args:
+        fitted: The fit.
+        problem: Log and model.
+        moves: Changes of the knobs without each block, from :func:`left_out` (B_train, P).
+    """
     count = len(moves)
     if count < 2 or not fitted.knobs:
         return np.full(len(fitted.knobs), np.inf)
     jackknife = np.sqrt((count - 1) / count * ((moves - moves.mean(0)) ** 2).sum(0))
-    train = problem.blocks.train
-    hessian = fitted.sums.hessian[train].sum(0) + np.diag(prior(fitted.knobs))
+    hessian = fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.knobs))
     return np.maximum(jackknife, np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0)))
 
 
@@ -213,7 +238,7 @@ def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> li
     """Return directions in the knobs that the log does not determine, as the knobs that make them up."""
     if not fitted.knobs:
         return []
-    hessian = fitted.sums.hessian[problem.blocks.train].sum(0)
+    hessian, _ = fitted.sums.over(problem.blocks.train)
     scale = np.array([k.step for k in fitted.knobs])
     values, vectors = np.linalg.eigh(hessian * scale[:, None] * scale[None])
     found = []

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.calibrate.checks import belongs as targets_belong
-from mimic.calibrate.diagnose import Found, earns_its_keep, pruned, search
-from mimic.calibrate.fit import Fit, deviations, fit, penalty, solve, weak_directions
+from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, earns_its_keep, pruned, search
+from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
@@ -206,11 +206,8 @@ def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
 def _refined(problem: Problem, fitted: Fit) -> Fit:
     """Return the fit after one step from the residuals of a fine replay."""
     fine = _fine(problem, fitted.point)
-    sums = problem.sums(fine, fitted.columns, fitted.knobs)
     train = problem.blocks.train
-    step = solve(
-        sums.hessian[train].sum(0), sums.gradient[train].sum(0), fitted.knobs, fitted.point.read(fitted.knobs), 0.0
-    )
+    step, _ = linear_step(problem, fitted.point, fine, fitted.columns, fitted.knobs, 0.0)
     moved = fitted.point.moved(fitted.knobs, step)
     after = _fine(problem, moved)
     squares = [
@@ -246,8 +243,6 @@ def _candidates(state: _Search) -> list[str]:
 
 def _explained(state: _Search) -> bool:
     """Nothing that could still be found would be large enough to count."""
-    from mimic.calibrate.diagnose import LEAST_IMPROVEMENT
-
     squares = state.problem.mean_squares(state.current.residual, False)
     return bool(np.all(squares < 1.0 + LEAST_IMPROVEMENT**2))
 
@@ -317,7 +312,7 @@ def _polished(state: _Search) -> Fit:
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
-    deviation = deviations(final, state.problem)
+    deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
     spread = {(k.key, k.joint): d for k, d in zip(final.knobs, deviation, strict=True)}
     effects = []
     for name in state.names:

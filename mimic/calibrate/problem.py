@@ -130,6 +130,10 @@ class Sums:
     square: FloatArray
     """Sum of squares (B,)."""
 
+    def over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return Hessian (P, P) and gradient (P,) over some blocks."""
+        return self.hessian[blocks].sum(0), self.gradient[blocks].sum(0)
+
 
 def _scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""

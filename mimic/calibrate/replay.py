@@ -75,6 +75,7 @@ class Replay:
         """Readings that count: all but those of the first settling (T,)."""
         self._grid = self._on_grid(log.q_des if log.q_des is not None else log.q * 0.0)
         self._force = None if log.force is None else self._on_grid(log.force)
+        self._plan = self._reading_plan()
         self.replays = 0
         self._heat: FloatArray | None = None
         self._batches: dict[int, Batch] = {}
@@ -83,10 +84,6 @@ class Replay:
     def segments(self) -> int:
         """Number of segments."""
         return len(self._begin)
-
-    def set_targets(self, targets: FloatArray) -> None:
-        """Replay with other targets (T, J): as they arrived, say."""
-        self._grid = self._on_grid(targets)
 
     def set_heat(self, tau: FloatArray) -> None:
         """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
@@ -141,13 +138,12 @@ class Replay:
         start_q, start_dq = self._starts(begin)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         law.reset(start_q, start_dq, None if self._heat is None else self._heat_at(begin, law))
-        q[:], dq[:] = law._unread(start_q), start_dq
+        q[:], dq[:] = law.unread(start_q), start_dq
         late = target_shift(p, self.dt)
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque else None
-        where = self._reading_plan()
         gone, seen, last = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros(n, dtype=int)
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
@@ -166,7 +162,7 @@ class Replay:
             batch.step()
             law.settle(dq)
             reading = law.reading(q)
-            for segment, row, part in where.get(k, ()):
+            for segment, row, part in self._plan.get(k, ()):
                 sims = order[:, segment]
                 value = before[sims] * (1 - part) + reading[sims] * part if part < 1 else reading[sims]
                 out[:, row] = self.log.q[row] - value

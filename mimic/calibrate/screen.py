@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, solve
-from mimic.calibrate.problem import Knob, Point, Problem, Sums
+from mimic.calibrate.fit import Fit, linear_step
+from mimic.calibrate.problem import Knob, Point, Problem
 from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
@@ -101,12 +101,16 @@ def _step_of(q: FloatArray, noise: float) -> float:
     around = np.arange(1.0 / 0.1, 1.0 / max(6.0 * noise, 1e-4), 1.0 / (6.0 * max(np.ptp(q), 1e-6)))
     if not len(around):
         return 0.0
-    agreement = np.array([abs(np.mean(np.exp(2j * np.pi * f * q))) for f in around])
+
+    def agree(around: FloatArray) -> FloatArray:
+        return np.array([abs(np.mean(np.exp(2j * np.pi * f * q))) for f in around])
+
+    agreement = agree(around)
     best = int(np.argmax(agreement))
     if agreement[best] < AGREEMENT:
         return 0.0
     near = around[best] + np.linspace(-1, 1, 41) * (around[1] - around[0] if len(around) > 1 else 0.0)
-    return float(1.0 / near[int(np.argmax([abs(np.mean(np.exp(2j * np.pi * f * q))) for f in near]))])
+    return float(1.0 / near[int(np.argmax(agree(near)))])
 
 
 def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
@@ -202,20 +206,13 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
         at += len(differences)
         everything = (*incumbent.knobs, *knobs)
         columns = [*incumbent.columns, *(np.nan_to_num(c) for c in made)]
-        sums = problem.sums(base, columns, everything)
-        found.append(_predicted(problem, name, point, mask, base, everything, columns, sums, before))
+        found.append(_predicted(problem, name, point, mask, base, everything, columns, before))
     return sorted(found, key=lambda s: -s.gain)
 
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
     """Return the sum of squares of each channel (C,) after one linear step of the incumbent's numbers."""
-    train = problem.blocks.train
-    sums = problem.sums(residual, incumbent.columns, incumbent.knobs)
-    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-    step = solve(hessian, gradient, incumbent.knobs, incumbent.point.read(incumbent.knobs), 0.0)
-    left = residual.copy()
-    for size, column in zip(step, incumbent.columns, strict=True):
-        left -= np.float32(size) * column
+    _, left = linear_step(problem, incumbent.point, residual, incumbent.columns, incumbent.knobs, 0.0)
     return _channel_squares(problem, left)
 
 
@@ -265,17 +262,11 @@ def _predicted(
     base: FloatArray,
     knobs: tuple[Knob, ...],
     columns: Sequence[FloatArray],
-    sums: Sums,
     before: FloatArray,
 ) -> Start:
     """Return the start after one linear step, with what a linear model would gain there on the joint that gains most."""
-    train = problem.blocks.train
-    hessian, gradient = sums.hessian[train].sum(0), sums.gradient[train].sum(0)
-    step = solve(hessian, gradient, knobs, point.read(knobs), 1e-3)
-    left = base.copy()
-    for size, column in zip(step, columns, strict=True):
-        left -= np.float32(size) * column
-    after = problem.block_squares(left)[train]
+    step, left = linear_step(problem, point, base, columns, knobs, 1e-3)
+    after = problem.block_squares(left)[problem.blocks.train]
     total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
     joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
     gain = float(max(total, joint.max() / len(joint)))

@@ -39,17 +39,9 @@ def simulate_log(
     late = t + spread * rng.random(len(t))
     late[0] = t[0]
     fine = np.arange(0.0, t[-1] + 1e-9, settings.timestep)
-    command = MachineLog(
-        joints=machine.joints,
-        t=fine,
-        q=np.zeros((len(fine), len(machine.joints))),
-        tau=np.zeros((len(fine), len(machine.joints))),
-        q_des=_arrived(fine, late, q_des, kept),
-    )
-    start = MachineLog(
-        joints=machine.joints, t=fine, q=np.repeat(q_des[:1], len(fine), 0) * 0, tau=command.tau, q_des=command.q_des
-    )
-    replay = Replay(machine, start, timestep=settings.timestep, segment=1e9, settle=0.0, threads=1, torque=True)
+    nothing = np.zeros((len(fine), len(machine.joints)))
+    command = MachineLog(joints=machine.joints, t=fine, q=nothing, tau=nothing, q_des=_arrived(fine, late, q_des, kept))
+    replay = Replay(machine, command, timestep=settings.timestep, segment=1e9, settle=0.0, threads=1, torque=True)
     made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
     q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]
     read = times + settings.jitter * rng.standard_normal(len(times))

@@ -178,7 +178,7 @@ class Law:
 
     def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
         """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
-        self.begin(self._unread(q), dq, heat)
+        self.begin(self.unread(q), dq, heat)
 
     def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
         """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
@@ -188,7 +188,8 @@ class Law:
             value = self._zero + (0.0 if value is None else value)
             self.states[name] = value if where is None else self.xp.where(where, value, before)
 
-    def _unread(self, reading: Any) -> Any:
+    def unread(self, reading: Any) -> Any:
+        """Return the position at which the encoders read this, steps of the encoder left out."""
         q = reading
         if "encoder_offset" in self._has:
             q = q - self.get("encoder_offset", "angle")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mimic.errors import AssetError, CalibrationError
+from mimic.errors import AssetError
 from mimic.robot.description import RobotDescription
 from mimic.robot.law import UNLIMITED, Drives
 from mimic.types import FloatArray, IntArray
@@ -106,20 +106,12 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
             kp[j], kd[j] = original.actuator_gainprm[a, 0], -original.actuator_biasprm[a, 2]
         if original.actuator_forcelimited[a]:
             torque[j] = original.actuator_forcerange[a, 1]
-    for key, row in (("kp", kp), ("kd", kd)):
-        given = (gains or {}).get(key)
-        if isinstance(given, Mapping):
-            row[:] = [given.get(name, value) for name, value in zip(names, row, strict=True)]
-        elif given is not None:
-            row[:] = given
     far = np.full(len(names), UNLIMITED)
-    return _machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far)
+    return with_gains(_machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far), gains or {})
 
 
 def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
     """Return the machine with the gains that a log was made with (see :func:`read_machine`)."""
-    from dataclasses import replace
-
     rows = {}
     for key in ("kp", "kd"):
         given, own = gains.get(key), np.asarray(getattr(machine.drives, key))
@@ -326,14 +318,3 @@ def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, 
     ry = np.stack([np.stack([cp, zero, sp], -1), np.stack([zero, one, zero], -1), np.stack([-sp, zero, cp], -1)], -2)
     rx = np.stack([np.stack([one, zero, zero], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr, cr], -1)], -2)
     return np.einsum("nji,j->ni", ry @ rx, g)
-
-
-def resolve(machine: MachineModel, log_joints: Sequence[str]) -> None:
-    """Refuse a log that lacks a joint of the model.
-
-    Raises:
-        CalibrationError: With what each has.
-    """
-    lacking = [j for j in machine.joints if j not in log_joints]
-    if lacking:
-        raise CalibrationError(f"the log lacks joint {lacking[0]!r} of the model; it has {', '.join(log_joints)}")
