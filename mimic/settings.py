@@ -529,8 +529,8 @@ class MdpSettings:
     """Robots simulated at once."""
     effects: str = ""
     """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
-    timestep: float = 0.0025
-    """Physics step with effects [s]; without, that of the description."""
+    timestep: float = 0.0
+    """Physics step [s]; 0 is that of the description, with effects 2.5 ms."""
     episode_steps: int = 600
     """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
     stand_up_steps: int = 50
@@ -610,6 +610,10 @@ class MdpSettings:
     scaled_tracking: bool = True
     """Scale the tracking terms by how far the robot stands, as the paper's dynamic factor does; False is its ablation."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
+    reward_scale: float = 0.02
+    """Factor on all rewards: the control step [s], so that weights are rates. Returns are then of the order of one, which
+    the critic can follow. Unscaled they were 300, with PPO's limit of 0.2 on the change of a value in an update, and the
+    critic was wrong by 20 to 27 throughout."""
     regularisation: float = 2.0
     """Factor on the weights of REGULARISERS at the end of the ramp."""
     ramp_steps: int = 12_000
@@ -619,7 +623,7 @@ class MdpSettings:
         if self.task not in ("stand_track", "sit_down"):
             raise ConfigError(f"task is {self.task!r}; expected stand_track or sit_down")
         _check_range("worlds", self.worlds, 1, 1_000_000)
-        _check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
+        _check_range("timestep", self.timestep, 0.0, 0.01, "s")
         _check_range("episode-steps", self.episode_steps, 100, 100_000)
         _check_range("solver-iterations", self.solver_iterations, 1, 200)
 
@@ -651,6 +655,8 @@ class LearnSettings:
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
+    clip_values: bool = False
+    """Limit the change of a value in an update to ``clip`` too."""
     init_std: float = 1.0
     std_range: tuple[float, float] = (0.05, 1.2)
     hidden: tuple[int, ...] = (512, 256, 128)

@@ -205,7 +205,7 @@ def train(
     from mimic.cli.judge import train_policy
 
     robot = robot or EffectsSettings()
-    around = {"effects": robot.effects or "", "timestep": robot.timestep}
+    around = {"effects": robot.effects, "timestep": robot.timestep} if robot.effects else {}
     mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"), **around)
     return train_policy(out, resume, mdp, learn or LearnSettings(), set or [])
 

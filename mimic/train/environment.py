@@ -42,6 +42,9 @@ from mimic.types import JOINTS, LEGS
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
 
+DRIVEN_TIMESTEP = 0.0025
+"""Physics step with the law of a calibration in place of the native motors [s]."""
+
 MERCY_STEPS, EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 30, 0.06, 0.3
 """The paper's terminations in the first control steps: highest hind toe [m] and largest joint motion in a step [rad]."""
 
@@ -81,8 +84,8 @@ class StandTrackEnv(VecEnv):
     """A joint nearer to its limit than this costs [rad]."""
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
-        if settings.effects:
-            description = with_timestep(description, settings.timestep)
+        timestep = settings.timestep or (DRIVEN_TIMESTEP if settings.effects else description.timestep)
+        description = with_timestep(description, timestep)
         self.description, self.settings = description, settings
         self.contract = make_contract(description, settings)
         self.device = device
@@ -248,9 +251,8 @@ class StandTrackEnv(VecEnv):
     def _delay_seen(self) -> torch.Tensor:
         """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
         motors = self.worlds.motors
-        if motors is None:
-            return self._delay.float()
-        return motors.delay(self._delay).mean(-1, keepdim=True) * (self.description.timestep / 0.005)
+        steps = self._delay.float() if motors is None else motors.delay(self._delay).mean(-1, keepdim=True)
+        return steps * (self.description.timestep / 0.005)
 
     def _pull(self) -> None:
         """Drag the front toes: a force at the toe is the same force at the lower leg's centre of mass, and its moment."""
@@ -310,7 +312,7 @@ class StandTrackEnv(VecEnv):
         self._command()
         low = w.lowest()
         terms, failed, figures = self._judge(finite, low)
-        reward = total(terms, self._weights, self._terms)
+        reward = self.settings.reward_scale * total(terms, self._weights, self._terms)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
         self._done.copy_(failed | self._time_out | ~finite)
