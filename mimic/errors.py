@@ -41,5 +41,13 @@ class JointFault(PlantError):
     """A joint reports a fault or left its limits."""
 
 
+class BusError(PlantError):
+    """A bus cannot be opened, or has failed."""
+
+
+class FrameError(PlantError):
+    """A frame on a bus does not follow its protocol."""
+
+
 class CalibrationError(MimicError):
     """A log cannot be calibrated from."""

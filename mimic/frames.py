@@ -39,6 +39,19 @@ def rotation_from_quat(quat_AB: Any) -> NDArray[np.float64]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def multiply_quats(quat_AB: Any, quat_BC: Any) -> NDArray[np.float64]:
+    """Return quat_AC (..., 4) of two rotations one after the other, wxyz."""
+    a, b, c, d = np.moveaxis(np.asarray(quat_AB, dtype=np.float64), -1, 0)
+    w, x, y, z = np.moveaxis(np.asarray(quat_BC, dtype=np.float64), -1, 0)
+    parts = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    return np.stack(parts, axis=-1)
+
+
 def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
     """Return the world's down (0, 0, -1) and x axis (1, 0, 0), both seen from the base.
 

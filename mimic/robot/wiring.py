@@ -1,0 +1,201 @@
+"""How motors and IMU hang on the buses, read from ``assets/<robot>/bus.toml`` or from a person's copy of it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import AssetError, ConfigError
+from mimic.shipped import shipped
+from mimic.types import JOINTS, LEGS, FloatArray, IntArray
+
+IMU_MESSAGES = ("quaternion", "rate_of_turn", "group_counter", "status_word", "sample_time")
+"""Messages that an IMU may send."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImuWiring:
+    """Where the IMU is and what it sends."""
+
+    kind: str
+    bus: int
+    quat_BI: FloatArray
+    """Turns IMU axes into base axes, wxyz (4,)."""
+    rate: Mapping[str, float]
+    """Messages per second of each kind [Hz]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wiring:
+    """Which motor moves which joint. Joint arrays are (12,) in the order of JOINTS."""
+
+    path: Path
+    """File that it was read from."""
+    buses: int
+    """How many there are."""
+    bitrate: int
+    """[bit/s]"""
+    host: int
+    """Id of this computer."""
+    position_range: float
+    """End of the range of positions on the bus [rad]."""
+    bus: IntArray
+    motor: IntArray
+    """Id on its bus."""
+    sign: FloatArray
+    """Joint angle over motor angle, +1 or -1; the same for velocities and torques."""
+    offset: FloatArray
+    """Joint angle where the motor reads zero [rad]."""
+    imu: ImuWiring
+
+    def q_of(self, p: FloatArray) -> FloatArray:
+        """Return joint angles (12,) [rad] of motor readings (12,) [rad]."""
+        return self.sign * p + self.offset
+
+    def p_of(self, q: FloatArray) -> FloatArray:
+        """Return motor readings (12,) [rad] at joint angles (12,) [rad]."""
+        return self.sign * (q - self.offset)
+
+    def joint_of(self, bus: int, motor: int) -> int | None:
+        """Return the index of the joint that a motor moves, or None where there is none."""
+        found = np.flatnonzero((self.bus == bus) & (self.motor == motor))
+        return int(found[0]) if len(found) else None
+
+
+def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyberdog2") -> Wiring:
+    """Read how a robot is wired.
+
+    Args:
+        path: File; None takes the one that ships with the robot.
+        buses: How many buses there are.
+        robot: Whose file to take where none is given.
+
+    Raises:
+        AssetError: If there is no such file.
+        ConfigError: If it is not TOML, or says what cannot be: a missing joint, an id given twice, no layout for so many
+            buses.
+    """
+    path = shipped("assets", robot, "bus.toml") if path is None else path
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as reason:
+        raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+        raise ConfigError(f"{path} is not TOML: {reason}") from None
+    try:
+        return _Reader(path, raw).wiring(buses)
+    except ConfigError as reason:
+        raise ConfigError(f"{path}: {reason}") from None
+
+
+class _Reader:
+    """Takes values out of the file and checks them."""
+
+    def __init__(self, path: Path, raw: Mapping[str, Any]) -> None:
+        self._path, self._raw = path, raw
+
+    def wiring(self, buses: int) -> Wiring:
+        raw = self._raw
+        joints = _table(raw, "joints", "the file")
+        unknown, missing = [j for j in joints if j not in JOINTS], [j for j in JOINTS if j not in joints]
+        if unknown:
+            raise ConfigError(f"[joints] names {', '.join(unknown)}; the robot has {', '.join(JOINTS)}")
+        if missing:
+            raise ConfigError(f"[joints] lacks {', '.join(missing)}")
+        rows = {j: _table(joints, j, "[joints]") for j in JOINTS}
+        motor = np.array([_whole(rows[j], "motor", j, 0, 127) for j in JOINTS])
+        sign = np.array([_number(rows[j], "sign", j) for j in JOINTS])
+        for joint, value in zip(JOINTS, sign, strict=True):
+            if value not in (-1.0, 1.0):
+                raise ConfigError(f"sign of {joint} is {value:g}; expected 1 or -1")
+        bus = self._buses_of_joints(buses)
+        seen: dict[tuple[int, int], str] = {}
+        for joint, place in zip(JOINTS, zip(bus.tolist(), motor.tolist(), strict=True), strict=True):
+            if place in seen:
+                raise ConfigError(f"{seen[place]} and {joint} both have motor {place[1]} on bus {place[0]}")
+            seen[place] = joint
+        bitrate = _whole(raw, "bitrate", "the file", 10_000, 1_000_000)
+        position_range = _number(raw, "position_range", "the file")
+        if not 1.0 < position_range < 100.0:
+            raise ConfigError(f"position_range is {position_range:g} rad; expected 4 pi = 12.566 or 12.5")
+        return Wiring(
+            path=self._path,
+            buses=buses,
+            bitrate=bitrate,
+            host=_whole(raw, "host", "the file", 0x80, 0xFD),
+            position_range=position_range,
+            bus=bus,
+            motor=motor,
+            sign=sign,
+            offset=np.array([_number(rows[j], "offset", j) for j in JOINTS]),
+            imu=self._imu(buses),
+        )
+
+    def _buses_of_joints(self, buses: int) -> IntArray:
+        layouts = _table(self._raw, "layout", "the file")
+        if str(buses) not in layouts:
+            raise ConfigError(
+                f"[layout] has no line for {buses} bus{'es' if buses != 1 else ''}; it has {', '.join(layouts)}"
+            )
+        row = layouts[str(buses)]
+        fits = isinstance(row, list) and len(row) in (len(LEGS), len(JOINTS))
+        if not fits or any(type(b) is not int or not 0 <= b < buses for b in row):
+            raise ConfigError(
+                f"[layout] {buses} is {row}; expected a bus from 0 to {buses - 1} for each of {len(LEGS)} legs, or of "
+                f"{len(JOINTS)} joints"
+            )
+        return np.repeat(row, len(JOINTS) // len(row))
+
+    def _imu(self, buses: int) -> ImuWiring:
+        raw = _table(self._raw, "imu", "the file")
+        kind = raw.get("kind")
+        if not isinstance(kind, str):
+            raise ConfigError(f"kind of [imu] is {kind!r}; expected a name, such as xsens_mti")
+        quat = raw.get("quat_BI")
+        if not isinstance(quat, list) or len(quat) != 4 or not all(isinstance(v, int | float) for v in quat):
+            raise ConfigError(f"quat_BI of [imu] is {quat}; expected four numbers, w x y z")
+        length = float(np.linalg.norm(quat))
+        if not abs(length - 1.0) < 0.01:
+            raise ConfigError(f"quat_BI of [imu] has length {length:.3f}; expected 1")
+        rates = _table(raw, "rate", "[imu]")
+        for name in rates:
+            if name not in IMU_MESSAGES:
+                raise ConfigError(f"rate of [imu] names {name!r}; known are {', '.join(IMU_MESSAGES)}")
+            if not 0.0 < _number(rates, name, "rate of [imu]") <= 400.0:
+                raise ConfigError(f"rate of {name} is {rates[name]} Hz; expected more than 0, at most 400")
+        for name in IMU_MESSAGES[:2]:
+            if name not in rates:
+                raise ConfigError(f"rate of [imu] lacks {name}; the robot needs it")
+        return ImuWiring(
+            kind=kind,
+            bus=_whole(raw, "bus", "[imu]", 0, buses - 1),
+            quat_BI=np.array(quat) / length,
+            rate={name: float(value) for name, value in rates.items()},
+        )
+
+
+def _table(raw: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+    value = raw.get(name)
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{where} lacks the table {name}")
+    return value
+
+
+def _number(raw: Mapping[str, Any], name: str, where: str) -> float:
+    value = raw.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ConfigError(f"{name} of {where} is {value!r}; expected a number")
+    return float(value)
+
+
+def _whole(raw: Mapping[str, Any], name: str, where: str, low: int, high: int) -> int:
+    value = raw.get(name)
+    if type(value) is not int or not low <= value <= high:
+        raise ConfigError(f"{name} of {where} is {value!r}; expected a whole number from {low} to {high}")
+    return value
