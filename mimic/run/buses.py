@@ -1,0 +1,312 @@
+"""Opens the buses that a person names, by python-can.
+
+    can0                            SocketCAN, the kernel's interfaces
+    can0,can1                       several buses, in this order
+    slcan:/dev/ttyACM0              serial adapter; slcan:socket://127.0.0.1:PORT over TCP
+    socketcand://127.0.0.1:PORT/can0
+    virtual:NAME                    inside one process
+    pcan:PCAN_USBBUS1               any other interface of python-can and its channel
+
+What python-can 4.6.1 does not do by itself, and is done here: small TCP segments go out at once (slcan over TCP else takes
+44 ms for twelve commands), a socketcand server that died is an error and not silence, a server that never answers is given
+up, and nothing is tried for ten seconds where nobody listens.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import re
+import select
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+import can
+
+from mimic.errors import BusError, ConfigError, FrameError, MimicError
+from mimic.run.can_frame import CanFrame
+from mimic.run.link import Received
+
+ANSWER_WITHIN = 2.0
+"""A server that does not answer for so long is given up [s]."""
+
+SEND_WITHIN = 0.01
+"""An adapter that does not take a frame for so long has failed [s]."""
+
+_LINE_WITHIN = 0.002
+"""A line of slcan whose beginning is there is complete within this [s]."""
+
+_SLICE = 0.0005
+"""How long to wait at a time on a bus that cannot be waited for [s]."""
+
+_CAN_ERR_BUSOFF = 0x40
+"""Class of an error frame. Source: Linux include/uapi/linux/can/error.h."""
+
+FORMS = "can0; slcan:/dev/ttyACM0; slcan:socket://HOST:PORT; socketcand://HOST:PORT/can0; several with commas"
+
+
+class _Port:
+    """One bus of python-can."""
+
+    def __init__(self, name: str, bus: can.BusABC, sock: socket.socket | None, *, ready: bool) -> None:
+        """Take an open bus.
+
+        Args:
+            name: As the user gave it.
+            bus: Of python-can.
+            sock: Its socket, where python-can hides one.
+            ready: Whether nothing is to be read unless its file says so.
+        """
+        self.name, self._bus, self._sock, self._ready = name, bus, sock, ready
+        self.garbled = 0
+        self.file: int | None = sock.fileno() if sock is not None else _fileno(bus)
+
+    def send(self, frame: CanFrame) -> None:
+        message = can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, check=False)
+        try:
+            self._bus.send(message, timeout=SEND_WITHIN)
+        except (can.CanError, OSError) as reason:
+            raise BusError(f"{self.name} does not take frames any more: {_short(reason)}") from None
+
+    def take(self) -> CanFrame | None:
+        """Return a frame that is there already, or None."""
+        while True:
+            try:
+                if self._ready and self.file is not None and not _readable(self.file):
+                    return None
+                message = self._bus.recv(_LINE_WITHIN if self._ready else 0.0)
+                if message is None:
+                    self._check()
+                    return None
+                if message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
+                    raise BusError(
+                        f"{self.name} is off: the adapter saw too many errors (cable, bit rate, termination?)"
+                    )
+                if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
+                    return CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
+            except (ValueError, FrameError):  # a garbled line of slcan; the next one is there already, or nothing
+                self.garbled += 1
+            except (can.CanError, OSError) as reason:
+                raise BusError(f"{self.name} has failed: {_short(reason)}") from None
+
+    def _check(self) -> None:
+        """Raise if the server is gone: python-can's socketcand client would be silent for ever."""
+        if self._sock is not None and _readable(self._sock.fileno()) and not self._sock.recv(1, socket.MSG_PEEK):
+            raise BusError(f"{self.name} has closed the connection")
+
+    def wait(self, timeout: float) -> CanFrame | None:
+        """Wait for a frame where there is no file to wait for."""
+        message = self._bus.recv(timeout)
+        return (
+            None if message is None else CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
+        )
+
+    def close(self) -> None:
+        try:
+            self._bus.shutdown()
+        except (can.CanError, OSError):
+            logging.getLogger(__name__).debug("%s did not close well", self.name, exc_info=True)
+
+
+class CanLink:
+    """Buses of python-can and the computer's monotonic clock. See :class:`mimic.run.link.Link`."""
+
+    def __init__(self, ports: list[_Port]) -> None:
+        self._ports = ports
+        self._next = 0
+        self._closed = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The buses, as the user named them."""
+        return tuple(port.name for port in self._ports)
+
+    @property
+    def garbled(self) -> int:
+        """How many lines of an adapter were no frame."""
+        return sum(port.garbled for port in self._ports)
+
+    def now(self) -> float:
+        """Return the monotonic clock [s]."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(max(seconds, 0.0))
+
+    def send(self, bus: int, frame: CanFrame) -> None:
+        """Hand a frame to a bus.
+
+        Raises:
+            BusError: If the bus does not take it.
+        """
+        self._ports[bus].send(frame)
+
+    def receive(self, timeout: float) -> Received | None:
+        """Return the next frame of any bus, or None when there is none for ``timeout`` seconds; 0 only looks.
+
+        Raises:
+            BusError: If a bus has failed.
+        """
+        until = time.monotonic() + timeout
+        while True:
+            for _ in self._ports:
+                bus, self._next = self._next, (self._next + 1) % len(self._ports)
+                frame = self._ports[bus].take()
+                if frame is not None:
+                    return Received(bus, frame, time.monotonic())
+            left = until - time.monotonic()
+            if left <= 0:
+                return None
+            files = [port.file for port in self._ports if port.file is not None]
+            if len(files) == len(self._ports):
+                select.select(files, [], [], left)
+            elif len(self._ports) == 1:
+                frame = self._ports[0].wait(left)
+                return None if frame is None else Received(0, frame, time.monotonic())
+            else:
+                time.sleep(min(left, _SLICE))
+
+    def close(self) -> None:
+        """Let go of the buses."""
+        if not self._closed:
+            self._closed = True
+            for port in self._ports:
+                port.close()
+
+
+def open_link(words: str, *, bitrate: int = 1_000_000) -> CanLink:
+    """Open the buses that a person names.
+
+    Args:
+        words: One bus or several with commas, see above.
+        bitrate: Of the adapters that are told one [bit/s]; SocketCAN has its own from ``ip link``.
+
+    Raises:
+        ConfigError: If a word is none of the forms.
+        BusError: If a bus is not there or does not answer.
+    """
+    names = [word.strip() for word in words.split(",")]
+    if len(set(names)) < len(names) or "" in names:
+        raise ConfigError(f"the buses are {words!r}; expected different ones, such as {FORMS}")
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of every message in two segments
+    ports: list[_Port] = []
+    try:
+        for name in names:
+            ports.append(_open(name, bitrate))
+    except BaseException:
+        CanLink(ports).close()
+        raise
+    return CanLink(ports)
+
+
+def _open(name: str, bitrate: int) -> _Port:
+    scheme, colon, rest = name.partition(":")
+    try:
+        if not colon:
+            return _socketcan(name)
+        if scheme == "socketcand":
+            return _socketcand(name)
+        if scheme == "slcan" and rest:
+            return _slcan(name, rest, bitrate)
+        if scheme in can.VALID_INTERFACES and rest and not rest.startswith("//"):
+            bus = can.Bus(interface=scheme, channel=rest, bitrate=bitrate, ignore_config=True)
+            return _Port(name, bus, None, ready=False)
+    except MimicError:
+        raise
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as reason:
+        raise BusError(f"{name} cannot be opened: {_short(reason)}") from None
+    raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}, or another interface of python-can")
+
+
+def _socketcan(name: str) -> _Port:
+    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,15}", name):
+        raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}")
+    try:
+        return _Port(name, can.Bus(interface="socketcan", channel=name, ignore_config=True), None, ready=True)
+    except OSError as reason:
+        if reason.errno == errno.EAFNOSUPPORT:
+            raise BusError(f"{name} cannot be opened: this machine's kernel has no CAN; expected {FORMS}") from None
+        if reason.errno == errno.ENODEV:
+            raise BusError(
+                f"there is no CAN interface {name}; plug the adapter in and bring it up, such as with: "
+                f"ip link set {name} up type can bitrate 1000000"
+            ) from None
+        raise
+
+
+def _socketcand(name: str) -> _Port:
+    url = urlsplit(name)
+    host, port = _address(name)
+    channel = url.path.strip("/")
+    if not channel:
+        raise ConfigError(f"{name} names no bus of that server; expected socketcand://HOST:PORT/can0")
+    _knock(name, host, port)
+    with _giving_up():
+        bus = can.Bus(interface="socketcand", channel=channel, host=host, port=port, tcp_tune=True, ignore_config=True)
+    return _Port(name, bus, getattr(bus, "_SocketCanDaemonBus__socket", None), ready=False)
+
+
+def _slcan(name: str, channel: str, bitrate: int) -> _Port:
+    options: dict[str, Any] = {"bitrate": bitrate, "ignore_config": True, "timeout": 0}
+    if "://" in channel:
+        if not channel.startswith("socket://"):
+            raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}")
+        _knock(name, *_address(channel))
+        options["sleep_after_open"] = 0  # a board that resets when its port is opened has a serial port
+    bus = can.Bus(interface="slcan", channel=channel, **options)
+    sock = getattr(getattr(bus, "serialPortOrig", None), "_socket", None)
+    if isinstance(sock, socket.socket):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return _Port(name, bus, None, ready=True)
+
+
+def _address(name: str) -> tuple[str, int]:
+    url = urlsplit(name)
+    try:
+        host, port = url.hostname, url.port
+    except ValueError as reason:
+        raise ConfigError(f"{name} has no usable port: {reason}") from None
+    if not host or not port:
+        raise ConfigError(f"{name} lacks host or port; expected such as 127.0.0.1:29536")
+    return host, port
+
+
+def _knock(name: str, host: str, port: int) -> None:
+    """Raise at once if nobody listens; python-can would try for ten seconds."""
+    try:
+        socket.create_connection((host, port), timeout=ANSWER_WITHIN).close()
+    except OSError as reason:
+        raise BusError(
+            f"nobody listens at {host}:{port} ({_short(reason)}); {name} needs a server there, such as mimic emulate"
+        ) from None
+
+
+@contextmanager
+def _giving_up() -> Iterator[None]:
+    """Let sockets made meanwhile give up after a while, in the handshake and later."""
+    before = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(ANSWER_WITHIN)
+    try:
+        yield
+    finally:
+        socket.setdefaulttimeout(before)
+
+
+def _readable(file: int) -> bool:
+    return bool(select.select([file], [], [], 0)[0])
+
+
+def _fileno(bus: can.BusABC) -> int | None:
+    try:
+        return bus.fileno()
+    except (NotImplementedError, can.CanError):
+        return None
+
+
+def _short(reason: BaseException) -> str:
+    return str(reason).strip().splitlines()[0] if str(reason).strip() else type(reason).__name__
