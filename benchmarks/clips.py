@@ -10,14 +10,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mimic.cli.play import targets_of
+from mimic.cli.inputs import Aloud, InputSettings, load_motion
 from mimic.metrics import run_metrics
 from mimic.policy.runtime import load_policy
 from mimic.retarget.commands import command_track
 from mimic.robot.description import load_description
 from mimic.run.loop import run_policy
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import PoseSettings, RetargetSettings, RunSettings
+from mimic.settings import RetargetSettings, RunSettings
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "videos"
 
@@ -35,7 +35,9 @@ def main() -> None:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for video in options.videos or sorted(EXAMPLES.glob("*.mp4")):
-        _, targets = targets_of(video, PoseSettings(), RetargetSettings(rate=options.rate))
+        settings = InputSettings(retarget=RetargetSettings(rate=options.rate))
+        targets = load_motion(video, settings, Aloud()).targets
+        assert targets is not None
         plant = SimulatedPlant(description)
         m = run_metrics(run_policy(plant, policy, command_track(targets), RunSettings()).log, description)
         e, r = m["toe_error_cm"], targets.report

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.cli.play import targets_of
+from mimic.cli.inputs import Aloud, InputSettings, load_motion
 from mimic.heat import seconds_to_limit
 from mimic.policy.runtime import Policy, load_policy
 from mimic.retarget.commands import command_track
 from mimic.robot.description import load_description
 from mimic.run.loop import run_policy
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import PoseSettings, RetargetSettings, RunSettings
+from mimic.settings import RunSettings
 from mimic.types import JOINTS, CommandTrack, FloatArray
 
 SECONDS = 20.0
@@ -47,7 +47,8 @@ def main() -> None:
     policy = load_policy(sys.argv[1], description)
     played = {f"standing, {SECONDS:g} s": standing(policy, description.dt)}
     for video in sys.argv[2:]:
-        _, targets = targets_of(Path(video), PoseSettings(), RetargetSettings())
+        targets = load_motion(Path(video), InputSettings(), Aloud()).targets
+        assert targets is not None
         played[Path(video).stem] = command_track(targets)
     print("| played | minutes to the limit | motors that warm most, N m rms: minutes |\n|---|---|---|")
     for name, track in played.items():

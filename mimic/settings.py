@@ -39,6 +39,23 @@ class PoseSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class StoredSettings:
+    """What a file with stored motion does not say itself; for .npz, .trc and .bvh."""
+
+    names: tuple[str, ...] = ()
+    """OURS=THEIRS for each point whose name no built-in table knows, such as left_wrist=LWRA+LWRB."""
+    layout: str | None = None
+    """Names of points that have none, such as coco17 or smpl24; by default by their number."""
+    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
+    """Axis that points up; auto asks the file, then the person's trunk."""
+    fps: float = 0.0
+    """Rows a second; 0 takes the times of the file [1/s]."""
+
+    def __post_init__(self) -> None:
+        _check_range("fps", self.fps, 0.0, 10_000.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RetargetSettings:
     """How landmarks become toe targets."""
 

@@ -25,6 +25,7 @@ from mimic.settings import (
     RunSettings,
     SitDownEvaluateSettings,
     StandUpSettings,
+    StoredSettings,
     TableSettings,
 )
 
@@ -54,16 +55,18 @@ def play(
     video: Path | None = None,
     view: bool | None = None,
     pose: Annotated[PoseSettings | None, Flat] = None,
+    stored: Annotated[StoredSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
     run: Annotated[RunSettings | None, Flat] = None,
     robot: Annotated[EffectsSettings | None, Flat] = None,
 ) -> int:
-    """Play a human video, or targets stored before, on the robot.
+    """Play a human video or stored motion on the robot.
 
     Parameters
     ----------
     source
-        A video of one person, or a targets.parquet written by ``mimic retarget``.
+        A video of one person; motion of a person from elsewhere (.npz, .trc, .bvh); or a track that mimic wrote
+        (.parquet).
     sim
         Play it in MuJoCo.
     out
@@ -79,14 +82,21 @@ def play(
 
     return play_source(
         source,
+        _inputs(pose, stored, retarget),
         out=out,
         film=video,
         view=view,
-        pose=pose or PoseSettings(),
-        retarget=retarget or RetargetSettings(),
         run=run or RunSettings(),
         robot=robot or EffectsSettings(),
     )
+
+
+def _inputs(pose: PoseSettings | None, stored: StoredSettings | None, retarget: RetargetSettings | None) -> Any:
+    """Return the settings of whatever is read; those not given are the defaults."""
+    from mimic.cli.inputs import InputSettings
+
+    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    return InputSettings(**{name: value for name, value in given.items() if value is not None})
 
 
 @app.command
@@ -96,20 +106,21 @@ def retarget(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
     pose: Annotated[PoseSettings | None, Flat] = None,
+    stored: Annotated[StoredSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
 ) -> int:
-    """Turn a human video into targets and stop there; ``mimic TARGETS --sim`` plays them later.
+    """Turn a video or stored motion into targets and stop there; ``mimic TARGETS --sim`` plays them later.
 
     Parameters
     ----------
     source
-        A video of one person.
+        A video of one person, or motion of a person from elsewhere (.npz, .trc, .bvh).
     out
         Parquet file to write.
     """
     from mimic.cli.play import retarget_only
 
-    return retarget_only(source, out, pose or PoseSettings(), retarget or RetargetSettings())
+    return retarget_only(source, out, _inputs(pose, stored, retarget))
 
 
 @app.command

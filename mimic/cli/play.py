@@ -1,83 +1,49 @@
-"""The main flow: source → pose → wrists → targets → commands → run → files, and what is told about it."""
+"""The main flow: source → commands → run → files, and what is told about it."""
 
 from __future__ import annotations
 
-import os
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from mimic import store
 from mimic.cli import COMMAND
 from mimic.cli.app import DONE, STOPPED
-from mimic.cli.console import note, progress_bar, table, warn
+from mimic.cli.console import progress_bar, table, warn
+from mimic.cli.inputs import Aloud, InputSettings, load_motion
 from mimic.cli.judge import tell_of_stand
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.settings import EffectsSettings, PoseSettings, RetargetSettings, RunSettings
-from mimic.types import CommandTrack, PoseTrack, TargetTrack
+from mimic.settings import EffectsSettings, RunSettings
+from mimic.types import Provenance, TargetTrack
 
-SCENE, LOG, JOINTS, TARGETS, POSE, METRICS = (
+SCENE, LOG, JOINTS, TARGETS, COMMANDS, POSE, METRICS = (
     "scene.rrd",
     "log.parquet",
     "joints.parquet",
     "targets.parquet",
+    "commands.parquet",
     "pose.parquet",
     "metrics.json",
 )
 """Files of a run folder."""
 
 
-def _pose_cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
-
-
-def pose_of(video: Path, settings: PoseSettings) -> PoseTrack:
-    """Return the pose track of a video, stored by its content, and say when a stored one is used."""
-    from mimic.sources.video import pose_cache_key, track_video
-
-    if not video.exists():
-        raise SourceError(f"there is no file {video}")
-    if video.is_dir():
-        raise SourceError(f"{video} is a folder; expected a video file")
-    cached = _pose_cache() / f"{pose_cache_key(video, settings)}.parquet"
-    if cached.is_file():
-        track = store.load(cached, PoseTrack)
-        note(f"pose         reused from an earlier run on the same video ({cached})")
-        return track
-    with progress_bar("pose") as progress:
-        track = track_video(video, settings, progress=progress)
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"video": video})
-    store.save(track, cached, made_by=made_by)
-    return track
-
-
-def targets_of(video: Path, pose: PoseSettings, retarget: RetargetSettings) -> tuple[PoseTrack, TargetTrack]:
-    """Return pose and targets of a video."""
-    from dataclasses import replace
-
-    from mimic.retarget.targets import target_track
-    from mimic.retarget.wrists import pose_report, wrist_track
-    from mimic.robot.reach import Reach
-
-    track = pose_of(video, pose)
-    wrists = wrist_track(track, retarget)
-    targets = target_track(wrists, Reach(), retarget)
-    report = {**targets.report, "pose": pose_report(track, retarget)}
-    for text in targets.warnings:
-        warn(text)
-    return track, replace(targets, report=report)
-
-
-def retarget_only(source: Path, out: Path, pose: PoseSettings, retarget: RetargetSettings) -> int:
-    """Write the targets of a video, and print what retargeting did."""
+def retarget_only(source: Path, out: Path, settings: InputSettings) -> int:
+    """Write the targets of a source, and print what retargeting did."""
     _keep_source(source, out)
-    _, targets = targets_of(source, pose, retarget)
-    made_by = store.provenance(
-        command=COMMAND.get(), settings={"pose": pose, "retarget": retarget}, inputs={"video": source}
-    )
-    store.save(targets, out, made_by=made_by)
-    table("Targets", _target_rows(targets) | {"written": str(out)})
+    motion = load_motion(source, settings, Aloud())
+    if motion.targets is None:
+        raise SourceError(
+            f"{source} holds commands, which have no targets to make; play them with: mimic {source} --sim"
+        )
+    store.save(motion.targets, out, made_by=_made_by(settings, {"source": source}))
+    table("Targets", _target_rows(motion.targets) | {"written": str(out)})
     return DONE
+
+
+def _made_by(settings: InputSettings, inputs: dict[str, Path], **more: Any) -> Provenance:
+    parts = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    return store.provenance(command=COMMAND.get(), settings=parts | more, inputs=inputs)
 
 
 def _target_rows(targets: TargetTrack) -> dict[str, str]:
@@ -95,8 +61,7 @@ def _target_rows(targets: TargetTrack) -> dict[str, str]:
         rows |= {
             "frames with a person": f"{pose['frames_with_person']} of {pose['frames']}",
             "left/right exchanged": f"{pose['frames_exchanged']} frames",
-            "camera": str(pose["unseen"]),
-        }
+        } | ({"camera": str(pose["unseen"])} if "unseen" in pose else {})
     return rows
 
 
@@ -117,25 +82,19 @@ def _keep_source(source: Path, written: Path | None) -> None:
         raise ConfigError(f"{written} is the source itself and would be overwritten; name another file")
 
 
-def _is_targets(source: Path) -> bool:
-    return source.suffix == ".parquet"
-
-
 def play_source(
     source: Path,
+    settings: InputSettings,
     *,
     out: Path | None,
     film: Path | None,
     view: bool | None,
-    pose: PoseSettings,
-    retarget: RetargetSettings,
     run: RunSettings,
     robot: EffectsSettings,
 ) -> int:
     """Play a source in simulation and write its run folder."""
     from mimic.metrics import run_metrics
     from mimic.policy.runtime import load_policy
-    from mimic.retarget.commands import command_track
     from mimic.robot.description import load_description
     from mimic.run.loop import run_policy
     from mimic.run.pool import simulated
@@ -151,40 +110,37 @@ def play_source(
     options = simulated(robot)
     description = load_description()
     policy = load_policy(run.policy, description)
-    track: PoseTrack | None = None
-    if _is_targets(source):
-        targets = store.load(source, TargetTrack)
-    else:
-        track, targets = targets_of(source, pose, retarget)
-    commands: CommandTrack = command_track(targets)
+    motion = load_motion(source, settings, Aloud())
 
     sit_down = load_policy(None, description, task="sit_down")
     plant = SimulatedPlant(description, seed=run.seed, **options)
     with progress_bar("simulation") as progress:
-        result = run_policy(plant, policy, commands, run, sit_down=sit_down, progress=progress)
+        result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, progress=progress)
 
-    settings = {"pose": pose, "retarget": retarget, "run": run, "robot": robot}
     inputs = {"source": source, "policy": policy.path, "sit_down": sit_down.path}
     inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
-    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
-    if track is not None:
-        store.save(track, folder / POSE, made_by=made_by)
-    store.save(targets, folder / TARGETS, made_by=made_by)
+    made_by = _made_by(settings, inputs, run=run, robot=robot)
+    if motion.pose is not None:
+        store.save(motion.pose, folder / POSE, made_by=made_by)
+    if motion.targets is not None:
+        store.save(motion.targets, folder / TARGETS, made_by=made_by)
+    else:
+        store.save(motion.commands, folder / COMMANDS, made_by=made_by)
     store.save(result.log, folder / LOG, made_by=made_by)
     if result.samples is not None:
         store.save(result.samples, folder / JOINTS, made_by=made_by)
     metrics = run_metrics(result.log, description)
-    everything = {**metrics, "interrupted": result.interrupted, "retarget": targets.report, "provenance": made_by}
+    report = {} if motion.targets is None else motion.targets.report
+    everything = {**metrics, "interrupted": result.interrupted, "retarget": report, "provenance": made_by}
     store.save_json(everything, folder / METRICS)
 
-    video = None if _is_targets(source) else source
     shown: dict[str, Any] = {
         "made_by": made_by,
         "log": result.log,
         "description": description,
-        "targets": targets,
-        "pose": track,
-        "video": video,
+        "targets": motion.targets,
+        "pose": motion.pose,
+        "video": motion.video,
     }
     from mimic.view.scene import save_scene
     from mimic.view.viewer import display_available, open_viewer
@@ -196,7 +152,8 @@ def play_source(
 
         with progress_bar("film") as progress:
             save_video(film, **shown, progress=progress)
-    rows = _target_rows(targets) | _metric_rows(metrics) | {"run folder": str(folder)}
+    rows = {} if motion.targets is None else _target_rows(motion.targets)
+    rows |= _metric_rows(metrics) | {"run folder": str(folder)}
     table(source.name, rows | ({"film": str(film)} if film else {}))
     if result.fell_at is not None:
         warn(f"the robot was about to fall at {result.fell_at:.1f} s and sat down")

@@ -11,9 +11,22 @@ import pytest
 
 from mimic import __version__, store
 from mimic.cli import main
-from mimic.types import TargetTrack, WristTrack
+from mimic.robot.description import load_description
+from mimic.robot.reach import Reach
+from mimic.types import CommandTrack, JointSamples, RunLog, TargetTrack, WristTrack
 
 HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
+
+
+STANDING = {
+    "left_shoulder": (0.0, 0.2, 1.4),
+    "right_shoulder": (0.0, -0.2, 1.4),
+    "left_wrist": (0.3, 0.2, 1.2),
+    "right_wrist": (0.3, -0.2, 1.2),
+    "left_hip": (0.0, 0.1, 0.9),
+    "right_hip": (0.0, -0.1, 0.9),
+}
+"""Someone who faces +x, z up [m]."""
 
 
 @pytest.fixture
@@ -137,6 +150,23 @@ def wrists(here: Path) -> None:
     store.save(track, here / "wrists.parquet", made_by=store.provenance())
 
 
+def joints(here: Path) -> None:
+    none = np.zeros((0, 12))
+    samples = JointSamples(t=np.zeros(0), q=none, dq=none, tau=none, q_des=none)
+    store.save(samples, here / "joints.parquet", made_by=store.provenance())
+
+
+def commands(here: Path, rows: int = 25, speed: float = 0.2) -> None:
+    neutral = Reach().toes(load_description().poses["upright"])
+    track = CommandTrack(
+        t=0.02 * np.arange(rows),
+        v=np.tile([speed, 0.0], (rows, 1)),
+        heading=np.zeros(rows),
+        p_BE=np.tile(neutral, (rows, 1, 1)),
+    )
+    store.save(track, here / "commands.parquet", made_by=store.provenance())
+
+
 def folder(here: Path) -> None:
     (here / "folder").mkdir()
 
@@ -155,7 +185,13 @@ BAD = [
     ("targets.parquet --sim -o full", full_folder, "full exists and is not empty"),
     ("targets.parquet --sim -o text.txt", text_file("text.txt"), "text.txt exists"),
     ("text.parquet --sim", text_file("text.parquet"), "text.parquet is not a record of mimic"),
-    ("wrists.parquet --sim", wrists, "holds a WristTrack; expected a TargetTrack"),
+    ("wrists.parquet --sim", wrists, "the source is 0.00 s, shorter than one step"),
+    ("joints.parquet --sim", joints, "holds a JointSamples, which cannot be played"),
+    ("text.npz --sim", text_file("text.npz"), "text.npz cannot be read as NPZ"),
+    ("text.trc --sim", text_file("text.trc"), "text.trc is no TRC file"),
+    ("text.bvh --sim", text_file("text.bvh"), "text.bvh, line 1"),
+    ("text.BVH --sim --up north", text_file("text.BVH"), "north"),
+    ("retarget commands.parquet -o a.parquet", commands, "commands.parquet holds commands"),
     ("folder --sim", folder, "folder is a folder; expected a video file"),
     ("folder.parquet --sim", lambda here: (here / "folder.parquet").mkdir(), "folder.parquet"),
     ("text.mp4 --sim", text_file("text.mp4"), "text.mp4"),
@@ -242,6 +278,32 @@ def test_brackets_in_a_name_are_told_as_they_are(here, capsys):
 def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
     assert main([str(targets), "--sim", "--no-view", "-o", "out", "--hold", "0"]) == 0
     assert "0.5 s in all" in capsys.readouterr().out
+
+
+def test_stored_commands_are_played_with_their_velocity(here):
+    commands(here)
+    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", "--hold", "0"]) == 0
+    assert {path.name for path in (here / "out").iterdir()} >= {"commands.parquet", "log.parquet", "scene.rrd"}
+    assert not (here / "out" / "targets.parquet").exists()
+    assert store.load(here / "out" / "log.parquet", RunLog).v_des[:, 0].max() == 0.2
+
+
+def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
+    rows = np.arange(60)
+    sway = 0.2 * np.sin(0.2 * rows)[:, None]
+    points = {name: np.zeros((60, 3)) + place for name, place in STANDING.items()}
+    points["left_wrist"] = points["left_wrist"] + sway * [1.0, 0.0, 1.0]
+    np.savez(here / "someone.npz", points=np.stack(list(points.values()), axis=1), names=list(points), fps=50)
+    assert main(["someone.npz", "--sim", "--no-view", "--hold", "0"]) == 0
+    run = here / "runs" / "someone"
+    assert {path.name for path in run.iterdir()} >= {"pose.parquet", "targets.parquet", "log.parquet", "scene.rrd"}
+    report = json.loads((run / "metrics.json").read_text())["retarget"]
+    assert report["pose"]["frames_with_person"] == 60
+    assert "unseen" not in report["pose"]
+    again = here / "again"
+    assert main([str(run / "pose.parquet"), "--sim", "--no-view", "--hold", "0", "-o", str(again)]) == 0
+    one, other = (store.load(folder / "targets.parquet", TargetTrack) for folder in (run, again))
+    assert np.array_equal(one.p_BE, other.p_BE)
 
 
 def test_ctrl_c_ends_with_three(here, targets, capsys, monkeypatch):

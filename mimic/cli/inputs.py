@@ -1,0 +1,189 @@
+"""What is played, from whatever holds it: a video, stored motion, or targets and commands made before."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from mimic import store
+from mimic.cli import COMMAND
+from mimic.errors import SourceError
+from mimic.settings import PoseSettings, RetargetSettings, StoredSettings
+from mimic.types import CommandTrack, PoseTrack, TargetTrack, WristTrack
+
+STORED = (".npz", ".trc", ".bvh")
+"""Endings of files with points or a skeleton over time."""
+RECORD = ".parquet"
+"""Ending of our own records; the header says which one a file holds."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class InputSettings:
+    """How an input becomes commands."""
+
+    pose: PoseSettings = field(default_factory=PoseSettings)
+    stored: StoredSettings = field(default_factory=StoredSettings)
+    retarget: RetargetSettings = field(default_factory=RetargetSettings)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Motion:
+    """What is to be played, whatever it came from."""
+
+    commands: CommandTrack
+    targets: TargetTrack | None = None
+    """The toes of the commands and how they were clamped; None where only commands were stored."""
+    pose: PoseTrack | None = None
+    """The person, where there is one."""
+    video: Path | None = None
+    """The video that the person was seen in."""
+
+
+class Tell(Protocol):
+    """Who is told what happens while an input is read."""
+
+    def note(self, text: str) -> None:
+        """Take a line that the user should read."""
+        ...
+
+    def warn(self, text: str) -> None:
+        """Take a warning."""
+        ...
+
+    def progress(self, what: str) -> Any:
+        """Return a context that gives a function of the steps done and in all."""
+        ...
+
+
+class Silent:
+    """Tells nobody, and keeps the warnings."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def note(self, text: str) -> None:
+        """Drop it."""
+
+    def warn(self, text: str) -> None:
+        """Keep it."""
+        self.warnings.append(text)
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Callable[[int, int | None], None]]:
+        """Drop the steps."""
+        yield lambda done, total=None: None
+
+
+class Aloud:
+    """Tells the terminal."""
+
+    def note(self, text: str) -> None:
+        """Print it."""
+        from mimic.cli.console import note
+
+        note(text)
+
+    def warn(self, text: str) -> None:
+        """Print it."""
+        from mimic.cli.console import warn
+
+        warn(text)
+
+    def progress(self, what: str) -> Any:
+        """Return a progress bar."""
+        from mimic.cli.console import progress_bar
+
+        return progress_bar(what)
+
+
+def kind_of(source: Path) -> str:
+    """Return what a file is by its ending: record, stored or video."""
+    ending = source.suffix.lower()
+    return "record" if ending == RECORD else "stored" if ending in STORED else "video"
+
+
+def load_motion(source: Path, settings: InputSettings, tell: Tell) -> Motion:
+    """Return what a file asks the robot to do.
+
+    Raises:
+        SourceError, AssetError: If it cannot be read as what its ending says.
+    """
+    if not source.exists():
+        raise SourceError(f"there is no file {source}")
+    if source.is_dir():
+        raise SourceError(f"{source} is a folder; expected a video file or stored motion; mimic batch plays a folder")
+    kind = kind_of(source)
+    if kind == "record":
+        return _of_record(source, settings, tell)
+    if kind == "stored":
+        from mimic.sources.stored import track_stored
+
+        return _of_pose(track_stored(source, settings.stored, settings.pose), settings, tell, video=None)
+    return _of_pose(pose_of(source, settings.pose, tell), settings, tell, video=source)
+
+
+def _of_record(source: Path, settings: InputSettings, tell: Tell) -> Motion:
+    from mimic.retarget.commands import command_track
+
+    readers: Mapping[str, Callable[[], Motion]] = {
+        "CommandTrack": lambda: Motion(commands=store.load(source, CommandTrack)),
+        "PoseTrack": lambda: _of_pose(store.load(source, PoseTrack), settings, tell, video=None),
+        "TargetTrack": lambda: _of_targets(store.load(source, TargetTrack)),
+        "WristTrack": lambda: _of_wrists(store.load(source, WristTrack), settings, tell),
+    }
+
+    def _of_targets(targets: TargetTrack) -> Motion:
+        return Motion(commands=command_track(targets), targets=targets)
+
+    record = store.header(source)["record"]
+    if record not in readers:
+        raise SourceError(f"{source} holds a {record}, which cannot be played; expected one of {', '.join(readers)}")
+    return readers[record]()
+
+
+def _of_pose(pose: PoseTrack, settings: InputSettings, tell: Tell, *, video: Path | None) -> Motion:
+    from mimic.retarget.wrists import pose_report, wrist_track
+
+    motion = _of_wrists(wrist_track(pose, settings.retarget), settings, tell)
+    assert motion.targets is not None
+    figures = dict(pose_report(pose, settings.retarget))
+    if not any(pose.size):  # no camera
+        figures = {name: value for name, value in figures.items() if name not in ("camera_axis", "unseen")}
+    targets = replace(motion.targets, report={**motion.targets.report, "pose": figures})
+    return replace(motion, targets=targets, pose=pose, video=video)
+
+
+def _of_wrists(wrists: WristTrack, settings: InputSettings, tell: Tell) -> Motion:
+    from mimic.retarget.commands import command_track
+    from mimic.retarget.targets import target_track
+    from mimic.robot.reach import Reach
+
+    targets = target_track(wrists, Reach(), settings.retarget)
+    for text in targets.warnings:
+        tell.warn(text)
+    return Motion(commands=command_track(targets), targets=targets)
+
+
+def _pose_cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
+
+
+def pose_of(video: Path, settings: PoseSettings, tell: Tell) -> PoseTrack:
+    """Return the pose track of a video, stored by its content, and say when a stored one is used."""
+    from mimic.sources.video import pose_cache_key, track_video
+
+    cached = _pose_cache() / f"{pose_cache_key(video, settings)}.parquet"
+    if cached.is_file():
+        track = store.load(cached, PoseTrack)
+        tell.note(f"pose         reused from an earlier run on the same video ({cached})")
+        return track
+    with tell.progress("pose") as progress:
+        track = track_video(video, settings, progress=progress)
+    made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs={"video": video})
+    store.save(track, cached, made_by=made_by)
+    return track

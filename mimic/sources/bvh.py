@@ -1,0 +1,187 @@
+"""BVH: a skeleton with joint angles. The joints' positions follow by forward kinematics.
+
+A parser of our own: of the readers that we looked for (bvh, bvhio, bvhtoolbox, pymo) none could be installed, and the
+format is half a page.
+
+Source: Meredith and Maddock, "Motion Capture File Formats Explained", University of Sheffield, 2001, section 2.1: the
+channels of a joint are applied in their order, each about the axes that the ones before it left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.settings import StoredSettings
+from mimic.sources.points import Points
+from mimic.types import FloatArray
+
+_CHANNELS = {f"{axis}{kind}": (kind, i) for kind in ("position", "rotation") for i, axis in enumerate("xyz")}
+
+
+@dataclass(slots=True, eq=False)
+class _Joint:
+    name: str
+    parent: int
+    offset: FloatArray = field(default_factory=lambda: np.zeros(3))
+    channels: list[tuple[str, int]] = field(default_factory=list)
+
+
+class _Words:
+    """The words of the file, with the line that each is on."""
+
+    def __init__(self, text: str, name: str) -> None:
+        self._name = name
+        self._words = ((word, n) for n, line in enumerate(text.splitlines(), 1) for word in line.split())
+        self.line = 0
+
+    def __iter__(self) -> Iterator[str]:
+        for word, line in self._words:
+            self.line = line
+            yield word
+
+    def next(self, expected: str) -> str:
+        for word in self:
+            return word
+        raise self.wrong("the file ends", expected)
+
+    def number(self, expected: str) -> float:
+        word = self.next(expected)
+        try:
+            return float(word)
+        except ValueError:
+            raise self.wrong(repr(word), expected) from None
+
+    def wrong(self, given: str, expected: str) -> SourceError:
+        return SourceError(
+            f"{self._name}, line {self.line}: {given} where {expected} was expected; export the BVH again"
+        )
+
+
+def read_bvh(path: Path, settings: StoredSettings) -> Points:
+    """Return the position of every joint of a BVH file in every frame; end sites are left out.
+
+    Raises:
+        SourceError: If the file is no BVH, or ends early.
+    """
+    words = _Words(path.read_text(encoding="utf-8", errors="replace"), path.name)
+    joints = _hierarchy(words)
+    announced, step = _header(words)
+    width = sum(len(joint.channels) for joint in joints)
+    values = np.array(_numbers(words))
+    frames = len(values) // width
+    if frames == 0:
+        raise SourceError(f"{path.name} has {len(values)} motion values, less than the {width} of one frame")
+    warnings = []
+    if frames != announced or len(values) % width:
+        warnings.append(f"{path.name} announces {announced} frames and holds {len(values) / width:g}")
+    values = values[: frames * width].reshape(frames, width)
+    if settings.fps:
+        step = 1.0 / settings.fps
+    if step <= 0.0:
+        raise SourceError(f"{path.name} says that a frame takes {step:g} s; say --fps")
+    return Points(
+        t=step * np.arange(frames),
+        xyz=_positions(joints, values),
+        score=np.ones((frames, len(joints))),
+        names=tuple(joint.name for joint in joints),
+        warnings=tuple(warnings),
+    )
+
+
+def _hierarchy(words: _Words) -> list[_Joint]:
+    if words.next("HIERARCHY").upper() != "HIERARCHY":
+        raise words.wrong("something else", "HIERARCHY, the first word of a BVH file,")
+    joints: list[_Joint] = []
+    open_ones: list[int] = []
+    end_site = -1
+    for word in words:
+        kind = word.upper()
+        if kind in ("ROOT", "JOINT"):
+            joints.append(_Joint(words.next("a name"), open_ones[-1] if open_ones else -1))
+            while (more := words.next("{")) != "{":
+                joints[-1].name += f" {more}"
+            open_ones.append(len(joints) - 1)
+        elif kind == "END":
+            while words.next("{") != "{":
+                pass
+            open_ones.append(end_site)
+        elif kind == "OFFSET":
+            offset = np.array([words.number("a number") for _ in range(3)])
+            if open_ones and open_ones[-1] != end_site:
+                joints[open_ones[-1]].offset = offset
+        elif kind == "CHANNELS":
+            for _ in range(int(words.number("the number of channels"))):
+                channel = words.next("a channel")
+                if channel.lower() not in _CHANNELS or not open_ones or open_ones[-1] == end_site:
+                    raise words.wrong(repr(channel), "a channel such as Xrotation inside a joint")
+                joints[open_ones[-1]].channels.append(_CHANNELS[channel.lower()])
+        elif word == "}" and open_ones:
+            open_ones.pop()
+        elif kind == "MOTION" and not open_ones and joints:
+            return joints
+        else:
+            raise words.wrong(repr(word), "ROOT, JOINT, End, OFFSET, CHANNELS or MOTION")
+    raise words.wrong("the file ends", "MOTION")
+
+
+def _header(words: _Words) -> tuple[int, float]:
+    if (word := words.next("Frames:")).lower() != "frames:":
+        raise words.wrong(repr(word), "Frames:")
+    announced = int(words.number("the number of frames"))
+    if (pair := f"{words.next('Frame')} {words.next('Time:')}").lower() != "frame time:":
+        raise words.wrong(repr(pair), "Frame Time:")
+    return announced, words.number("the time of a frame")
+
+
+def _numbers(words: _Words) -> list[float]:
+    numbers = []
+    for word in words:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            raise words.wrong(repr(word), "a number") from None
+    return numbers
+
+
+def _positions(joints: list[_Joint], values: FloatArray) -> FloatArray:
+    """Return the joints' positions (T, N, 3) in the file's axes."""
+    frames, at = len(values), 0
+    turned: list[FloatArray] = []
+    places = np.empty((frames, len(joints), 3))
+    for index, joint in enumerate(joints):
+        moved = np.tile(joint.offset, (frames, 1))
+        given = {channel: values[:, at + k] for k, channel in enumerate(joint.channels)}
+        at += len(joint.channels)
+        shifts = [given.get(("position", axis)) for axis in range(3)]
+        if any(shift is not None for shift in shifts):  # a position takes the place of the offset
+            moved = np.stack(
+                [np.full(frames, joint.offset[axis]) if s is None else s for axis, s in enumerate(shifts)], -1
+            )
+        turn = np.tile(np.eye(3), (frames, 1, 1))
+        for kind, axis in joint.channels:
+            if kind == "rotation":
+                turn = turn @ _about(axis, np.radians(given[kind, axis]))
+        if joint.parent < 0:
+            places[:, index], whole = moved, turn
+        else:
+            before = turned[joint.parent]
+            places[:, index] = places[:, joint.parent] + np.einsum("tij,tj->ti", before, moved)
+            whole = before @ turn
+        turned.append(whole)
+    return places
+
+
+def _about(axis: int, angle: FloatArray) -> FloatArray:
+    """Return rotations about a coordinate axis (T, 3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.zeros((len(angle), 3, 3))
+    turn[:, axis, axis] = 1.0
+    turn[:, one, one] = turn[:, other, other] = c
+    turn[:, one, other], turn[:, other, one] = -s, s
+    return turn

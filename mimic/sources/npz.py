@@ -1,0 +1,83 @@
+"""NPZ: times, points and visibilities from another pose estimator; docs/motion-formats.md has the layout."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.settings import StoredSettings
+from mimic.sources.points import Points
+from mimic.sources.skeletons import layout_of
+
+POINTS = ("points", "joints", "xyz", "keypoints_3d")
+"""Names of the array of positions; the first that is there counts."""
+VISIBILITY = ("visibility", "score", "scores", "confidence")
+_UPS = ("x", "y", "z", "-x", "-y", "-z")
+
+
+def read_npz(path: Path, settings: StoredSettings) -> Points:
+    """Return the points of an NPZ file. Pickled objects in it are refused.
+
+    Raises:
+        SourceError: If an array is missing or has another shape.
+    """
+    arrays = _arrays(path)
+    name = next((name for name in POINTS if name in arrays), None)
+    if name is None:
+        raise SourceError(f"{path.name} holds {', '.join(arrays) or 'nothing'}; expected an array 'points' (T, N, 3)")
+    given = arrays[name]
+    if given.dtype.kind not in "fiu" or given.ndim != 3 or given.shape[2] != 3 or not len(given):
+        raise SourceError(f"'{name}' in {path.name} has shape {given.shape}; expected numbers (T, N, 3)")
+    xyz = np.array(given, dtype=np.float64)
+    rows, count = len(xyz), xyz.shape[1]
+    names = _names(arrays, count, settings, path)
+    score = next((arrays[key] for key in VISIBILITY if key in arrays), np.ones((rows, count)))
+    if score.shape != (rows, count):
+        raise SourceError(f"the visibilities in {path.name} have shape {score.shape}; expected ({rows}, {count})")
+    up = str(arrays["up"]) if "up" in arrays else None
+    if up is not None and up not in _UPS:
+        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(_UPS)}")
+    return Points(
+        t=_times(arrays, rows, settings, path),
+        xyz=xyz,
+        score=np.nan_to_num(np.array(score, dtype=np.float64)),
+        names=names,
+        up=up,
+    )
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise SourceError(
+            f"{path.name} cannot be read as NPZ ({error}); write it with numpy.savez, without Python objects"
+        ) from None
+
+
+def _names(arrays: dict[str, Any], count: int, settings: StoredSettings, path: Path) -> tuple[str, ...]:
+    if "names" in arrays and settings.layout is None:
+        names = tuple(str(name) for name in np.atleast_1d(arrays["names"]))
+        if len(names) != count:
+            raise SourceError(f"{path.name} has {len(names)} names for {count} points")
+        return names
+    layout = settings.layout or (str(arrays["layout"]) if "layout" in arrays else None)
+    return layout_of(count, layout)
+
+
+def _times(arrays: dict[str, Any], rows: int, settings: StoredSettings, path: Path) -> np.ndarray:
+    if settings.fps:
+        return np.arange(rows) / settings.fps
+    if "t" in arrays:
+        t = np.array(arrays["t"], dtype=np.float64)
+        if t.shape != (rows,):
+            raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
+        return t
+    if "fps" in arrays and np.ndim(arrays["fps"]) == 0 and float(arrays["fps"]) > 0:
+        return np.arange(rows) / float(arrays["fps"])
+    raise SourceError(f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or say --fps")

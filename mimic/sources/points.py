@@ -1,0 +1,30 @@
+"""Points with names and times, as a file has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mimic.types import FloatArray
+
+UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
+"""Length of each unit that a file may use [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Points:
+    """What a file of stored motion says, in its own axes and unit."""
+
+    t: FloatArray
+    """Time of each row (T,) [s]."""
+    xyz: FloatArray
+    """Positions (T, N, 3); NaN where nothing was seen."""
+    score: FloatArray
+    """Visibility (T, N), 0 to 1."""
+    names: tuple[str, ...]
+    """Name of each point."""
+    unit: str | None = None
+    """Unit of the positions, None where the file names none."""
+    up: str | None = None
+    """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know."""

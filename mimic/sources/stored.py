@@ -1,0 +1,234 @@
+"""Stored motion of any origin becomes a person's track: points with names and times, in metres, camera axes.
+
+Readers of single formats give :class:`Points`; from there on all files are treated alike, and from :class:`PoseTrack` on
+like a video.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.settings import PoseSettings, StoredSettings
+from mimic.sources.bvh import read_bvh
+from mimic.sources.npz import read_npz
+from mimic.sources.points import UNITS, Points
+from mimic.sources.skeletons import Scheme, read_names, recognise
+from mimic.sources.smoothing import smooth
+from mimic.sources.trc import read_trc
+from mimic.types import FloatArray, PoseTrack
+
+READERS: Mapping[str, Callable[[Path, StoredSettings], Points]] = {
+    ".bvh": read_bvh,
+    ".npz": read_npz,
+    ".trc": read_trc,
+}
+"""Endings of files with stored motion."""
+
+ARM = 0.5
+"""Shoulder -> elbow -> wrist of a grown person is about this long [m]; it tells the unit of a file that names none. The
+motion does not depend on it: arms are measured in their own length."""
+CLEARLY = 0.75
+"""The trunk points along an axis when this share of it does."""
+
+MIRRORED = (
+    "nose or feet point to the person's back: left and right are exchanged, or the axes of the file are left-handed; if "
+    "the robot moves the wrong leg, store x with the other sign"
+)
+
+_UP = {
+    "x": (1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Named:
+    """The landmarks of ours that a file has."""
+
+    names: tuple[str, ...]
+    xyz: FloatArray
+    score: FloatArray
+
+    def middle(self, part: str) -> FloatArray | None:
+        """Return the middle of both sides (T, 3), None where the file has no such part."""
+        sides = [f"{side}_{part}" for side in ("left", "right")]
+        if not set(sides) <= set(self.names):
+            return None
+        return self.xyz[:, [self.names.index(side) for side in sides]].mean(axis=1)
+
+
+def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> PoseTrack:
+    """Return the person of a file with stored motion, smoothed like that of a video.
+
+    Left and right are believed, and there is no picture: ``image`` is NaN.
+
+    Args:
+        path: A file that ends in one of READERS.
+        stored: What the file does not say itself.
+        settings: Visibility, least share of frames with a person, and cut-off, as for a video.
+
+    Raises:
+        SourceError: If the file cannot be read, names no shoulders and wrists, or shows them too seldom.
+    """
+    if not path.is_file():
+        raise SourceError(f"there is no file {path}")
+    points = READERS[path.suffix.lower()](path, stored)
+    scheme, found = recognise(points.names, read_names(stored.names))
+    named = _named(points, found)
+    _check_times(points.t, path, settings)
+    up, told = _up(named, stored.up if stored.up != "auto" else points.up, path)
+    unit, length = _unit(named, points.unit)
+    xyz = length * named.xyz @ _camera_axes(up).T
+    origin = named.middle("hip")
+    origin = named.middle("shoulder") if origin is None else origin
+    assert origin is not None  # shoulders were found
+    xyz = xyz - (length * origin @ _camera_axes(up).T)[:, None]
+    valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
+    if _mirrored(named.names, xyz):
+        told = (*told, MIRRORED)
+    track = PoseTrack(
+        t=points.t - points.t[0],
+        landmarks=_smoothed(points.t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
+        image=np.full((*xyz.shape[:2], 2), np.nan),
+        score=np.where(valid, named.score, 0.0),
+        valid=valid,
+        names=named.names,
+        swapped=np.zeros(len(xyz), dtype=np.bool_),
+        warnings=(
+            *points.warnings,
+            f"read as {scheme}, {up} up, in {unit}; say --names or --up if that is wrong",
+            *told,
+        ),
+    )
+    _check_person(track, path, settings)
+    return track
+
+
+def _named(points: Points, scheme: Scheme) -> _Named:
+    index = {name: i for i, name in enumerate(points.names)}
+    columns = [[index[name] for name in theirs] for theirs in scheme.values()]
+    xyz = np.stack([points.xyz[:, own].mean(axis=1) for own in columns], axis=1)
+    score = np.stack([points.score[:, own].min(axis=1) for own in columns], axis=1)
+    return _Named(tuple(scheme), xyz, score)
+
+
+def _check_times(t: FloatArray, path: Path, settings: PoseSettings) -> None:
+    if len(t) < 2 or t[-1] - t[0] < settings.min_duration:
+        raise SourceError(
+            f"{path.name} has {len(t)} rows in {t[-1] - t[0] if len(t) else 0:.2f} s; a motion needs at least two and "
+            f"{settings.min_duration:g} s"
+        )
+    back = np.flatnonzero(~(np.diff(t) > 0))
+    if len(back):
+        row = int(back[0])
+        raise SourceError(
+            f"the times of {path.name} do not increase: row {row + 2} has {t[row + 1]:g} s after {t[row]:g} s; sort the "
+            "rows and drop repeated ones"
+        )
+
+
+def _up(named: _Named, asked: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the axis that points up, and what the user should know about that."""
+    trunk = _trunk(named)
+    if asked is not None:
+        if trunk is None or np.dot(trunk, _UP[asked]) > 0.0:
+            return asked, ()
+        return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
+    if trunk is None:
+        raise SourceError(
+            f"{path.name} has neither hips nor feet, which would show where up is; say --up, such as --up y"
+        )
+    axis = int(np.abs(trunk).argmax())
+    if abs(trunk[axis]) < CLEARLY:
+        raise SourceError(
+            f"the trunk in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no axis clearly; "
+            "say which axis is up with --up, such as --up y"
+        )
+    return ("" if trunk[axis] > 0 else "-") + "xyz"[axis], ()
+
+
+def _trunk(named: _Named) -> FloatArray | None:
+    """Return the direction from hips (or what else is below) to shoulders over the whole file (3,), of length one."""
+    top = named.middle("shoulder")
+    for part in ("hip", "knee", "ankle"):
+        below = named.middle(part)
+        if top is not None and below is not None and np.isfinite(top - below).all(axis=1).any():
+            line = np.nanmedian(top - below, axis=0)
+            return line / np.linalg.norm(line)
+    return None
+
+
+def _camera_axes(up: str) -> FloatArray:
+    """Return the rotation (3, 3) that brings an axis to -y of the camera; which way the camera looks means nothing."""
+    down = -np.array(_UP[up])
+    right = np.roll(np.abs(down), 1)
+    return np.stack([right, down, np.cross(right, down)])
+
+
+def _mirrored(names: tuple[str, ...], xyz: FloatArray) -> bool:
+    """Return whether nose or feet point away from where left, right and up say that the front is.
+
+    Args:
+        names: Of the landmarks.
+        xyz: Camera axes (T, N, 3), where y is down.
+    """
+
+    def mean(*parts: str) -> FloatArray | None:
+        there = [names.index(part) for part in parts if part in names]
+        return xyz[:, there].mean(axis=1) if len(there) == len(parts) else None
+
+    shoulders = [xyz[:, names.index(f"{side}_shoulder")] for side in ("left", "right")]
+    left = shoulders[0] - shoulders[1]
+    front = np.stack([left[:, 2], -left[:, 0]], -1)
+    votes = []
+    for ahead, behind in (
+        (mean("nose"), mean("left_ear", "right_ear")),
+        (mean("left_foot_index"), mean("left_ankle")),
+        (mean("right_foot_index"), mean("right_ankle")),
+    ):
+        if ahead is not None and behind is not None:
+            votes.append(((ahead - behind)[:, [0, 2]] * front).sum(axis=1))
+    known = np.concatenate(votes) if votes else np.zeros(0)
+    known = known[np.isfinite(known)]
+    return bool(len(known)) and float((known < 0).mean()) > 0.8
+
+
+def _unit(named: _Named, given: str | None) -> tuple[str, float]:
+    """Return name and length [m] of the unit that the file says, or that makes the arms as long as arms are."""
+    if given is not None:
+        return given, UNITS[given]
+    joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
+    arms = []
+    for side in ("left", "right"):
+        chain = named.xyz[:, [named.names.index(f"{side}_{part}") for part in joints]]
+        arms.append(np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1))
+    length = float(np.nanquantile(arms, 0.9))
+    best = min(UNITS, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
+    return f"{best} by the length of the arms", UNITS[best]
+
+
+def _smoothed(t: FloatArray, xyz: FloatArray, cutoff_hz: float) -> FloatArray:
+    """Return each landmark smoothed over the rows that show it; others stay NaN."""
+    none = np.zeros(0, dtype=np.int64)
+    return np.stack([smooth(t, xyz[:, i], none, cutoff_hz) for i in range(xyz.shape[1])], axis=1)
+
+
+def _check_person(track: PoseTrack, path: Path, settings: PoseSettings) -> None:
+    seen = [
+        track.valid[:, track.index(f"{side}_{part}")] for part in ("shoulder", "wrist") for side in ("left", "right")
+    ]
+    share = float((seen[0] & seen[1] & (seen[2] | seen[3])).mean())
+    if share < settings.min_person_share:
+        raise SourceError(
+            f"{path.name} shows both shoulders and a wrist in {share:.0%} of its rows, "
+            f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower --min-visibility"
+        )

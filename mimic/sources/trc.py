@@ -1,0 +1,60 @@
+"""TRC: positions of markers over time, as OpenSim, Pose2Sim and OpenCap write them.
+
+A parser of our own: the format is a table with five lines before it, and of the readers that we looked for (pytrc,
+trc-data-reader) none could be installed.
+
+Source: OpenSim documentation, "Marker (.trc) Files".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.settings import StoredSettings
+from mimic.sources.points import UNITS, Points
+
+_HEADER = 5
+"""Lines before the table; an empty one may follow them."""
+
+
+def read_trc(path: Path, settings: StoredSettings) -> Points:
+    """Return the markers of a TRC file; empty cells and markers at exactly (0, 0, 0) were not seen.
+
+    Raises:
+        SourceError: If the file is no TRC.
+    """
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    if len(lines) < _HEADER + 1 or not lines[0].startswith("PathFileType"):
+        raise SourceError(f"{path.name} is no TRC file; its first line must begin with PathFileType")
+    facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    unit = facts.get("Units", "").lower()
+    if unit not in UNITS:
+        raise SourceError(f"{path.name} gives lengths in {unit or 'no unit'}; expected one of {', '.join(UNITS)}")
+    cells = lines[3].rstrip().split("\t")
+    names = tuple(name.strip() for name in cells[2::3])
+    if not names or cells[0].strip().lower() != "frame#":
+        raise SourceError(f"{path.name}, line 4: expected Frame#, Time and the markers' names, separated by tabs")
+    table = _table(lines, path, 2 + 3 * len(names))
+    xyz = table[:, 2:].reshape(len(table), len(names), 3)
+    xyz[(xyz == 0.0).all(axis=-1)] = np.nan
+    t = np.arange(len(table)) / settings.fps if settings.fps else table[:, 1]
+    return Points(t=t, xyz=xyz, score=np.ones(xyz.shape[:2]), names=names, unit=unit)
+
+
+def _table(lines: list[str], path: Path, width: int) -> np.ndarray:
+    rows = []
+    for number, line in enumerate(lines[_HEADER:], _HEADER + 1):
+        if not line.strip():
+            continue
+        cells = [cell.strip() for cell in line.split("\t")]
+        cells += [""] * (width - len(cells))
+        try:
+            rows.append([float(cell) if cell else np.nan for cell in cells[:width]])
+        except ValueError:
+            raise SourceError(
+                f"{path.name}, line {number}: expected numbers separated by tabs, got {line[:60]!r}"
+            ) from None
+    return np.array(rows).reshape(-1, width)
