@@ -91,6 +91,34 @@ class EffectsSettings:
         _check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EmulateSettings:
+    """How the emulated robot is."""
+
+    hung: bool = False
+    """Hang it up by its trunk, its feet free; otherwise it lies on the floor."""
+    homed: bool = False
+    """Its zeros are set; otherwise they are lost, as at every power-up."""
+    placement: float = 0.05
+    """Its joints are placed as far as this from the lying pose [rad]."""
+    seed: int = 0
+    """Draws where encoders are mounted, the placement, noise and losses."""
+    position_range: float = 12.566370614359172
+    """Position range that the motors really have [rad]; 12.5 is the other one in circulation."""
+    can_timeout: bool = False
+    """The motors' firmware honours CAN_TIMEOUT; otherwise writing it does nothing."""
+    reply: float = 250e-6
+    """From a command to its answer [s]; cybergear_m5, CYBERGEAR_RESPONSE_TIME."""
+    imu_noise: float = 0.003
+    """Standard deviation of the IMU's rates of turn [rad/s]."""
+
+    def __post_init__(self) -> None:
+        _check_range("placement", self.placement, 0.0, 0.4, "rad")
+        _check_range("position-range", self.position_range, 1.0, 100.0, "rad")
+        _check_range("reply", self.reply, 0.0, 0.01, "s")
+        _check_range("imu-noise", self.imu_noise, 0.0, 1.0, "rad/s")
+
+
 AS_DESCRIBED = EffectsSettings()
 """The robot without effects."""
 

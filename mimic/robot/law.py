@@ -125,6 +125,7 @@ class Law:
         self.set_gains(self._d.kp, self._d.kd)
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
+        self._most: Any = None
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
@@ -175,6 +176,10 @@ class Law:
             if name in self._has:
                 kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
         self._kp[:], self._kd[:] = kp, kd
+
+    def limit_torque(self, most: Any) -> None:
+        """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
+        self._most = most
 
     def reset(self, q: Any, dq: Any, heat: Any = None) -> None:
         """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
@@ -294,6 +299,8 @@ class Law:
         slope = torque / (speed - flat)
         high = xp.minimum(xp.clip((speed - omega) * slope, 0.0, None), torque)
         low = -xp.minimum(xp.clip((speed + omega) * slope, 0.0, None), torque)
+        if self._most is not None:
+            low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
         return low, high
 
     def _direction(self, dq: Any) -> Any:

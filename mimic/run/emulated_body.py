@@ -1,0 +1,216 @@
+"""The body that emulated motors move: the robot in MuJoCo, on the floor or hung up, driven joint by joint at any time.
+
+The same law of the drives as in simulation and calibration (:mod:`mimic.robot.law`), with the same effects. Unlike a
+simulated plant it has no control step: each motor is told something else at another time, when its frame arrives.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import mujoco
+import numpy as np
+
+from mimic.errors import PlantError
+from mimic.robot.description import RobotDescription, with_timestep
+from mimic.robot.effect_set import EffectSet
+from mimic.robot.law import Law
+from mimic.robot.machine import SOLREF_STEPS, hung_robot, tilted_gravity
+from mimic.robot.model import load_model
+from mimic.robot.servo import Servo, parameters_of, refuse_stand, static_model
+from mimic.run.emulated_motor import FREE, HOT, Drive
+from mimic.types import FloatArray
+
+AMBIENT = 25.0
+"""Temperature of a motor that has not worked [degC]; that of the manual's overload table."""
+
+
+class EmulatedBody:
+    """Twelve joints and a trunk, from time 0 on. Held still by somebody until :meth:`release`."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        *,
+        effects: EffectSet | None = None,
+        hung: bool = False,
+        timestep: float = 0.0025,
+        placement: float = 0.0,
+        seed: int = 0,
+        visuals: bool = False,
+    ) -> None:
+        """Put the robot down, its legs folded.
+
+        Args:
+            description: The robot.
+            effects: What its drives, links and encoders have besides.
+            hung: Hang it up by its trunk instead, its feet free.
+            timestep: Of the physics [s].
+            placement: Joints are placed as far as this from the lying pose [rad].
+            seed: Draws the placement, late and lost commands.
+            visuals: Keep the shapes that are only looked at.
+
+        Raises:
+            ConfigError: If the effects are not of this robot, or of a stand and it does not hang.
+        """
+        effects = EffectSet(()) if effects is None else effects
+        if not hung:
+            refuse_stand(effects)
+        self.description = d = with_timestep(description, timestep)
+        machine = hung_robot(d)
+        p = parameters_of(effects, machine)
+        none = np.zeros((1, 1))
+        self._spread, self._lost = (
+            float(p.pop(key, none)[0, 0]) for key in (("delay_jitter", "spread"), ("lost_commands", "share"))
+        )
+        delays = [np.broadcast_to(p.pop(key, none)[0], 12) for key in (("delay", "time"), ("joint_delay", "time"))]
+        self._delay = delays[0] + delays[1]
+        self.model = machine.model if hung else load_model(d, visuals=visuals, servos=True)
+        model = self.model
+        model.opt.timestep = timestep
+        model.dof_solref[-12:] = [SOLREF_STEPS * timestep, 1.0]
+        static_model(model, machine, p)
+        self._quat = np.array([1.0, 0.0, 0.0, 0.0])
+        if hung and ("base_tilt", "roll") in p:
+            roll, pitch = float(p["base_tilt", "roll"][0, 0]), float(p["base_tilt", "pitch"][0, 0])
+            model.opt.gravity[:] = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
+            self._quat = _tilt(roll, pitch)
+        self.data = mujoco.MjData(model)
+        self._rng = np.random.default_rng([seed, 17])
+        self._place(placement, hung)
+        self._law = Law(machine.drives, p, timestep, (1, 12), np)
+        self._applied = np.zeros((1, 12))
+        self._servo = Servo(
+            ctrl=self.data.ctrl[None],
+            applied=self._applied,
+            gain=model.actuator_gainprm[None],
+            bias=model.actuator_biasprm[None],
+            limits=model.actuator_forcerange[None],
+            friction=model.dof_frictionloss[None, -12:],
+        )
+        self._law.begin(self.data.qpos[None, -12:], self.data.qvel[None, -12:])
+        self.held = True
+        """Somebody holds trunk and legs where they are."""
+        self.steps = 0
+        """Physics steps so far."""
+        self._drives = [FREE] * 12
+        self._coming: list[deque[tuple[float, Drive]]] = [deque() for _ in range(12)]
+        self._numbers = np.zeros((6, 12))
+        self._target = np.array(self.data.qpos[-12:])
+        self._changed = True
+        self._tau = np.zeros(12)
+        thermal = d.raw["motor"]["thermal"]
+        self._share = np.array([[thermal["winding_share"]], [1.0 - thermal["winding_share"]]])
+        self._left = np.exp(-timestep / np.array([[thermal["winding_seconds"]], [thermal["housing_seconds"]]]))
+        self._rise = np.zeros((2, 12))
+        self._readings: tuple[FloatArray, FloatArray, FloatArray] | None = None
+
+    def _place(self, placement: float, hung: bool) -> None:
+        d, data = self.description, self.data
+        q = d.poses["lie"] + self._rng.uniform(-placement, placement, 12)
+        data.qpos[-12:] = np.clip(q, d.q_min + 0.01, d.q_max - 0.01)
+        if not hung:
+            data.qpos[:7] = 0.0, 0.0, d.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0
+        mujoco.mj_forward(self.model, data)
+
+    @property
+    def time(self) -> float:
+        """Up to where the physics has been computed [s]."""
+        return self.steps * self.description.timestep
+
+    def release(self) -> None:
+        """Let go of the robot."""
+        self.held = False
+
+    def drive(self, joint: int, drive: Drive, t: float) -> None:
+        """Let a motor do something from time t [s] on, later by what the effects delay it.
+
+        Args:
+            joint: Index of the joint.
+            drive: In the joint's sign and zero, as its encoder reads.
+            t: When the motor was told.
+        """
+        if self._lost and drive.kp and self._rng.random() < self._lost:
+            return
+        late = self._spread * self._rng.random() if self._spread else 0.0
+        self._coming[joint].append((t + float(self._delay[joint]) + late, drive))
+
+    # ------------------------------------------------------------------ time
+
+    def advance(self, t: float) -> None:
+        """Compute the physics up to the last step that ends by time t [s].
+
+        Raises:
+            PlantError: If the robot is no longer finite.
+        """
+        h = self.description.timestep
+        while (self.steps + 1) * h <= t + 1e-9:
+            if not self.held:
+                self._step(h)
+            self.steps += 1
+            self._readings = None
+
+    def _step(self, h: float) -> None:
+        data, now = self.data, self.time
+        self._take_commands(now + h / 2)
+        if self._changed:
+            kp, kd, _, dq, tau, limit = self._numbers
+            self._law.set_gains(kp, kd)
+            self._law.limit_torque(limit[None])
+            self._force = tau + kd * dq
+            self._changed = False
+        pace = np.array([drive.pace for drive in self._drives])
+        self._target += np.clip(self._numbers[2] - self._target, -pace * h, pace * h)
+        inputs = self._law.step(
+            data.qpos[None, -12:], data.qvel[None, -12:], self._target[None], now, self._force[None]
+        )
+        self._servo.write(inputs)
+        data.qfrc_applied[-12:] = self._applied[0]
+        mujoco.mj_step(self.model, data)
+        self._law.settle(data.qvel[None, -12:])
+        self._tau = np.array(inputs.tau[0])
+        heat = np.square(self._tau / self.description.torque_rated)
+        self._rise = self._left * self._rise + (1 - self._left) * self._share * heat
+        if not np.isfinite(data.qpos).all():
+            raise PlantError(
+                f"the emulated robot is no longer finite at {self.time:.2f} s; this is a bug, please report it"
+            )
+
+    def _take_commands(self, until: float) -> None:
+        for joint, coming in enumerate(self._coming):
+            while coming and coming[0][0] <= until:
+                drive = coming.popleft()[1]
+                if np.isfinite(drive.pace) and not (self._drives[joint].kp and np.isfinite(self._drives[joint].pace)):
+                    self._target[joint] = self.data.qpos[-12 + joint]
+                self._drives[joint] = drive
+                self._numbers[:, joint] = drive.kp, drive.kd, drive.q, drive.dq, drive.tau, drive.limit
+                self._changed = True
+
+    # ------------------------------------------------------------------ what is measured
+
+    def joint(self, joint: int, t: float) -> tuple[float, float, float]:
+        """Return position as the encoder reads it [rad], velocity [rad/s] and torque [N m] of a joint at time t [s]."""
+        if self._readings is None:
+            q = np.array(self._law.reading(self.data.qpos[None, -12:])[0])
+            self._readings = q, np.array(self.data.qvel[-12:]), self._tau
+        q, dq, tau = self._readings
+        return float(q[joint] + dq[joint] * (t - self.time)), float(dq[joint]), float(tau[joint])
+
+    def temperature(self, joint: int) -> float:
+        """Return how warm a motor is [degC]: its fault comes when the winding is as warm as its continuous torque makes it."""
+        return AMBIENT + (HOT - AMBIENT) * float(self._rise[:, joint].sum())
+
+    def base(self) -> tuple[FloatArray, FloatArray]:
+        """Return the trunk's orientation, wxyz, and its angular velocity in base axes [rad/s]."""
+        if self.model.nq == 12:
+            return self._quat, np.zeros(3)
+        return self.data.qpos[3:7].copy(), self.data.qvel[3:6].copy()
+
+
+def _tilt(roll: float, pitch: float) -> FloatArray:
+    """Return the orientation of a trunk turned about x by roll, then about y by pitch [rad]."""
+    about_x = np.array([np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0])
+    about_y = np.array([np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0])
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, about_y, about_x)
+    return quat

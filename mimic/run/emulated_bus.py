@@ -1,0 +1,75 @@
+"""One CAN bus in emulated time: every frame takes its bits, and when several wait, the lowest identifier goes first."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from mimic.run.can_frame import CanFrame, arbitration_key, frame_bits
+
+
+class Sent(NamedTuple):
+    """A frame that has been on the bus."""
+
+    t: float
+    """When its last bit was [s]."""
+    node: str
+    """Who sent it."""
+    frame: CanFrame
+
+
+@dataclass
+class EmulatedBus:
+    """Nodes with a queue each; a node's frames keep their order, the first of each stand against each other."""
+
+    bitrate: int
+    """[bit/s]"""
+    off: bool = False
+    """Nothing gets through; what waits is lost, as a controller that is off drops its mailboxes."""
+    bits: int = 0
+    """Sent so far."""
+    frames: int = 0
+    """Sent so far."""
+    _queues: dict[str, deque[tuple[float, CanFrame]]] = field(default_factory=dict)
+    _free_at: float = 0.0
+    _sending: Sent | None = None
+
+    def submit(self, node: str, frame: CanFrame, ready: float) -> None:
+        """Let a node send a frame as soon as it can from time ``ready`` [s] on."""
+        if not self.off:
+            self._queues.setdefault(node, deque()).append((ready, frame))
+
+    @property
+    def waiting(self) -> int:
+        """How many frames wait or are being sent."""
+        return sum(len(queue) for queue in self._queues.values()) + (self._sending is not None)
+
+    @property
+    def next_event(self) -> float:
+        """When something happens next if nobody submits anything [s]; infinite where nothing waits."""
+        if self._sending is not None:
+            return self._sending.t
+        ready = min((queue[0][0] for queue in self._queues.values() if queue), default=float("inf"))
+        return max(ready, self._free_at)
+
+    def advance(self) -> Sent | None:
+        """Go to the next event: the end of a frame, which is returned, or the beginning of one."""
+        if self.off:
+            self._queues.clear()
+            self._sending = None
+            return None
+        if self._sending is not None:
+            done, self._sending = self._sending, None
+            self._free_at = done.t
+            return done
+        now = self.next_event
+        waiting = [(node, queue) for node, queue in self._queues.items() if queue and queue[0][0] <= now]
+        if not waiting:
+            return None
+        node, queue = min(waiting, key=lambda entry: arbitration_key(entry[1][0][1]))
+        frame = queue.popleft()[1]
+        bits = frame_bits(frame)
+        self.bits, self.frames = self.bits + bits, self.frames + 1
+        self._sending = Sent(now + bits / self.bitrate, node, frame)
+        return None

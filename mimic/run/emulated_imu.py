@@ -1,0 +1,95 @@
+"""An Xsens MTi as it shows itself on the bus."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.frames import multiply_quats, rotation_from_quat
+from mimic.robot.wiring import ImuWiring
+from mimic.run.can_frame import CanFrame
+from mimic.run.imu import ORIENTATION_VALID, MtiSample, encode_mti
+from mimic.types import FloatArray
+
+SELF_TEST_PASSED = 1
+"""Bit of the status word."""
+
+TICK = 1e-4
+"""Unit of the sample time [s]; the maker's pages, which its own DBC contradicts."""
+
+
+class EmulatedMti:
+    """Samples orientation and rate of turn of the trunk it is mounted on, with a little noise."""
+
+    def __init__(self, wiring: ImuWiring, *, noise: float, seed: int) -> None:
+        """Mount it.
+
+        Args:
+            wiring: How it sits and what it sends how often.
+            noise: Standard deviation of its rates of turn [rad/s]; its orientation has as much [rad], divided by ten.
+            seed: Draws the noise.
+        """
+        self._quat_BI, self._R_BI = wiring.quat_BI, rotation_from_quat(wiring.quat_BI)
+        self._noise = noise
+        self._rng = np.random.default_rng([seed, 19])
+        self._rate = wiring.rate
+        self.period = 1.0 / max(wiring.rate.values())
+        """Time between two samples [s]."""
+        self.next_sample = self.period
+        """When the next one is taken [s]."""
+        self._count = 0
+        self._last: MtiSample | None = None
+
+    def sample(
+        self, quat_WB: FloatArray, omega_B: FloatArray, *, valid: bool, frozen: bool, stuck: bool, tilt: float
+    ) -> list[CanFrame]:
+        """Take the sample that is due and return its frames.
+
+        Args:
+            quat_WB: Orientation of the trunk, wxyz (4,).
+            omega_B: Its angular velocity, base axes (3,) [rad/s].
+            valid: Whether it calls its orientation valid.
+            frozen: Repeat the last sample.
+            stuck: Repeat the last sample under a new counter.
+            tilt: Error of the orientation about its y axis [rad].
+        """
+        self._count += 1
+        self.next_sample = (self._count + 1) * self.period
+        if not (frozen and self._last is not None):
+            newest = self._measure(quat_WB, omega_B, valid, tilt)
+            if stuck and self._last is not None:
+                newest = MtiSample(
+                    quat_WI=self._last.quat_WI,
+                    omega_I=self._last.omega_I,
+                    status=newest.status,
+                    counter=newest.counter,
+                    time=newest.time,
+                )
+            self._last = newest
+        assert self._last is not None
+        last = self._last
+        return encode_mti(
+            MtiSample(
+                quat_WI=last.quat_WI if self._due("quaternion") else None,
+                omega_I=last.omega_I if self._due("rate_of_turn") else None,
+                status=last.status if self._due("status_word") else None,
+                counter=last.counter if self._due("group_counter") else None,
+                time=last.time if self._due("sample_time") else None,
+            )
+        )
+
+    def _due(self, name: str) -> bool:
+        """Return whether a message goes out with this sample: evenly, as often as it is asked for."""
+        share = self._rate.get(name, 0.0) * self.period
+        return int(self._count * share + 1e-6) > int((self._count - 1) * share + 1e-6)
+
+    def _measure(self, quat_WB: FloatArray, omega_B: FloatArray, valid: bool, tilt: float) -> MtiSample:
+        turn = np.concatenate([[1.0], self._rng.normal(0.0, self._noise / 20 + 1e-12, 3)])
+        turn = multiply_quats(turn / np.linalg.norm(turn), [np.cos(tilt / 2), 0.0, np.sin(tilt / 2), 0.0])
+        quat_WI = multiply_quats(multiply_quats(quat_WB, self._quat_BI), turn)
+        return MtiSample(
+            quat_WI=quat_WI,
+            omega_I=self._R_BI.T @ omega_B + self._rng.normal(0.0, self._noise + 1e-12, 3),
+            status=SELF_TEST_PASSED | (ORIENTATION_VALID if valid else 0),
+            counter=self._count,
+            time=round(self._count * self.period / TICK),
+        )

@@ -1,0 +1,277 @@
+"""A CyberGear motor as it shows itself on the bus: modes, parameters, faults, and a zero that does not survive power.
+
+What it makes of commands is a :class:`Drive`; the physics is elsewhere (:mod:`mimic.run.emulated_body`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from mimic.errors import FrameError
+from mimic.run.can_frame import CanFrame
+from mimic.run.cybergear import Codec
+from mimic.run.motor_messages import (
+    CAN_TIMEOUT,
+    IQ_REF,
+    LIMIT_CUR,
+    LIMIT_SPD,
+    LIMIT_TORQUE,
+    LOC_KP,
+    LOC_REF,
+    MECH_POS,
+    MECH_VEL,
+    PARAMETERS,
+    RUN_MODE,
+    SPD_KP,
+    SPD_REF,
+    VBUS,
+    DetailedFault,
+    DeviceId,
+    Enable,
+    Fault,
+    FaultReport,
+    Feedback,
+    GetDeviceId,
+    HostMessage,
+    Mode,
+    MotorMessage,
+    Operation,
+    ParameterValue,
+    ReadParameter,
+    RunMode,
+    SetBaudRate,
+    SetId,
+    SetZero,
+    Stop,
+    WriteParameter,
+)
+
+ROTOR_TURN = 2 * math.pi / 7.75
+"""The encoder is on the rotor: at power-up the angle is known only within this [rad]. Gear ratio: manual, 7.75."""
+
+TORQUE_PER_AMPERE = 0.87 / math.sqrt(2)
+"""[N m/A], of the amplitude of a phase current. Source: manual, 0.87 N m/Arms; 4 N m then take the rated 6.5 A."""
+
+HOT, WARM = 80.0, 75.0
+"""Over-temperature fault and warning [degC]; manual, defaults."""
+
+LOW_VOLTAGE = 16.0
+"""Least operating voltage [V]; manual."""
+
+TIMEOUT_TICK = 50e-6
+"""Unit of CAN_TIMEOUT where firmware takes it [s]; of the successor family (20000 = 1 s). CyberGear's is not known."""
+
+_DETAIL = {
+    Fault.UNDER_VOLTAGE: DetailedFault.UNDER_VOLTAGE,
+    Fault.OVER_CURRENT: DetailedFault.PHASE_A_OVER_CURRENT,
+    Fault.OVER_TEMPERATURE: DetailedFault.OVER_TEMPERATURE,
+    Fault.NOT_CALIBRATED: DetailedFault.NOT_CALIBRATED,
+}
+
+
+class Drive(NamedTuple):
+    """What a motor does until it is told otherwise, in its own sign and counted from where its encoder was mounted:
+    torque = tau + kp (q - position) + kd (dq - velocity)."""
+
+    kp: float = 0.0
+    kd: float = 0.0
+    q: float = 0.0
+    dq: float = 0.0
+    tau: float = 0.0
+    limit: float = 12.0
+    """Greatest torque [N m]."""
+    pace: float = math.inf
+    """Speed at which the target moves to ``q`` [rad/s]."""
+
+
+class Measured(NamedTuple):
+    """What the sensors of a motor say, in its own sign, counted from where its encoder was mounted."""
+
+    q: float
+    dq: float
+    tau: float
+    temperature: float
+    voltage: float
+
+
+FREE = Drive()
+"""A motor that is off turns freely."""
+
+
+@dataclass
+class EmulatedMotor:
+    """One motor from power-up on."""
+
+    id: int
+    uid: int
+    codec: Codec
+    encoder: float
+    """Angle of the encoder where the motor's own angle is zero; stays for ever [rad]."""
+    timeout_honoured: bool = False
+    """Whether this firmware stops the motor after CAN_TIMEOUT; otherwise writing it has no effect."""
+    mode: Mode = Mode.RESET
+    drive: Drive = FREE
+    faults: Fault = Fault(0)
+    zero: float = 0.0
+    """Own angle at which it reads zero [rad]."""
+    last_command_at: float = -math.inf
+    """When an operation command came last [s]."""
+    heard_at: float = -math.inf
+    """When any frame came last [s]."""
+    host: int = 0xFD
+    """Who gets unasked reports."""
+    values: dict[int, float] = field(default_factory=dict)
+    _reported: tuple[int, int] = (0, 0)
+
+    def power_up(self, q: float) -> MotorMessage:
+        """Forget everything but the id, and tell it.
+
+        Args:
+            q: Own angle [rad].
+        """
+        self.mode, self.drive, self.faults, self._reported = Mode.RESET, FREE, Fault(0), (0, 0)
+        self.values = {index: p.default for index, p in PARAMETERS.items()}
+        self.zero = q - ((q + self.encoder + ROTOR_TURN / 2) % ROTOR_TURN - ROTOR_TURN / 2)
+        return DeviceId(motor=self.id, uid=self.uid)
+
+    # ------------------------------------------------------------------ what it hears
+
+    def hear(self, frame: CanFrame, t: float, measured: Measured) -> MotorMessage | None:
+        """Take a frame from the bus and return the answer; frames for others and malformed ones have none.
+
+        Args:
+            frame: From the bus.
+            t: When its last bit was [s].
+            measured: What the sensors say then.
+        """
+        if not frame.extended or frame.id & 0xFF != self.id:
+            return None
+        try:
+            message = self.codec.decode(frame)
+        except FrameError:
+            return None
+        if isinstance(message, DeviceId | Feedback | ParameterValue | FaultReport):
+            return None
+        self.heard_at = t
+        return self._obey(message, t, measured)
+
+    def _obey(self, message: HostMessage, t: float, measured: Measured) -> MotorMessage | None:
+        if not isinstance(message, Operation):
+            self.host = message.host
+        match message:
+            case Operation():
+                self.last_command_at = t
+                if self.mode is Mode.RUN and self.values[RUN_MODE] == RunMode.OPERATION:
+                    self.drive = Drive(
+                        message.kp,
+                        message.kd,
+                        message.q + self.zero,
+                        message.dq,
+                        message.tau,
+                        self.values[LIMIT_TORQUE],
+                    )
+            case GetDeviceId():
+                return DeviceId(motor=self.id, uid=self.uid)
+            case Enable():
+                if not self.faults:
+                    self.mode = Mode.RUN
+                    self.drive = self._drive_of_run_mode(measured)
+            case Stop():
+                self.stop()
+                if message.clear_faults:
+                    self.faults = Fault(0)
+            case SetZero():
+                self.zero = measured.q
+            case SetId():
+                self.id = message.new
+                return DeviceId(motor=self.id, uid=self.uid)
+            case ReadParameter():
+                value = self._read(message.index, measured)
+                return ParameterValue(motor=self.id, host=message.host, index=message.index, value=value)
+            case WriteParameter():
+                self._write(message.index, message.value, measured)
+            case SetBaudRate():
+                return None  # this emulation stays at the speed of its bus
+        return self.feedback(measured)
+
+    def stop(self) -> None:
+        """Switch off."""
+        self.mode, self.drive = Mode.RESET, FREE
+
+    def feedback(self, measured: Measured) -> Feedback:
+        """Return what it measures, as it tells it."""
+        return Feedback(
+            motor=self.id,
+            host=self.host,
+            q=measured.q - self.zero,
+            dq=measured.dq,
+            tau=measured.tau,
+            temperature=measured.temperature,
+            mode=self.mode,
+            faults=self.faults,
+        )
+
+    def _read(self, index: int, measured: Measured) -> float:
+        own = {
+            MECH_POS: measured.q - self.zero,
+            MECH_VEL: measured.dq,
+            VBUS: measured.voltage,
+            0x701A: measured.tau / TORQUE_PER_AMPERE,
+            0x701D: math.floor((measured.q - self.zero) / (2 * math.pi)),
+        }
+        return own.get(index, self.values[index])
+
+    def _write(self, index: int, value: float, measured: Measured) -> None:
+        running = self.mode is Mode.RUN
+        if not PARAMETERS[index].writable or (index == RUN_MODE and running):
+            return
+        if index == CAN_TIMEOUT and not self.timeout_honoured:
+            return
+        self.values[index] = value
+        if running and (index == LIMIT_TORQUE or self.values[RUN_MODE] != RunMode.OPERATION):
+            self.drive = self._drive_of_run_mode(measured)
+
+    def _drive_of_run_mode(self, measured: Measured) -> Drive:
+        """Return what a motor that runs does; the cascades of position and speed without their integrators."""
+        v, current = self.values, self.values[LIMIT_CUR] * TORQUE_PER_AMPERE
+        match RunMode(int(v[RUN_MODE])):
+            case RunMode.OPERATION:
+                return self.drive._replace(limit=v[LIMIT_TORQUE])
+            case RunMode.POSITION:
+                kd = v[SPD_KP] * TORQUE_PER_AMPERE
+                return Drive(v[LOC_KP] * kd, kd, v[LOC_REF] + self.zero, limit=min(current, 12.0), pace=v[LIMIT_SPD])
+            case RunMode.SPEED:
+                return Drive(kd=v[SPD_KP] * TORQUE_PER_AMPERE, dq=v[SPD_REF], limit=min(current, 12.0))
+            case RunMode.CURRENT:
+                return Drive(tau=v[IQ_REF] * TORQUE_PER_AMPERE, limit=12.0)
+
+    # ------------------------------------------------------------------ what happens to it
+
+    def look_after(self, t: float, measured: Measured, more: Fault) -> MotorMessage | None:
+        """Notice faults and a host that fell silent; return the report that is due.
+
+        Args:
+            t: Now [s].
+            measured: What the sensors say.
+            more: Faults besides those of temperature and voltage.
+        """
+        if measured.temperature >= HOT:
+            more |= Fault.OVER_TEMPERATURE
+        if measured.voltage < LOW_VOLTAGE:
+            more |= Fault.UNDER_VOLTAGE
+        self.faults |= more
+        if self.faults:
+            self.stop()
+        silence = self.values[CAN_TIMEOUT] * TIMEOUT_TICK
+        if self.mode is Mode.RUN and 0 < silence < t - self.heard_at:
+            self.stop()
+        detail = DetailedFault(0)
+        for fault, named in _DETAIL.items():
+            detail |= named if fault in self.faults else DetailedFault(0)
+        now = (int(detail), int(measured.temperature >= WARM))
+        if now == self._reported:
+            return None
+        self._reported = now
+        return FaultReport(motor=self.id, host=self.host, faults=detail, warnings=now[1])
