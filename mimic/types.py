@@ -270,6 +270,72 @@ class JointSamples(Record):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Health:
+    """How far the readings of one control step can be trusted, and what a robot says about itself."""
+
+    age: FloatArray
+    """Age of each motor's newest answer (12,) [s]; infinite where none ever came."""
+    missed: IntArray
+    """Control steps in a row without an answer (12,)."""
+    faults: IntArray
+    """Fault bits of each motor's newest answer (12,); 0 where all is well."""
+    running: BoolArray
+    """Whether each motor said last that it is switched on (12,)."""
+    temperature: FloatArray
+    """Of each motor (12,) [degC]; NaN where not known."""
+    imu_age: float
+    """Age of the newest orientation [s]; infinite where none ever came."""
+    imu_unchanged: float
+    """Since anything that the IMU sends was last new [s]."""
+    imu_count: int
+    """Orientations received since the start."""
+    imu_valid: bool | None
+    """What the IMU says about its orientation; None where it says nothing."""
+    compute: float
+    """From the end of the step before to the sending of this one's command [s]."""
+    late: float
+    """How much later than planned the step ended [s]."""
+    bus_errors: int
+    """Error frames and frames that made no sense since the start."""
+    guarded: bool = True
+    """Whether the guardian that should watch is still there; True where none was wanted."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class HealthLog(Record):
+    """What a robot said about itself at each control tick, beside the RunLog of the same rows."""
+
+    t: FloatArray = array()
+    """Time of the plant [s]."""
+    age: FloatArray = array("joint")
+    """Age of each motor's newest answer [s]."""
+    missed: FloatArray = array("joint")
+    """Control steps in a row without an answer."""
+    faults: FloatArray = array("joint")
+    """Fault bits."""
+    running: FloatArray = array("joint")
+    """1 where the motor was switched on."""
+    temperature: FloatArray = array("joint")
+    """Of each motor [degC]."""
+    imu_age: FloatArray = array()
+    """Age of the newest orientation [s]."""
+    imu_unchanged: FloatArray = array()
+    """Since anything that the IMU sends was last new [s]."""
+    imu_count: FloatArray = array()
+    """Orientations received."""
+    compute: FloatArray = array()
+    """From the end of the step before to the sending of this one's command [s]."""
+    late: FloatArray = array()
+    """How much later than planned the step ended [s]."""
+    bus_errors: FloatArray = array()
+    """Error frames and frames that made no sense."""
+    clamped: FloatArray = array()
+    """Numbers of this tick's targets and command that were outside their limits."""
+    mode: FloatArray = array()
+    """What the supervisor had decided: 0 run, 1 sit down, 2 damp, 3 stopped."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tick:
     """One control step of a plant: the state after it, and the command that really went out."""
 
@@ -277,6 +343,8 @@ class Tick:
     sent: JointCommand
     samples: JointSamples | None = None
     """Joint readings during the step, where the plant has them."""
+    health: Health | None = None
+    """How far the readings can be trusted, where the plant measures."""
 
 
 PHASES = ("lie", "stand_up", "blend", "track", "hold", "sit_down", "damp")

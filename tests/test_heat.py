@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.heat import seconds_to_limit, winding_rise
+from mimic.heat import MotorHeat, seconds_to_limit, winding_rise
 
 
 def limit_of(torque: float, description, *, ticks: int = 100, dt: float = 0.02) -> np.ndarray:
@@ -48,3 +48,24 @@ def test_a_motor_cools_when_it_rests(description):
 def test_rest_in_between_lets_a_motor_last_longer(description):
     half = np.tile([[8.0], [0.0]], (500, 1))
     assert seconds_to_limit(half, 0.02, description)[0] > 4 * limit_of(8.0, description)[0]
+
+
+def test_one_torque_at_a_time_gives_the_same_rise_as_all_at_once(description):
+    tau = np.random.default_rng(0).uniform(-12.0, 12.0, (500, 12))
+    heat = MotorHeat(description, np.full(12, 25.0))
+    rise = [heat.add(row, 0.02) for row in tau]
+    assert np.allclose(rise, winding_rise(tau, 0.02, description), rtol=1e-9)
+
+
+def test_a_torque_that_is_not_known_counts_as_the_one_before(description):
+    known, gap = MotorHeat(description, np.full(12, 25.0)), MotorHeat(description, np.full(12, 25.0))
+    for tick in range(20):
+        rise = known.add(np.full(12, 9.0), 0.02), gap.add(np.full(12, 9.0 if tick % 2 == 0 else np.nan), 0.02)
+    assert np.array_equal(*rise)
+
+
+def test_a_motor_that_is_warm_already_reaches_its_limit_sooner(description):
+    warm = MotorHeat(description, np.array([70.0, np.nan, 25.0, 10.0] + [25.0] * 8))
+    rise = warm.add(np.zeros(12), 0.02)
+    assert 0.3 < rise[0] < 0.6
+    assert np.array_equal(rise[1:], np.zeros(11))

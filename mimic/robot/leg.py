@@ -82,22 +82,33 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 @cache
-def front_legs(description: RobotDescription) -> tuple[Leg, Leg]:
-    """Return the left and the right front leg."""
+def all_legs(description: RobotDescription) -> tuple[Leg, ...]:
+    """Return the four legs, in the order of LEGS."""
     raw = description.raw
     x, y, z = raw["abad"]["origin"]
-    left, right = (
+    return tuple(
         Leg(
-            origin=np.array([x, side * y, z]),
+            origin=np.array([end * x, side * y, z]),
             offset=side * raw["hip"]["origin"][1],
             thigh=raw["hip"]["length"],
             toe=np.array(raw["toe"]["position"]),
         )
+        for end in (1.0, -1.0)
         for side in (1.0, -1.0)
     )
+
+
+def front_legs(description: RobotDescription) -> tuple[Leg, Leg]:
+    """Return the left and the right front leg."""
+    left, right, *_ = all_legs(description)
     return left, right
 
 
 def front_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
     """Return base -> front toe (..., 2, 3) [m], base axes, from joint positions (..., 12) [rad], NumPy or PyTorch."""
     return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(front_legs(description))], -2)
+
+
+def all_toes(q: Any, description: RobotDescription, xp: Any = np) -> Any:
+    """Return base -> toe of each leg (..., 4, 3) [m], base axes, from joint positions (..., 12) [rad]."""
+    return xp.stack([leg.forward(q[..., 3 * i : 3 * i + 3], xp) for i, leg in enumerate(all_legs(description))], -2)

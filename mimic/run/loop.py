@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import count
 
 import numpy as np
 
 from mimic.errors import ContractError, PlantError
 from mimic.frames import heading_from_quat, up_cosine
 from mimic.metrics import uprightness
-from mimic.policy.contract import ObservationBuilder, joint_command
+from mimic.policy.contract import ObservationBuilder, PolicyContract
 from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg import front_toes
 from mimic.run.plant import Plant
+from mimic.run.safety import Event, Mode
+from mimic.run.ticking import Run, Safety, Sink
 from mimic.settings import RunSettings
 from mimic.store import plain
-from mimic.types import PHASES, CommandTrack, FloatArray, JointCommand, JointSamples, RobotState, RunLog, Tick
+from mimic.types import PHASES, CommandTrack, FloatArray, HealthLog, JointCommand, JointSamples, RobotState, RunLog
 
-STAND_UP, BLEND, TRACK, HOLD, SIT_DOWN = (
-    PHASES.index(name) for name in ("stand_up", "blend", "track", "hold", "sit_down")
-)
+LIE, STAND_UP, BLEND, TRACK, HOLD, SIT_DOWN, DAMP = range(len(PHASES))
 
 FALLEN_COSINE = 0.3
 """A robot whose base x is further from up than this, after standing up, has fallen; the training's own limit."""
@@ -36,9 +36,6 @@ Measured with the shipped policy, 400 episodes of 10 s with robots of the paper'
 1.2 m/s every 4 s: all 113 falls pass it, 0.22 s before FALLEN_COSINE in the median; of the 287 other episodes one does, at
 whose end the robot was falling.
 """
-
-Sink = Callable[[Tick], None]
-"""Called after each tick; must not block."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,18 +50,11 @@ class RunResult:
     interrupted: bool
     """Whether Ctrl-C ended it early."""
     error: Exception | None = None
-    """What failed, where that ended it early and the robot sat down."""
-
-
-class _Rows:
-    """Columns of a log under construction."""
-
-    def __init__(self) -> None:
-        self.columns: dict[str, list[Any]] = {}
-
-    def add(self, **values: Any) -> None:
-        for name, value in values.items():
-            self.columns.setdefault(name, []).append(value)
+    """What failed, where that ended it early and the robot sat down or was damped."""
+    health: HealthLog | None = None
+    """What the robot said about itself, where the run was supervised; rows as in the log."""
+    events: tuple[Event, ...] = ()
+    """What the supervisor found."""
 
 
 Lost = Callable[[RobotState, RobotDescription], bool]
@@ -118,6 +108,7 @@ def run_policy(
     sit_down: Policy | None = None,
     sink: Sink | None = None,
     progress: Callable[[int, int], None] | None = None,
+    safety: Safety | None = None,
 ) -> RunResult:
     """Play commands on a plant through a policy.
 
@@ -125,10 +116,15 @@ def run_policy(
     Ctrl-C stops it, when anything but the plant fails, and when the robot is about to fall. Another Ctrl-C ends it at
     once. The plant is left damped, whatever happens.
 
+    Under supervision a run begins by bringing the joints from where they are into the lying pose while the gains rise, its
+    supervisor decides after every tick how it goes on, it ends by damping until the robot rests, and all ticks are logged.
+    What fails is then told in the result instead of being raised, once there is a tick to tell of.
+
     Args:
         sit_down: Brings the robot down; without it the plant is damped where it stands.
         sink: Sees every tick.
         progress: Called with the ticks done and in all.
+        safety: Supervises the run; the plant must tell its health.
 
     Returns:
         The log of every tick up to the end or the fall.
@@ -149,156 +145,173 @@ def run_policy(
         raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
     ticks = round((settings.stand_up + settings.blend + settings.hold) / dt) + len(track.t)
     last = 0 if sit_down is None else round(settings.sit_down / dt)
-    run = _Run(plant, sink, None if progress is None else partial(_told, progress, ticks + last))
-    fell_at: float | None = None
-    interrupted, error = False, None
+    told = None if progress is None else partial(_told, progress, ticks + last)
+    run = Run(plant, contract, sink, told, safety)
+    ending = _Ending()
     try:
-        try:
-            fell_at = _follow(run, policy, track, settings, ticks, fallen if sit_down is None else falling)
-        except KeyboardInterrupt:
-            if not run.rows.columns:
-                raise
-            interrupted = True
-        except PlantError:
-            raise
-        except Exception as reason:
-            if sit_down is None or not run.rows.columns:
-                raise
-            error = reason
-            run.sink = run.progress = None  # whose fault it may have been
-        try:
-            if sit_down is not None:
-                _sit_down(run, sit_down, last)
-        except KeyboardInterrupt:
-            interrupted = True
-        if fell_at is not None or sit_down is not None:
-            plant.step(damping_command(run.state.q, contract.kd))
+        if safety is None:
+            _unsupervised(run, policy, track, settings, ticks, sit_down, last, ending)
+        else:
+            _supervised(run, policy, track, settings, ticks, sit_down, last, ending)
     finally:
         plant.close()
+    decisive = None if safety is None else safety.supervisor.decisive
+    if decisive is not None and decisive.rule in ("tipping", "rolling_over"):
+        ending.fell_at = decisive.t
+    events = () if safety is None else tuple(safety.supervisor.events)
     metadata = {
         "robot": plant.description.name,
         "policy": policy.path.name,
         "sit_down": None if sit_down is None else sit_down.path.name,
         "settings": plain(settings),
         "dt": dt,
-        "fell_at": fell_at,
-    }
-    log = RunLog(**{name: np.array(values) for name, values in run.rows.columns.items()}, metadata=metadata)
-    return RunResult(log=log, samples=_joined(run.samples), fell_at=fell_at, interrupted=interrupted, error=error)
+        "fell_at": ending.fell_at,
+    } | ({"events": plain(events)} if safety is not None else {})
+    return RunResult(
+        log=RunLog(**run.columns(), metadata=metadata),
+        samples=_joined(run.samples),
+        fell_at=ending.fell_at,
+        interrupted=ending.interrupted,
+        error=ending.error,
+        health=None if safety is None else HealthLog(**run.health_columns()),
+        events=events,
+    )
 
 
 def _told(progress: Callable[[int, int], None], ticks: int, done: int) -> None:
     progress(done, max(done, ticks))
 
 
-class _Run:
-    """A run on its way: the plant, its newest state, and what has been recorded."""
+@dataclass
+class _Ending:
+    """How a run ended."""
 
-    def __init__(self, plant: Plant, sink: Sink | None, progress: Callable[[int], None] | None) -> None:
-        self.plant, self.sink, self.progress = plant, sink, progress
-        self.rows = _Rows()
-        self.samples: list[JointSamples] = []
-        self.ticks = 0
-        self.state: RobotState
+    fell_at: float | None = None
+    interrupted: bool = False
+    error: Exception | None = None
 
-    def tick(
-        self,
-        policy: Policy,
-        builder: ObservationBuilder,
-        *,
-        phase: int,
-        v_des: FloatArray,
-        heading_des: float,
-        p_BE_des: FloatArray,
-    ) -> None:
-        """Let a policy act on the newest state, for one control step."""
-        contract, state = policy.contract, self.state
-        observation = builder.observe(
-            q=state.q, quat_WB=state.quat_WB, v_des=v_des, heading_des=heading_des, p_BE_des=p_BE_des
-        )
-        action = policy.act(observation)
-        builder.acted(action)
-        q_des, zeros = joint_command(contract, action), np.zeros(12)
-        gains = np.full(12, contract.kp), np.full(12, contract.kd)
-        command = JointCommand(q_des=q_des, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
-        done = self.plant.step(command)
-        toes = front_toes(state.q, self.plant.description)
-        _record(self.rows, state, toes, phase, v_des, heading_des, p_BE_des, observation, action, command, done)
-        self.state = done.state
-        self.ticks += 1
-        if done.samples is not None:
-            self.samples.append(done.samples)
-        if self.sink is not None:
-            self.sink(done)
-        if self.progress is not None:
-            self.progress(self.ticks)
+
+def _unsupervised(
+    run: Run,
+    policy: Policy,
+    track: CommandTrack,
+    settings: RunSettings,
+    ticks: int,
+    sit_down: Policy | None,
+    last: int,
+    ending: _Ending,
+) -> None:
+    try:
+        run.begin()
+        lost = fallen if sit_down is None else falling
+        ending.fell_at = _follow(run, policy, track, settings, ticks, lost)
+    except KeyboardInterrupt:
+        if not run.ticks:
+            raise
+        ending.interrupted = True
+    except PlantError:
+        raise
+    except Exception as reason:
+        if sit_down is None or not run.ticks:
+            raise
+        ending.error = reason
+        run.sink = run.progress = None  # whose fault it may have been
+    try:
+        if sit_down is not None:
+            _sit_down(run, sit_down, last)
+    except KeyboardInterrupt:
+        ending.interrupted = True
+    if ending.fell_at is not None or sit_down is not None:
+        run.plant.step(damping_command(run.state.q, policy.contract.kd))
+
+
+def _supervised(
+    run: Run,
+    policy: Policy,
+    track: CommandTrack,
+    settings: RunSettings,
+    ticks: int,
+    sit_down: Policy | None,
+    last: int,
+    ending: _Ending,
+) -> None:
+    """Ramp, follow, sit down, damp; whatever fails is kept in ``ending`` and the robot damped."""
+    try:
+        run.begin()
+        _ramp(run, policy.contract)
+        if run.mode == Mode.RUN:
+            _follow(run, policy, track, settings, ticks, lambda state, description: False)
+        if run.mode <= Mode.SIT_DOWN and sit_down is not None:
+            _sit_down(run, sit_down, last)
+        run.decide("finished", Mode.DAMP, "the run is over")
+        _damp(run)
+    except (Exception, KeyboardInterrupt) as reason:
+        told = str(reason).strip() or type(reason).__name__
+        run.decide("exception", Mode.DAMP, told)
+        run.sink = run.progress = None  # whose fault it may have been
+        ending.error = reason if isinstance(reason, Exception) else None
+        if not run.ticks:
+            raise
+        if not isinstance(reason, PlantError):  # otherwise closing the plant does what can be done
+            with suppress(Exception, KeyboardInterrupt):
+                _damp(run)
+    ending.interrupted = run.interrupted
+
+
+def _ramp(run: Run, contract: PolicyContract) -> None:
+    """Let the gains rise where the joints are, then bring the joints into the lying pose."""
+    assert run.safety is not None
+    ticks = max(2, round(run.safety.ramp / contract.dt))
+    begin, lie = run.q, run.plant.description.poses["lie"]
+    for tick in range(ticks):
+        if run.mode > Mode.RUN:
+            return
+        done = 2.0 * (tick + 1) / ticks
+        gain, way = min(done, 1.0), float(np.clip(done - 1.0, 0.0, 1.0))
+        q_des = begin + way * way * (3 - 2 * way) * (lie - begin)
+        kp, kd = np.full(12, gain * contract.kp), np.full(12, gain * contract.kd)
+        run.hold(JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=kp, kd=kd, tau_ff=np.zeros(12)), LIE)
+
+
+def _damp(run: Run) -> None:
+    """Only brake, as hard as the motors can, until the supervisor finds that the robot rests."""
+    kd = float(run.plant.description.raw["motor"]["kd_most"])
+    while run.mode < Mode.STOPPED:
+        run.hold(damping_command(run.q, kd), DAMP)
 
 
 def _follow(
-    run: _Run, policy: Policy, track: CommandTrack, settings: RunSettings, ticks: int, lost: Lost
+    run: Run, policy: Policy, track: CommandTrack, settings: RunSettings, ticks: int, lost: Lost
 ) -> float | None:
     """Stand up, blend, track and hold; return when that was given up because the robot was ``lost``, if ever [s]."""
     contract, description = policy.contract, run.plant.description
-    run.state = run.plant.start()
     builder = ObservationBuilder(contract)
-    heading0 = float(heading_from_quat(run.state.quat_WB))
+    heading0 = float(heading_from_quat(run.quat_WB))
     measured = neutral = np.array(contract.neutral_toes).reshape(2, 3)
     phase = STAND_UP
-    for tick in range(ticks):
+    endless = run.safety is not None and run.safety.endless
+    for tick in count() if endless else range(ticks):
         before = phase
         if before != BLEND:
-            measured = front_toes(run.state.q, description)
+            measured = front_toes(run.q, description)
         phase, v_des, p_BE_des, turn = desired_at(track, tick, settings, contract.dt, neutral, measured)
         run.tick(policy, builder, phase=phase, v_des=v_des, heading_des=heading0 + turn, p_BE_des=p_BE_des)
+        if run.mode > Mode.RUN:
+            return None
         if phase > STAND_UP and lost(run.state, description):
             return run.state.t
     return None
 
 
-def _sit_down(run: _Run, policy: Policy, ticks: int) -> None:
+def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
     """Let a policy bring the robot from its newest state down to lying."""
     builder = ObservationBuilder(policy.contract)
-    heading = float(heading_from_quat(run.state.quat_WB))
+    heading = float(heading_from_quat(run.quat_WB))
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     for _ in range(ticks):
         run.tick(policy, builder, phase=SIT_DOWN, v_des=np.zeros(2), heading_des=heading, p_BE_des=neutral)
-
-
-def _record(
-    rows: _Rows,
-    state: RobotState,
-    toes: FloatArray,
-    phase: int,
-    v_des: FloatArray,
-    heading_des: float,
-    p_BE_des: FloatArray,
-    observation: FloatArray,
-    action: FloatArray,
-    command: JointCommand,
-    done: Tick,
-) -> None:
-    rows.add(
-        t=state.t,
-        t_host=time.monotonic(),
-        phase=phase,
-        q=state.q,
-        dq=state.dq,
-        tau=state.tau,
-        quat_WB=state.quat_WB,
-        omega_B=state.omega_B,
-        p_WB=state.p_WB,
-        v_WB=state.v_WB,
-        p_BE=toes,
-        v_des=v_des,
-        heading_des=heading_des,
-        p_BE_des=p_BE_des,
-        observation=observation,
-        action=action,
-        q_des=command.q_des,
-        q_sent=done.sent.q_des,
-        kp=done.sent.kp,
-        kd=done.sent.kd,
-    )
+        if run.mode > Mode.SIT_DOWN:
+            return
 
 
 def _joined(samples: list[JointSamples]) -> JointSamples | None:

@@ -1,0 +1,91 @@
+"""The log of a run as it grows: every control tick on disk before the next one begins, events as lines of JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.run.row_file import RowFile, read_rows
+from mimic.run.safety import Event
+from mimic.store import plain
+from mimic.types import AXES, Health, HealthLog, Record, RunLog
+
+ROWS, EVENTS = "log.rows", "events.jsonl"
+"""Files in a run folder; the rows are there only until log.parquet is."""
+
+_HEALTH = "health_"
+
+
+def _shapes(kind: type[Record], observation: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of a row of each array field."""
+    lengths = {"observation": observation}
+    arrays = [f for f in fields(kind) if "axes" in f.metadata]  # type: ignore[arg-type]
+    return {f.name: tuple(lengths.get(a) or len(AXES[a]) for a in f.metadata["axes"]) for f in arrays}
+
+
+def health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict[str, Any]:
+    """Return the columns of a HealthLog for one tick; NaN where the plant does not measure."""
+    nothing = np.full(len(AXES["joint"]), np.nan)
+    row: dict[str, Any] = {"t": t, "clamped": float(clamped), "mode": float(mode)}
+    for f in fields(HealthLog):
+        if f.name in row or "axes" not in f.metadata:
+            continue
+        missing = nothing if f.metadata["axes"] else np.nan
+        row[f.name] = missing if health is None else np.asarray(getattr(health, f.name), dtype=np.float64)
+    return row
+
+
+class RunRecorder:
+    """Writes rows and events into a run folder as they come."""
+
+    def __init__(self, folder: Path, observation: int, metadata: Mapping[str, Any]) -> None:
+        """Begin a log.
+
+        Args:
+            folder: Run folder.
+            observation: Width of the policies' observation.
+            metadata: Of the RunLog, should it have to be salvaged.
+        """
+        health = {_HEALTH + name: shape for name, shape in _shapes(HealthLog, observation).items()}
+        self._rows = RowFile(folder / ROWS, _shapes(RunLog, observation) | health, metadata)
+        self._events = os.open(folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
+
+    def row(self, values: Mapping[str, Any], health: Mapping[str, Any]) -> None:
+        """Append a tick."""
+        self._rows.add({**values, **{_HEALTH + name: value for name, value in health.items()}})
+
+    def event(self, event: Event) -> None:
+        """Append an event."""
+        line = {"t": event.t, "rule": event.rule, "mode": event.mode.name.lower(), "text": event.text}
+        os.write(self._events, json.dumps(plain(line)).encode() + b"\n")
+
+    def close(self) -> None:
+        """Close the files; safe to call twice."""
+        self._rows.close()
+        if self._events >= 0:
+            os.close(self._events)
+            self._events = -1
+
+    def discard(self) -> None:
+        """Close the files and remove the rows, once they are stored in another form."""
+        self.close()
+        self._rows.path.unlink(missing_ok=True)
+
+
+def salvage(folder: Path) -> tuple[RunLog, HealthLog]:
+    """Return the logs of a run whose process was killed, up to the last whole tick.
+
+    Raises:
+        AssetError: If the folder holds no rows.
+    """
+    columns, metadata = read_rows(folder / ROWS)
+    split: dict[bool, dict[str, Any]] = {True: {}, False: {}}
+    for name, value in columns.items():
+        split[name.startswith(_HEALTH)][name.removeprefix(_HEALTH)] = value
+    return RunLog(**split[False], metadata=metadata), HealthLog(**split[True])

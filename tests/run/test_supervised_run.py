@@ -1,0 +1,303 @@
+"""A run under supervision on a robot that lives in memory: phases, decisions, what is logged, and how it ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mimic.errors import PlantError
+from mimic.run.loop import run_policy
+from mimic.run.recorder import EVENTS, ROWS, RunRecorder, salvage
+from mimic.run.safety import Mode, Supervisor
+from mimic.run.safety_rules import LIMITS
+from mimic.run.signals import Signals
+from mimic.run.ticking import Safety
+from mimic.settings import RunSettings
+from mimic.types import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
+
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1, sit_down=1.5)
+RAMP, BEFORE, LAST = 20, 50 + 10 + 20 + 5, 75
+"""Ticks of the ramp, of the run, and of sitting down, with a track of 20."""
+
+
+FORGIVING = dataclasses.replace(
+    LIMITS, imu_turn=10.0, toes_apart=10.0, toes_apart_moving=10.0, front_above=-10.0, jump=100.0
+)
+"""The base of the robot in memory does what it is told, whatever its legs do; its joints jump as the test's policy does."""
+
+
+class HealthyPlant:
+    """Wraps a plant in memory: tells its health, and what a test changes of it."""
+
+    def __init__(self, plant, health: Callable[[int, Health], Health] = lambda tick, health: health) -> None:
+        self.plant, self.health = plant, health
+        self.description, self.sent, self.ticks = plant.description, plant.sent, 0
+
+    def start(self):
+        return self._alive(self.plant.start())
+
+    def _alive(self, state):
+        noise = 1e-4 * np.sin(7.0 * self.ticks + np.arange(4))  # an IMU never says quite the same twice
+        return dataclasses.replace(state, quat_WB=state.quat_WB + noise)
+
+    def step(self, command: JointCommand) -> Tick:
+        done = self.plant.step(command)
+        self.ticks += 1
+        health = Health(
+            age=np.full(12, 0.018),
+            missed=np.zeros(12, dtype=int),
+            faults=np.zeros(12, dtype=int),
+            running=np.ones(12, dtype=bool),
+            temperature=np.full(12, 30.0),
+            imu_age=0.005,
+            imu_unchanged=0.005,
+            imu_count=self.ticks,
+            imu_valid=True,
+            compute=0.001,
+            late=0.0,
+            bus_errors=0,
+        )
+        return dataclasses.replace(done, state=self._alive(done.state), health=self.health(self.ticks, health))
+
+    def close(self) -> None:
+        self.plant.close()
+
+
+def lean(tick: int) -> float:
+    """Angle of base x above the ground: lies through the ramp, then stands up slowly enough for the IMU's check."""
+    return float(np.clip(0.05 * (tick - RAMP), 0.0, 1.37))
+
+
+@pytest.fixture
+def supervised(memory_plant, told_policy, contract, track, description, tmp_path):
+    """Return a function that plays a supervised run on a robot that stands in the upright pose."""
+
+    def play(*, health=lambda tick, health: health, fail=lambda tick: None, says=None, endless=False, **options):
+        upright = (description.poses["upright"] - np.array(contract.default_q)) / np.array(contract.action_scale)
+        answer = says or (lambda call: upright)
+        sitter = told_policy(says=lambda call: upright)
+        sitter.contract = dataclasses.replace(contract, task="sit_down")
+        plant = HealthyPlant(memory_plant(pitch=lean, fail=fail), health)
+        signals = options.pop("signals", Signals())
+        recorder = RunRecorder(tmp_path / "run", contract.observation_size, {"dt": 0.02})
+        supervisor = Supervisor(description, FORGIVING)
+        safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=RAMP * 0.02, endless=endless)
+        result = run_policy(
+            plant, told_policy(says=answer), track(20), SHORT, sit_down=sitter, safety=safety, **options
+        )
+        recorder.close()
+        return result, plant, supervisor
+
+    return play
+
+
+def phases(log: RunLog) -> list[str]:
+    return [PHASES[i] for i in log.phase]
+
+
+def test_it_ramps_runs_sits_down_and_damps_until_it_rests(supervised, contract):
+    result, plant, supervisor = supervised()
+    names = phases(result.log)
+    assert names[:RAMP] == ["lie"] * RAMP
+    assert names[RAMP : RAMP + BEFORE] == ["stand_up"] * 50 + ["blend"] * 10 + ["track"] * 20 + ["hold"] * 5
+    assert names[RAMP + BEFORE : RAMP + BEFORE + LAST] == ["sit_down"] * LAST
+    rest = names[RAMP + BEFORE + LAST :]
+    assert set(rest) == {"damp"}
+    assert 25 <= len(rest) <= 28
+    assert supervisor.mode == Mode.STOPPED
+    assert [e.rule for e in result.events] == ["finished", "at_rest"]
+    assert result.fell_at is None
+    assert not result.interrupted
+    assert plant.plant.closed
+    assert len(result.log.t) == len(plant.sent)
+
+
+def test_gains_and_targets_ramp_from_where_the_joints_are(supervised, description, contract):
+    result, _, _ = supervised()
+    kp, q_des = result.log.kp[:RAMP], result.log.q_des[:RAMP]
+    assert 0 < kp[0, 0] <= contract.kp * 2.1 / RAMP
+    assert np.all(np.diff(kp, axis=0) >= 0)
+    assert np.all(kp[RAMP // 2 :] == contract.kp)
+    begin = result.log.q[0]
+    assert np.allclose(q_des[: RAMP // 2], begin)
+    assert np.allclose(q_des[-1], description.poses["lie"])
+
+
+def test_damping_has_no_stiffness_and_the_most_the_motors_brake_with(supervised, description):
+    result, plant, _ = supervised()
+    damped = result.log.phase == PHASES.index("damp")
+    assert not result.log.kp[damped].any()
+    assert np.all(result.log.kd[damped] == description.raw["motor"]["kd_most"])
+    assert not plant.sent[-1].kp.any()
+
+
+def after(signals: Signals, interrupts: dict[int, int]):
+    """Return a health function that presses Ctrl-C at ticks."""
+
+    def press(tick: int, health: Health) -> Health:
+        signals.interrupts = max([n for at, n in interrupts.items() if tick >= at], default=0)
+        return health
+
+    return press
+
+
+@pytest.mark.parametrize("tick", [RAMP + 5, RAMP + 55, RAMP + 75])
+def test_ctrl_c_sits_down_in_the_next_tick_and_then_damps(tick, supervised):
+    signals = Signals()
+    result, _, _ = supervised(signals=signals, health=after(signals, {tick: 1}))
+    names = phases(result.log)
+    assert names[tick] == "sit_down"
+    assert names.count("sit_down") == LAST
+    assert names[-1] == "damp"
+    assert result.interrupted
+    assert [e.rule for e in result.events] == ["interrupt", "finished", "at_rest"]
+
+
+def test_another_ctrl_c_damps_in_the_next_tick(supervised):
+    signals = Signals()
+    result, _, _ = supervised(signals=signals, health=after(signals, {60: 1, 70: 2}))
+    assert phases(result.log)[60:71] == ["sit_down"] * 10 + ["damp"]
+
+
+def test_a_hold_without_end_goes_on_until_ctrl_c(supervised):
+    signals = Signals()
+    result, _, _ = supervised(signals=signals, health=after(signals, {400: 1}), endless=True)
+    names = phases(result.log)
+    assert names[RAMP + BEFORE : 400] == ["hold"] * (400 - RAMP - BEFORE)
+    assert names[400] == "sit_down"
+
+
+def test_a_rule_that_damps_is_followed_in_the_next_tick(supervised):
+    result, _, _ = supervised(
+        health=lambda tick, health: dataclasses.replace(health, imu_valid=tick < 60)
+    )
+    assert phases(result.log)[60] == "damp"
+    assert result.events[0].rule == "imu_invalid"
+
+
+def test_a_rule_that_sits_down_is_followed_in_the_next_tick(supervised):
+    faults = np.zeros(12, dtype=int)
+    faults[3] = 1
+    result, _, _ = supervised(
+        health=lambda tick, health: dataclasses.replace(health, faults=faults) if tick >= 90 else health
+    )
+    assert phases(result.log)[90] == "sit_down"
+    assert result.events[0].rule == "motor_fault"
+
+
+def test_an_answer_that_is_not_a_number_never_goes_out(supervised):
+    result, plant, _ = supervised(says=lambda call: np.full(12, np.nan if call == 30 else 0.0))
+    assert phases(result.log)[RAMP + 30] == "damp"
+    assert result.events[0].rule == "not_finite"
+    assert all(np.isfinite(command.q_des).all() for command in plant.sent)
+    assert np.isnan(result.log.action[RAMP + 30]).all()
+
+
+def test_a_wild_policy_is_clamped_and_counted(supervised, description):
+    result, _, _ = supervised(says=lambda call: np.full(12, 500.0 * (-1) ** call))
+    assert "outside_limits" in [e.rule for e in result.events]
+    assert result.health.clamped.max() >= 12
+    assert np.all(result.log.q_sent <= description.q_max + 1e-9)
+
+
+def raising(error: BaseException, at: int):
+    raised = []
+
+    def fail(tick: int) -> None:
+        if tick == at and not raised:
+            raised.append(error)
+            raise error
+
+    return fail
+
+
+@pytest.mark.parametrize("error", [PlantError("no answer"), RuntimeError("a bug"), KeyboardInterrupt()])
+@pytest.mark.parametrize("at", [3, 60, 130])
+def test_whatever_is_raised_ends_damped_with_the_whole_log(error, at, supervised, tmp_path):
+    result, plant, _ = supervised(fail=raising(error, at))
+    assert plant.plant.closed
+    assert len(result.log.t) >= at + 1
+    assert np.isnan(result.log.q_sent[at]).all()  # asked for, but never sent
+    decisive = next(e for e in result.events if e.mode > Mode.RUN)
+    assert decisive.rule == "exception"
+    if isinstance(error, PlantError):
+        assert result.error is error
+        assert len(result.log.t) == at + 1  # the bus is left to the plant's own close
+    else:
+        assert phases(result.log)[-1] == "damp"
+
+
+def test_what_fails_before_the_first_tick_is_raised(supervised):
+    with pytest.raises(PlantError, match="no answer"):
+        supervised(fail=raising(PlantError("no answer"), 0))
+
+
+def test_a_sink_that_fails_damps(supervised):
+    def sink(tick: Tick) -> None:
+        raise RuntimeError("the viewer is gone")
+
+    result, _, _ = supervised(sink=sink)
+    assert result.events[0].text == "the viewer is gone"
+    assert phases(result.log)[1] == "damp"
+
+
+# ---------------------------------------------------------------------- the log on disk
+
+
+def test_every_tick_and_event_is_on_disk_as_it_is_in_the_result(supervised, tmp_path):
+    result, _, _ = supervised()
+    log, health = salvage(tmp_path / "run")
+    for f in dataclasses.fields(RunLog):
+        if "axes" in f.metadata:
+            assert np.array_equal(getattr(log, f.name), getattr(result.log, f.name), equal_nan=True), f.name
+    for f in dataclasses.fields(HealthLog):
+        assert np.array_equal(getattr(health, f.name), getattr(result.health, f.name), equal_nan=True), f.name
+    lines = (tmp_path / "run" / EVENTS).read_text().splitlines()
+    assert [json.loads(line)["rule"] for line in lines] == [e.rule for e in result.events]
+
+
+def test_the_tick_in_which_the_plant_failed_is_on_disk(supervised, tmp_path):
+    supervised(fail=raising(PlantError("no answer"), 60))
+    log, _ = salvage(tmp_path / "run")
+    assert len(log.t) == 61
+    assert np.isfinite(log.q_des[60]).all()
+    assert np.isnan(log.q_sent[60]).all()
+
+
+def test_rows_are_gone_once_they_are_discarded(tmp_path, contract):
+    recorder = RunRecorder(tmp_path, contract.observation_size, {})
+    assert (tmp_path / ROWS).exists()
+    recorder.discard()
+    assert not (tmp_path / ROWS).exists()
+    assert (tmp_path / EVENTS).exists()
+
+
+# ---------------------------------------------------------------------- joints that did not answer
+
+
+def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_policy(
+    memory_plant, told_policy, contract, track, description
+):
+    plant = HealthyPlant(memory_plant(pitch=lean))
+    inner = plant.step
+
+    def step(command: JointCommand) -> Tick:
+        done = inner(command)
+        if plant.ticks in (60, 61):
+            q = done.state.q.copy()
+            q[4] = np.nan
+            done = dataclasses.replace(done, state=dataclasses.replace(done.state, q=q))
+        return done
+
+    plant.step = step
+    policy = told_policy()
+    safety = Safety(supervisor=Supervisor(description, FORGIVING), signals=Signals(), ramp=RAMP * 0.02)
+    log = run_policy(plant, policy, track(20), SHORT, safety=safety).log
+    assert np.flatnonzero(np.isnan(log.q[:, 4])).tolist() == [60, 61]
+    assert np.isfinite(policy.seen).all()
+    held = np.array([seen.reshape(3, -1)[-1][4] for seen in policy.seen])
+    assert np.allclose(held[60 - RAMP : 62 - RAMP], held[59 - RAMP], atol=1e-9)
