@@ -15,6 +15,7 @@ from mimic.errors import ConfigError, MimicError
 from mimic.settings import (
     CalibrateSettings,
     EffectsSettings,
+    EmulateSettings,
     EvaluateSettings,
     LearnSettings,
     LogSettings,
@@ -288,6 +289,62 @@ def simulate(
 
     options = MotionOptions(kind=motion, seconds=seconds, size=size, kp=kp, kd=kd)
     return simulate_to(out, effects, model, options, settings or LogSettings())
+
+
+@app.command
+def emulate(
+    *,
+    listen: str = "127.0.0.1:29536",
+    slcan: int | None = None,
+    buses: int = 1,
+    wiring: Path | None = None,
+    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    fault_seed: int | None = None,
+    seconds: float | None = None,
+    every: float = 10.0,
+    view: Annotated[bool, Parameter(negative="")] = False,
+    settings: Annotated[EmulateSettings | None, Flat] = None,
+    robot: Annotated[EffectsSettings | None, Flat] = None,
+) -> int:
+    """Serve an emulated robot on emulated CAN buses, for rehearsals with ``--robot``.
+
+    Parameters
+    ----------
+    listen
+        Address for socketcand; port 0 takes a free one. Keep it on this computer: anybody who reaches it moves the robot.
+    slcan
+        Also serve slcan, the first bus on this port, the others on those after it; 0 takes free ones.
+    buses
+        How many buses the motors are on.
+    wiring
+        Copy of bus.toml; by default the one that ships with the robot.
+    fault
+        What goes wrong: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5; again for more. Seconds of
+        the emulation, or with + since the first motor was switched on. docs/robot.md lists the kinds.
+    fault_seed
+        Also draw one.
+    seconds
+        End after this; by default at Ctrl-C.
+    every
+        Tell bus load and lateness this often [s]; 0 not at all.
+    view
+        Watch it in MuJoCo's viewer.
+    """
+    from mimic.cli.emulate import ServeOptions
+    from mimic.cli.emulate import emulate as serve
+
+    options = ServeOptions(
+        listen=listen,
+        slcan=slcan,
+        buses=buses,
+        wiring=wiring,
+        faults=fault,
+        fault_seed=fault_seed,
+        seconds=seconds,
+        every=every,
+        view=view,
+    )
+    return serve(options, settings or EmulateSettings(), robot or EffectsSettings())
 
 
 @app.command

@@ -40,6 +40,9 @@ SEND_WITHIN = 0.01
 _LINE_WITHIN = 0.002
 """A line of slcan whose beginning is there is complete within this [s]."""
 
+_TRIES = 3
+"""Handshakes of socketcand that are tried: on a busy bus a frame can come right after an answer, which python-can refuses."""
+
 _SLICE = 0.0005
 """How long to wait at a time on a bus that cannot be waited for [s]."""
 
@@ -246,9 +249,16 @@ def _socketcand(name: str) -> _Port:
     if not channel:
         raise ConfigError(f"{name} names no bus of that server; expected socketcand://HOST:PORT/can0")
     _knock(name, host, port)
+    options: dict[str, Any] = {"channel": channel, "host": host, "port": port, "tcp_tune": True, "ignore_config": True}
     with _giving_up():
-        bus = can.Bus(interface="socketcand", channel=channel, host=host, port=port, tcp_tune=True, ignore_config=True)
-    return _Port(name, bus, getattr(bus, "_SocketCanDaemonBus__socket", None), ready=False)
+        for left in reversed(range(_TRIES)):
+            try:
+                bus = can.Bus(interface="socketcand", **options)
+                return _Port(name, bus, getattr(bus, "_SocketCanDaemonBus__socket", None), ready=False)
+            except can.CanError as reason:
+                if "< frame" not in str(reason) or not left:
+                    raise
+    raise AssertionError("the last try raises")
 
 
 def _slcan(name: str, channel: str, bitrate: int) -> _Port:

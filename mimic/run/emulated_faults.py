@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -78,6 +78,8 @@ class EmulatedFault:
     start: float
     """[s], time of the emulation"""
     until: float = math.inf
+    after_release: bool = False
+    """Times count from when the first motor is switched on."""
     joint: int | None = None
     """Index of the joint."""
     bus: int | None = None
@@ -89,20 +91,27 @@ class EmulatedFault:
             f":{JOINTS[self.joint]}" if self.joint is not None else f":bus{self.bus}" if self.bus is not None else ""
         )
         end = "" if math.isinf(self.until) else f"-{self.until:g}"
-        return f"{self.kind}{place}={self.value:g}@{self.start:g}{end}"
+        sign = "+" if self.after_release else ""
+        return f"{self.kind}{place}={self.value:g}@{sign}{self.start:g}{end}"
 
     def active(self, t: float) -> bool:
         """Return whether it is there at time t [s]."""
-        return self.start <= t < self.until
+        return not self.after_release and self.start <= t < self.until
+
+    def released(self, t: float) -> EmulatedFault:
+        """Return the fault as it is once the first motor was switched on at time t [s]."""
+        if not self.after_release:
+            return self
+        return replace(self, start=t + self.start, until=t + self.until, after_release=False)
 
 
 _FORM = re.compile(
-    r"(?P<kind>\w+)(:(?P<place>\w+))?(=(?P<value>[-+.\deE]+))?(@(?P<start>[.\d]+)(-(?P<until>[.\d]+))?)?"
+    r"(?P<kind>\w+)(:(?P<place>\w+))?(=(?P<value>[-+.\deE]+))?(@(?P<plus>\+)?(?P<start>[.\d]+)(-(?P<until>[.\d]+))?)?"
 )
 
 
 def parse_fault(text: str) -> EmulatedFault:
-    """Return the fault that a person names as KIND[:PLACE][=VALUE][@FROM[-UNTIL]].
+    """Return the fault that a person names as KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]].
 
     Raises:
         ConfigError: If it is no such word, or names what does not exist.
@@ -110,7 +119,7 @@ def parse_fault(text: str) -> EmulatedFault:
     found = _FORM.fullmatch(text.strip())
     if found is None:
         raise ConfigError(
-            f"the fault {text!r} is not KIND[:PLACE][=VALUE][@FROM[-UNTIL]], such as motor_dead:FL_knee@12.5"
+            f"the fault {text!r} is not KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5"
         )
     name, place = found["kind"], found["place"]
     if name not in KINDS:
@@ -135,15 +144,19 @@ def parse_fault(text: str) -> EmulatedFault:
         if kind.scope != "bus" or not re.fullmatch(r"bus\d", place):
             raise ConfigError(f"the fault {text!r} cannot be at {place!r}; {name} is of the whole {kind.scope}")
         bus = int(place[3:])
-    return EmulatedFault(kind=name, value=value, start=start, until=until, joint=joint, bus=bus)
+    after = found["plus"] is not None
+    return EmulatedFault(kind=name, value=value, start=start, until=until, joint=joint, bus=bus, after_release=after)
 
 
-def random_fault(seed: int, *, start: tuple[float, float], kinds: tuple[str, ...] = tuple(KINDS)) -> EmulatedFault:
+def random_fault(
+    seed: int, *, start: tuple[float, float], after_release: bool = False, kinds: tuple[str, ...] = tuple(KINDS)
+) -> EmulatedFault:
     """Return a fault drawn by a seed: kind, place, value, begin, and whether and when it passes.
 
     Args:
         seed: The same seed and ranges give the same fault.
         start: Range of its begin [s].
+        after_release: Count from when the first motor is switched on.
         kinds: To draw from.
     """
     rng = np.random.default_rng([seed, 23])
@@ -155,4 +168,6 @@ def random_fault(seed: int, *, start: tuple[float, float], kinds: tuple[str, ...
     if name == "motor_fault":
         value = float(1 << int(rng.integers(6)))
     joint = int(rng.integers(len(JOINTS))) if kind.scope == "joint" else None
-    return EmulatedFault(kind=name, value=value, start=begin, until=begin + lasts, joint=joint)
+    return EmulatedFault(
+        kind=name, value=value, start=begin, until=begin + lasts, joint=joint, after_release=after_release
+    )

@@ -47,6 +47,8 @@ class Host:
 
     node: str
     """Name on the buses."""
+    bus: int | None = None
+    """The only one it is on; None for all."""
     heard: deque[Received] = field(default_factory=deque)
     """Frames that it has not taken yet; its own are not among them."""
 
@@ -112,6 +114,8 @@ class EmulatedRobot:
         """In the order of the joints."""
         self._on_bus = [[i for i in range(len(JOINTS)) if wiring.bus[i] == bus] for bus in range(wiring.buses)]
         self._driven = [FREE] * len(JOINTS)
+        self.told: deque[tuple[float, str]] = deque(maxlen=1000)
+        """What happened to it and when [s]: faults, the first motor switched on."""
         self._late: list[tuple[float, int, int, Sent]] = []
         self._late_count = 0
         self._next_look = LOOK_EVERY
@@ -135,12 +139,12 @@ class EmulatedRobot:
         """
         if fault.bus is not None and fault.bus >= len(self.buses):
             raise ConfigError(f"the fault {fault} is on bus {fault.bus}; this robot has {len(self.buses)}")
-        self._faults.append(fault)
+        self._faults.append(fault if self.body.held else fault.released(self.now))
 
-    def connect(self) -> Host:
-        """Return another host on the buses."""
+    def connect(self, *, bus: int | None = None) -> Host:
+        """Return another host, on one bus or on all."""
         self._host_count += 1
-        host = Host(f"host{self._host_count}")
+        host = Host(f"host{self._host_count}", bus)
         self._hosts.append(host)
         return host
 
@@ -171,7 +175,7 @@ class EmulatedRobot:
         times += [self.imu.next_sample, self._next_look]
         if self._late:
             times.append(self._late[0][0])
-        times += [f.start for i, f in enumerate(self._faults) if i not in self._happened]
+        times += [f.start for i, f in enumerate(self._faults) if i not in self._happened and not f.after_release]
         return min(times)
 
     def advance(self, until: float, *, waiting: Host | None = None) -> None:
@@ -193,8 +197,9 @@ class EmulatedRobot:
     def _happen(self) -> None:
         """Do all that is due now."""
         for i, fault in enumerate(self._faults):
-            if i not in self._happened and fault.start <= self.now:
+            if i not in self._happened and fault.start <= self.now and not fault.after_release:
                 self._happened.add(i)
+                self.told.append((self.now, str(fault)))
                 self._begin(fault)
         for index, bus in enumerate(self.buses):
             bus.off = self._value("bus_off", bus=index) is not None or self.unplugged(index)
@@ -256,7 +261,7 @@ class EmulatedRobot:
                 if self._value("motor_dead", joint=i) is None and self._value("motor_deaf", joint=i) is None:
                     self._hear(i, sent)
         for host in self._hosts:
-            if host.node != sent.node:
+            if host.node != sent.node and host.bus in (None, index):
                 host.heard.append(Received(index, sent.frame, sent.t))
 
     def _hear(self, i: int, sent: Sent) -> None:
@@ -265,8 +270,10 @@ class EmulatedRobot:
             return
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
-        if motor.mode is Mode.RUN:
+        if motor.mode is Mode.RUN and self.body.held:
             self.body.release()
+            self.told.append((self.now, "first motor switched on; nobody holds the robot any more"))
+            self._faults = [fault.released(self.now) for fault in self._faults]
         if answer is not None:
             self._tell(i, answer, sent.t + self.settings.reply)
 
