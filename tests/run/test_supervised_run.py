@@ -172,9 +172,7 @@ def test_a_hold_without_end_goes_on_until_ctrl_c(supervised):
 
 
 def test_a_rule_that_damps_is_followed_in_the_next_tick(supervised):
-    result, _, _ = supervised(
-        health=lambda tick, health: dataclasses.replace(health, imu_valid=tick < 60)
-    )
+    result, _, _ = supervised(health=lambda tick, health: dataclasses.replace(health, imu_valid=tick < 60))
     assert phases(result.log)[60] == "damp"
     assert result.events[0].rule == "imu_invalid"
 

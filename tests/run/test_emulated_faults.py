@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from mimic.errors import ConfigError
+from mimic.run.emulated_faults import KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.types import JOINTS
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (
+            "motor_dead:FL_knee@12.5",
+            EmulatedFault(kind="motor_dead", value=1.0, start=12.5, joint=JOINTS.index("FL_knee")),
+        ),
+        (
+            "motor_hot:FR_hip=85@3-6",
+            EmulatedFault(kind="motor_hot", value=85.0, start=3.0, until=6.0, joint=JOINTS.index("FR_hip")),
+        ),
+        ("frames_lost:bus1=0.2@2-4", EmulatedFault(kind="frames_lost", value=0.2, start=2.0, until=4.0, bus=1)),
+        ("imu_frozen", EmulatedFault(kind="imu_frozen", value=1.0, start=0.0)),
+        ("bus_off@+2-3", EmulatedFault(kind="bus_off", value=1.0, start=2.0, until=3.0, after_release=True)),
+        ("frames_late=5e-3", EmulatedFault(kind="frames_late", value=0.005, start=0.0)),
+    ],
+)
+def test_a_fault_is_what_its_word_says(text, fault):
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("motor_sad:FL_knee", "there is no fault 'motor_sad'"),
+        ("motor_dead", "needs a joint"),
+        ("motor_dead:FL_elbow", "needs a joint"),
+        ("imu_frozen:FL_knee", "of the whole robot"),
+        ("bus_off:can0", "of the whole bus"),
+        ("imu_frozen@5-4", "ends before it begins"),
+        ("imu_frozen@soon", "is not KIND"),
+        ("imu_frozen@1.2.3", "a number that is none"),
+        ("", "is not KIND"),
+    ],
+)
+def test_a_word_that_is_none_is_refused(text, says):
+    with pytest.raises(ConfigError, match=says):
+        parse_fault(text)
+
+
+def test_times_after_the_first_motor_count_from_there():
+    fault = parse_fault("imu_silent@+1-2")
+    assert not fault.active(1.5)
+    later = fault.released(10.0)
+    assert [later.active(t) for t in (1.5, 10.9, 11.0, 11.9, 12.0)] == [False, False, True, True, False]
+
+
+def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
+    drawn = [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
+    assert drawn == [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
+    assert {fault.kind for fault in drawn} == set(KINDS)
+    assert {fault.joint for fault in drawn} == {None, *range(12)}
+    assert any(math.isinf(fault.until) for fault in drawn)
+    assert any(math.isfinite(fault.until) for fault in drawn)
+    for fault in drawn:
+        assert 1.0 <= fault.start <= 3.0
+        again = parse_fault(str(fault))
+        assert (again.kind, again.joint, again.bus) == (fault.kind, fault.joint, fault.bus)
+        assert again.start == pytest.approx(fault.start, rel=1e-4)
