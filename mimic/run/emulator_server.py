@@ -31,7 +31,7 @@ LATE = 0.002
 """A frame that is handed out later than this after it was on the bus counts as late [s]."""
 
 QUIET = 0.05
-"""A client of socketcand gets no frames for so long after it was told that it may [s]: python-can expects that answer alone."""
+"""Frames for a client of socketcand are kept for so long after it was told ok [s]: python-can expects that answer alone."""
 
 MOST_WAITING = 1 << 20
 """A client that leaves more than this many bytes unread is dropped."""
@@ -82,7 +82,8 @@ class EmulatorServer:
         Raises:
             BusError: If an address cannot be listened at.
         """
-        self._robot = robot
+        self.robot = robot
+        """The robot that is served."""
         self._names = [f"can{i}" for i in range(len(robot.buses))]
         self._listening: dict[socket.socket, int | None] = {}
         self._clients: list[_Client] = []
@@ -113,14 +114,14 @@ class EmulatorServer:
 
     def run(self, stop: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
         """Serve until ``stop`` says so; ``each`` is called at every turn."""
-        self._begin = time.monotonic() - self._robot.now
+        self._begin = time.monotonic() - self.robot.now
         while not stop():
             self.turn()
             each()
 
     def turn(self) -> None:
         """Wait until something is due, at most 10 ms, and do it."""
-        left = self._robot.next_event - self._time()
+        left = self.robot.next_event - self._time()
         reading = [*self._listening, *(client.sock for client in self._clients)]
         writing = [client.sock for client in self._clients if client.waiting]
         ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
@@ -130,28 +131,28 @@ class EmulatorServer:
                 self._accept(sock)
         for client in [c for c in self._clients if c.sock in ready]:
             self._read(client)
-        self._robot.advance(max(self._time(), self._robot.now))
+        self.robot.advance(max(self._time(), self.robot.now))
         self._hand_out()
         for client in [c for c in self._clients if c.sock in writable or c.waiting]:
             self._write(client)
         for client in [c for c in self._clients if c.host is not None and c.host.bus is not None]:
             assert client.host is not None
             assert client.host.bus is not None
-            if self._robot.unplugged(client.host.bus):
+            if self.robot.unplugged(client.host.bus):
                 self._drop(client)
 
     def _time(self) -> float:
         return time.monotonic() - self._begin
 
     def _keep_up(self) -> None:
-        behind = self._time() - self._robot.now - LONGEST_SLEEP
+        behind = self._time() - self.robot.now - LONGEST_SLEEP
         if behind > CATCH_UP:
             self._begin += behind - CATCH_UP
             self._stood_still += behind - CATCH_UP
 
     def status(self) -> EmulatorStatus:
         """Return how it went since the last call."""
-        robot, (before, counts) = self._robot, self._before
+        robot, (before, counts) = self.robot, self._before
         span = max(robot.now - before, 1e-9)
         now = [(bus.bits, bus.frames) for bus in robot.buses]
         status = EmulatorStatus(
@@ -208,28 +209,25 @@ class EmulatorServer:
         frames, answer = session.take(data)
         client.waiting += answer
         if session.open and client.host is None and session.bus is not None:
-            if self._robot.unplugged(session.bus):
+            if self.robot.unplugged(session.bus):
                 self._drop(client)
                 return
-            client.host = self._robot.connect(bus=session.bus)
+            client.host = self.robot.connect(bus=session.bus)
             client.quiet_until = self._time() + (QUIET if answer else 0.0)
         elif not session.open and client.host is not None:
-            self._robot.disconnect(client.host)
+            self.robot.disconnect(client.host)
             client.host = None
         for frame in frames:
             if client.host is not None and client.host.bus is not None:
                 with contextlib.suppress(BusError):  # unplugged: the connection is dropped in this turn
-                    self._robot.send(client.host, client.host.bus, frame, at=self._time())
+                    self.robot.send(client.host, client.host.bus, frame, at=self._time())
 
     def _hand_out(self) -> None:
         now = self._time()
         for client in self._clients:
-            if client.host is None:
+            if client.host is None or now < client.quiet_until:
                 continue
             heard = client.host.heard
-            if now < client.quiet_until:
-                heard.clear()
-                continue
             parts = []
             while heard:
                 received = heard.popleft()
@@ -253,7 +251,7 @@ class EmulatorServer:
 
     def _drop(self, client: _Client) -> None:
         if client.host is not None:
-            self._robot.disconnect(client.host)
+            self.robot.disconnect(client.host)
         if client in self._clients:
             self._clients.remove(client)
         client.sock.close()

@@ -1,0 +1,236 @@
+"""Buses of python-can, against an emulated robot that follows the wall clock in a thread; waits are limits on hanging only."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from mimic.errors import BusError, ConfigError
+from mimic.robot.wiring import load_wiring
+from mimic.run.buses import CanLink, open_link
+from mimic.run.can_frame import CanFrame
+from mimic.run.cybergear import Codec
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.emulator_server import EmulatorServer
+from mimic.run.motor_messages import Enable, Feedback, Mode
+from mimic.settings import EmulateSettings
+
+HOST, PATIENCE = 0xFD, 30.0
+CODEC = Codec()
+
+
+class Served:
+    """A robot served by a thread."""
+
+    def __init__(self, description, buses: int = 1) -> None:
+        self.robot = EmulatedRobot(description, load_wiring(buses=buses), EmulateSettings(homed=True))
+        self.server = EmulatorServer(self.robot, slcan=0)
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self.server.run, args=(self._end.is_set,), daemon=True)
+        self._thread.start()
+
+    def address(self, kind: str) -> str:
+        return next(a for a in self.server.addresses if a.startswith(kind))
+
+    def stop(self) -> None:
+        self._end.set()
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive()
+        self.server.close()
+
+
+@pytest.fixture
+def served(description) -> Iterator[Callable[..., Served]]:
+    made: list[Served] = []
+
+    def make(**options: int) -> Served:
+        made.append(Served(description, **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.stop()
+
+
+def until(link: CanLink, wanted: Callable[[object], bool]) -> object:
+    """Return the first message that is wanted."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        received = link.receive(0.1)
+        if received is not None and received.frame.extended:
+            message = CODEC.decode(received.frame)
+            if wanted(message):
+                return message
+    raise AssertionError("it never came")
+
+
+TRANSPORTS = ["socketcand", "slcan"]
+
+
+@pytest.mark.parametrize("kind", TRANSPORTS)
+def test_commands_get_their_answers(kind, served):
+    robot = served()
+    link = open_link(robot.address(kind))
+    for motor in range(1, 13):
+        link.send(0, CODEC.encode(Enable(motor=motor, host=HOST)))
+        answer = until(link, lambda m, motor=motor: isinstance(m, Feedback) and m.motor == motor)
+        assert answer.mode is Mode.RUN
+    link.close()
+    link.close()
+
+
+@pytest.mark.parametrize("kind", TRANSPORTS)
+def test_both_kinds_of_identifiers_and_all_lengths_come_through(kind, served):
+    robot = served()
+    one, other = open_link(robot.address(kind)), open_link(robot.address("socketcand"))
+    sent = [CanFrame(0x1ABCDEF0 + n, bytes(range(n))) for n in range(9)]
+    sent += [CanFrame(0x700 + n, bytes(range(n)), extended=False) for n in range(9)]
+    for frame in sent:
+        one.send(0, frame)
+    got: list[CanFrame] = []
+    end = time.monotonic() + PATIENCE
+    while len(got) < len(sent) and time.monotonic() < end:
+        received = other.receive(0.1)
+        if received is not None and received.frame in sent:
+            got.append(received.frame)
+    assert sorted(map(str, got)) == sorted(map(str, sent))
+    for link in (one, other):
+        link.close()
+
+
+def test_the_clock_goes_on_while_nothing_comes():
+    link = open_link("virtual:silence")
+    begin = link.now()
+    assert link.receive(0.02) is None
+    assert link.now() - begin >= 0.02
+    link.sleep(0.01)
+    assert link.receive(0.0) is None
+    link.close()
+
+
+def test_several_buses_are_one_link(served):
+    robot = served(buses=2)
+    names = ",".join(a for a in robot.server.addresses if a.startswith("socketcand"))
+    link = open_link(names)
+    assert len(link.names) == 2
+    for bus, motor in ((0, 1), (1, 4)):
+        link.send(bus, CODEC.encode(Enable(motor=motor, host=HOST)))
+        end = time.monotonic() + PATIENCE
+        heard = None
+        while heard is None and time.monotonic() < end:
+            received = link.receive(0.1)
+            if received is not None and received.frame.extended:
+                message = CODEC.decode(received.frame)
+                heard = (received.bus, message.motor) if isinstance(message, Feedback) else None
+        assert heard == (bus, motor)
+    link.close()
+
+
+def test_two_virtual_buses_of_one_name_are_one_wire():
+    one, other = open_link("virtual:wire"), open_link("virtual:other,virtual:wire")
+    frame = CanFrame(0x123, b"\x01\x02", extended=False)
+    one.send(0, frame)
+    received = other.receive(PATIENCE)
+    assert received is not None
+    assert (received.bus, received.frame) == (1, frame)
+    one.close()
+    other.close()
+
+
+@pytest.mark.parametrize("kind", TRANSPORTS)
+def test_a_server_that_goes_away_is_an_error_and_not_silence(kind, served):
+    robot = served()
+    link = open_link(robot.address(kind))
+    robot.stop()
+    with pytest.raises(BusError, match=r"closed|failed"):
+        _wait_for_failure(link)
+    with contextlib.suppress(BusError):  # a first send after the end may still be taken
+        link.send(0, CanFrame(0, b""))
+    link.close()
+
+
+@pytest.mark.parametrize("kind", TRANSPORTS)
+def test_an_adapter_that_is_unplugged_is_an_error_and_cannot_be_opened_again(kind, served):
+    robot = served()
+    link = open_link(robot.address(kind))
+    robot.robot.inject(parse_fault("unplugged"))
+    with pytest.raises(BusError, match=r"closed|failed"):
+        _wait_for_failure(link)
+    link.close()
+    with pytest.raises(BusError):
+        _wait_for_failure(open_link(robot.address(kind)))
+
+
+def _wait_for_failure(link: CanLink) -> None:
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        link.receive(0.05)
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return sock.getsockname()[1]
+
+
+@pytest.mark.parametrize("form", ["socketcand://127.0.0.1:{}/can0", "slcan:socket://127.0.0.1:{}"])
+def test_where_nobody_listens_is_said_at_once(form):
+    with pytest.raises(BusError, match=r"nobody listens.*mimic emulate"):
+        open_link(form.format(_free_port()))
+
+
+def test_a_server_that_never_answers_is_given_up():
+    with socket.create_server(("127.0.0.1", 0)) as mute, pytest.raises(BusError, match="cannot be opened"):
+        open_link(f"socketcand://127.0.0.1:{mute.getsockname()[1]}/can0")
+
+
+def test_a_bus_that_the_server_has_not_is_an_error(served):
+    address = served().address("socketcand").replace("can0", "can7")
+    with pytest.raises(BusError, match="could not open bus"):
+        open_link(address)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("", "expected different ones"),
+        ("can0,", "expected different ones"),
+        ("can0,can0", "expected different ones"),
+        ("my bus", "no bus that mimic knows"),
+        ("telepathy:here", "no bus that mimic knows"),
+        ("slcan:", "no bus that mimic knows"),
+        ("slcan:http://here", "no bus that mimic knows"),
+        ("socketcand://127.0.0.1/can0", "lacks host or port"),
+        ("socketcand://127.0.0.1:99999/can0", "no usable port"),
+        ("socketcand://127.0.0.1:29536", "names no bus"),
+    ],
+)
+def test_a_word_that_names_no_bus_is_refused(words, says):
+    with pytest.raises(ConfigError, match=says):
+        open_link(words)
+
+
+@pytest.mark.parametrize("word", ["slcan:/dev/no_such_adapter", "no_such_can"])
+def test_an_adapter_that_is_not_there_is_an_error(word):
+    with pytest.raises(BusError, match=r"no_such"):
+        open_link(word)
+
+
+def test_lines_of_an_adapter_that_are_no_frames_are_counted_and_passed_over():
+    with socket.create_server(("127.0.0.1", 0)) as adapter:
+        link = open_link(f"slcan:socket://127.0.0.1:{adapter.getsockname()[1]}")
+        knock, _ = adapter.accept()
+        knock.close()
+        sock, _ = adapter.accept()
+        with sock:
+            sock.sendall(b"tXYZ0\rT00000021\rt02120102\r")
+            received = link.receive(PATIENCE)
+            assert received is not None
+            assert str(received.frame) == "021#0102"
+            assert link.garbled == 2
+        link.close()

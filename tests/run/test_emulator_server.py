@@ -1,0 +1,137 @@
+"""The server turn by turn, with a client made of bare sockets."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from mimic.errors import BusError
+from mimic.robot.wiring import load_wiring
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.emulator_server import CATCH_UP, EmulatorServer
+from mimic.settings import EmulateSettings
+
+PATIENCE = 30.0
+
+
+@pytest.fixture
+def server(description) -> Iterator[EmulatorServer]:
+    made = EmulatorServer(EmulatedRobot(description, load_wiring(), EmulateSettings(homed=True)), slcan=0)
+    yield made
+    made.close()
+
+
+class Client:
+    """A bare socket; each wait lets the server do a turn."""
+
+    def __init__(self, server: EmulatorServer, kind: str) -> None:
+        address = next(a for a in server.addresses if a.startswith(kind))
+        port = int(address.rsplit(":", 1)[1].split("/")[0])
+        self.sock = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+        self.sock.setblocking(False)
+        self.server, self.text = server, b""
+
+    def until(self, wanted: Callable[[bytes], bool]) -> bytes:
+        end = time.monotonic() + PATIENCE
+        while not wanted(self.text) and time.monotonic() < end:
+            self.server.turn()
+            try:
+                self.text += self.sock.recv(65536)
+            except BlockingIOError:
+                continue
+        assert wanted(self.text), self.text[-200:]
+        return self.text
+
+
+def opened(server: EmulatorServer) -> Client:
+    client = Client(server, "socketcand")
+    client.until(lambda text: b"< hi >" in text)
+    client.sock.sendall(b"< open can0 >< rawmode >")
+    client.until(lambda text: text.count(b"< ok >") == 2)
+    return client
+
+
+def test_a_client_of_socketcand_hears_motors_and_imu(server):
+    client = opened(server)
+    client.sock.sendall(b"< send 0300FD01 8 0 0 0 0 0 0 0 0 >")
+    client.until(lambda text: b"< frame 028001FD" in text and b"< frame 021" in text)
+
+
+def test_a_client_of_slcan_hears_motors_and_imu(server):
+    client = Client(server, "slcan")
+    client.sock.sendall(b"C\rS8\r\rO\rT0300FD0180000000000000000\r")
+    client.until(lambda text: b"T028001FD8" in text and b"t0218" in text)
+
+
+def test_after_it_said_ok_the_server_is_quiet_for_a_moment(server):
+    """Frames in the same segment as the answer would make python-can's handshake fail."""
+    client = opened(server)
+    assert client.text.endswith(b"< ok >")
+
+
+def test_a_client_that_leaves_is_forgotten(server):
+    client = opened(server)
+    assert server.status().clients == 1
+    client.sock.close()
+    end = time.monotonic() + PATIENCE
+    while server.status().clients and time.monotonic() < end:
+        server.turn()
+    assert server.status().clients == 0
+
+
+def test_a_client_that_closes_the_channel_hears_no_more(server):
+    client = Client(server, "slcan")
+    client.sock.sendall(b"O\r")
+    client.until(lambda text: b"t0218" in text)
+    client.sock.sendall(b"C\r")
+    end = time.monotonic() + PATIENCE
+    while server.status().clients and time.monotonic() < end:
+        server.turn()
+    assert server.status().clients == 0
+
+
+def test_an_unplugged_adapter_hangs_up(server):
+    client = opened(server)
+    server.robot.inject(parse_fault("unplugged"))
+    end = time.monotonic() + PATIENCE
+    closed = False
+    while not closed and time.monotonic() < end:
+        server.turn()
+        try:
+            closed = client.sock.recv(65536) == b""
+        except BlockingIOError:
+            continue
+        except ConnectionResetError:
+            closed = True
+    assert closed
+
+
+def test_status_counts_frames_and_their_bits_since_the_last_time(server):
+    client = opened(server)
+    client.until(lambda text: text.count(b"< frame 021") >= 5)
+    status = server.status()
+    assert 0.0 < status.load[0] < 0.5
+    assert 90 < status.load[0] * 1e6 / status.frames[0] < 160, "bits of a frame"
+    assert server.status().frames[0] < status.frames[0] * 100
+
+
+def test_a_machine_that_was_too_slow_makes_time_stand_still_and_says_so(server):
+    opened(server)
+    server.status()
+    before = server.robot.now
+    time.sleep(4 * CATCH_UP)
+    server.turn()
+    status = server.status()
+    assert status.stood_still > CATCH_UP
+    assert status.t - before >= CATCH_UP * 0.9
+
+
+def test_a_port_that_is_taken_is_an_error(server, description):
+    port = int(server.addresses[0].rsplit(":", 1)[1].split("/")[0])
+    robot = EmulatedRobot(description, load_wiring())
+    with pytest.raises(BusError, match=r"cannot listen.*--listen"):
+        EmulatorServer(robot, port=port)
