@@ -125,6 +125,46 @@ def retarget(
 
 
 @app.command
+def batch(
+    folder: Path,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])],
+    workers: int = 0,
+    ray: str | None = None,
+    pose: Annotated[PoseSettings | None, Flat] = None,
+    stored: Annotated[StoredSettings | None, Flat] = None,
+    retarget: Annotated[RetargetSettings | None, Flat] = None,
+    run: Annotated[RunSettings | None, Flat] = None,
+    robot: Annotated[EffectsSettings | None, Flat] = None,
+) -> int:
+    """Play every video and motion file of a folder in simulation, into one table; goes on where it was stopped.
+
+    Parameters
+    ----------
+    folder
+        Looked through with all folders in it.
+    out
+        Folder for summary.html, summary.parquet and a folder for each file.
+    workers
+        Processes; 0 takes one for each core.
+    ray
+        Address of a Ray cluster that plays them instead, such as auto or 10.0.0.5:6379; its nodes need the same paths.
+    """
+    from mimic.cli.batch import batch as play_batch
+
+    return play_batch(
+        folder,
+        out,
+        _inputs(pose, stored, retarget),
+        run=run or RunSettings(),
+        robot=robot or EffectsSettings(),
+        workers=workers,
+        ray=ray,
+    )
+
+
+@app.command
 def evaluate(
     policy: Path,
     /,

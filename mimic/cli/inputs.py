@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from mimic import store
 from mimic.cli import COMMAND
-from mimic.errors import SourceError
+from mimic.errors import AssetError, SourceError
 from mimic.settings import PoseSettings, RetargetSettings, StoredSettings
 from mimic.types import CommandTrack, PoseTrack, TargetTrack, WristTrack
 
@@ -100,6 +100,23 @@ class Aloud:
         return progress_bar(what)
 
 
+VIDEOS = (".mp4", ".mkv", ".mov", ".m4v", ".avi", ".webm", ".mpg", ".mpeg", ".wmv", ".gif")
+"""Endings of videos that are looked for in a folder; a single file may have any."""
+PLAYABLE = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")
+"""Records that can be played."""
+
+
+def playable(path: Path) -> bool:
+    """Return whether a file in a folder is meant to be played."""
+    ending = path.suffix.lower()
+    if ending != RECORD:
+        return ending in (*VIDEOS, *STORED)
+    try:
+        return store.header(path)["record"] in PLAYABLE
+    except AssetError:
+        return False
+
+
 def kind_of(source: Path) -> str:
     """Return what a file is by its ending: record, stored or video."""
     ending = source.suffix.lower()
@@ -129,20 +146,17 @@ def load_motion(source: Path, settings: InputSettings, tell: Tell) -> Motion:
 def _of_record(source: Path, settings: InputSettings, tell: Tell) -> Motion:
     from mimic.retarget.commands import command_track
 
-    readers: Mapping[str, Callable[[], Motion]] = {
-        "CommandTrack": lambda: Motion(commands=store.load(source, CommandTrack)),
-        "PoseTrack": lambda: _of_pose(store.load(source, PoseTrack), settings, tell, video=None),
-        "TargetTrack": lambda: _of_targets(store.load(source, TargetTrack)),
-        "WristTrack": lambda: _of_wrists(store.load(source, WristTrack), settings, tell),
-    }
-
-    def _of_targets(targets: TargetTrack) -> Motion:
-        return Motion(commands=command_track(targets), targets=targets)
-
     record = store.header(source)["record"]
-    if record not in readers:
-        raise SourceError(f"{source} holds a {record}, which cannot be played; expected one of {', '.join(readers)}")
-    return readers[record]()
+    if record == "CommandTrack":
+        return Motion(commands=store.load(source, CommandTrack))
+    if record == "TargetTrack":
+        targets = store.load(source, TargetTrack)
+        return Motion(commands=command_track(targets), targets=targets)
+    if record == "WristTrack":
+        return _of_wrists(store.load(source, WristTrack), settings, tell)
+    if record == "PoseTrack":
+        return _of_pose(store.load(source, PoseTrack), settings, tell, video=None)
+    raise SourceError(f"{source} holds a {record}, which cannot be played; expected one of {', '.join(PLAYABLE)}")
 
 
 def _of_pose(pose: PoseTrack, settings: InputSettings, tell: Tell, *, video: Path | None) -> Motion:

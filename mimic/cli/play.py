@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mimic import store
 from mimic.cli import COMMAND
 from mimic.cli.app import DONE, STOPPED
 from mimic.cli.console import progress_bar, table, warn
-from mimic.cli.inputs import Aloud, InputSettings, load_motion
+from mimic.cli.inputs import Aloud, InputSettings, Motion, load_motion
 from mimic.cli.judge import tell_of_stand
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.settings import EffectsSettings, RunSettings
 from mimic.types import Provenance, TargetTrack
+
+if TYPE_CHECKING:
+    from mimic.robot.description import RobotDescription
+    from mimic.run.loop import RunResult
 
 SCENE, LOG, JOINTS, TARGETS, COMMANDS, POSE, METRICS = (
     "scene.rrd",
@@ -82,6 +87,44 @@ def _keep_source(source: Path, written: Path | None) -> None:
         raise ConfigError(f"{written} is the source itself and would be overwritten; name another file")
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Simulated:
+    """A motion that was played in simulation."""
+
+    result: RunResult
+    description: RobotDescription
+    inputs: dict[str, Path]
+    """Files that decided it, besides the source."""
+
+
+def run_simulated(
+    motion: Motion,
+    run: RunSettings,
+    robot: EffectsSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> Simulated:
+    """Play a motion on the simulated robot.
+
+    Raises:
+        AssetError, ConfigError, ContractError: If policy, effects or commands do not fit.
+    """
+    from mimic.policy.runtime import load_policy
+    from mimic.robot.description import load_description
+    from mimic.run.loop import run_policy
+    from mimic.run.pool import simulated
+    from mimic.run.simulation import SimulatedPlant
+
+    options = simulated(robot)
+    description = load_description()
+    policy = load_policy(run.policy, description)
+    sit_down = load_policy(None, description, task="sit_down")
+    plant = SimulatedPlant(description, seed=run.seed, **options)
+    result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, progress=progress)
+    inputs = {"policy": policy.path, "sit_down": sit_down.path}
+    inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
+    return Simulated(result=result, description=description, inputs=inputs)
+
+
 def play_source(
     source: Path,
     settings: InputSettings,
@@ -96,9 +139,7 @@ def play_source(
     from mimic.metrics import run_metrics
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
-    from mimic.run.loop import run_policy
     from mimic.run.pool import simulated
-    from mimic.run.simulation import SimulatedPlant
 
     if not source.exists():
         raise SourceError(f"there is no file {source}")
@@ -107,19 +148,13 @@ def play_source(
     _keep_source(source, film)
     folder = _run_folder(source, out)
     tell_of_stand(robot)
-    options = simulated(robot)
-    description = load_description()
-    policy = load_policy(run.policy, description)
+    simulated(robot)  # what cannot be played is told before the long work
+    load_policy(run.policy, load_description())
     motion = load_motion(source, settings, Aloud())
-
-    sit_down = load_policy(None, description, task="sit_down")
-    plant = SimulatedPlant(description, seed=run.seed, **options)
     with progress_bar("simulation") as progress:
-        result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, progress=progress)
-
-    inputs = {"source": source, "policy": policy.path, "sit_down": sit_down.path}
-    inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
-    made_by = _made_by(settings, inputs, run=run, robot=robot)
+        done = run_simulated(motion, run, robot, progress)
+    result, description = done.result, done.description
+    made_by = _made_by(settings, {"source": source, **done.inputs}, run=run, robot=robot)
     if motion.pose is not None:
         store.save(motion.pose, folder / POSE, made_by=made_by)
     if motion.targets is not None:

@@ -107,7 +107,7 @@ def test_help_tells_the_commands_and_the_options(capsys):
         assert word in told, word
 
 
-@pytest.mark.parametrize("command", ["retarget", "evaluate", "train", "view", "calibrate", "log"])
+@pytest.mark.parametrize("command", ["batch", "retarget", "evaluate", "train", "view", "calibrate", "log"])
 def test_each_command_has_its_help(command, capsys):
     assert main([command, "--help"]) == 0
     assert command in capsys.readouterr().out

@@ -69,7 +69,7 @@ def test_every_file_names_version_settings_and_inputs(played, targets):
         assert head["version"] == __version__
         assert head["inputs"] == inputs
         assert head["settings"]["run"] == store.plain(RunSettings(seed=4, hold=0.5))
-        assert set(head["settings"]) == {"pose", "retarget", "robot", "run"}
+        assert set(head["settings"]) == {"pose", "retarget", "robot", "run", "stored"}
 
 
 def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_200_hz(played, targets):
@@ -151,7 +151,7 @@ def test_a_video_becomes_targets_and_then_a_run_and_its_pose_is_found_once(workp
     targets = store.load(workplace / "waving.parquet", TargetTrack)
     assert np.ptp(targets.p_BE[..., 0], axis=0).max() > 0.03
     head = store.header(workplace / "waving.parquet")["provenance"]
-    assert head["inputs"] == {"video": store.sha256_of(WAVING)}
+    assert head["inputs"] == {"source": store.sha256_of(WAVING)}
 
     status = main([str(WAVING), "--sim", "--no-view", "-o", "waving"])
     assert "reused" in capsys.readouterr().out

@@ -1,0 +1,119 @@
+"""Many runs on one page that needs nothing else: how each was retargeted and followed, worst first where it matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from mimic.view.report_style import STYLE
+
+_WORST_ERROR = 8.0
+"""A bar of the toe error is full from here on [cm]."""
+
+_WIDE = "body{max-width:1360px}tr.noted td{border-bottom:0;padding-bottom:0}td{white-space:nowrap}td[colspan],td+td:last-child{white-space:normal}"
+
+_COLUMNS = (
+    ("length", "length_s", "{:.1f} s"),
+    ("person seen", "rows_with_person", "{:.0%}"),
+    ("clamped", "clamped_share", "{:.1%}"),
+    ("moved mean", "moved_mean_cm", "{:.2f} cm"),
+    ("moved most", "moved_max_cm", "{:.1f} cm"),
+    ("speed-limited", "limited_share", "{:.1%}"),
+    ("toe error", "toe_error_cm", "{:.1f} cm"),
+    ("p95", "toe_error_p95_cm", "{:.1f} cm"),
+    ("lag", "lag_s", "{:.2f} s"),
+    ("without lag", "toe_error_without_lag_cm", "{:.1f} cm"),
+    ("upright", "standing_share", "{:.1%}"),
+    ("knee rms", "knee_torque_rms_nm", "{:.1f} N m"),
+)
+"""Heading, column of the table, and how its values are written."""
+
+
+def html_batch(rows: Sequence[Mapping[str, Any]], *, command: str, version: str, unplayed: int = 0) -> str:
+    """Return the page of a batch as HTML that loads nothing.
+
+    Args:
+        rows: A row for each file, as :mod:`mimic.cli.batch` makes them.
+        command: The command line.
+        version: Of mimic.
+        unplayed: Files that were not reached.
+    """
+    failed = [row for row in rows if row["status"] == "failed"]
+    played = sorted((row for row in rows if row["status"] != "failed"), key=_worst_first)
+    title = f"{len(rows)} files played on the robot" if not failed else f"{len(played)} of {len(rows)} files played"
+    parts = [
+        f"<header><p class='kicker'>mimic batch</p><h1>{escape(title)}</h1></header>",
+        _tiles(played, failed, unplayed),
+        _failures(failed),
+        _table(played),
+        f"<footer>mimic {escape(version)} · <code>{escape(command)}</code></footer>",
+    ]
+    head = (
+        "<meta charset='utf-8'><meta name='viewport' content='width=device-width,initial-scale=1'>"
+        f"<title>{escape(title)}</title><style>{STYLE}{_WIDE}</style>"
+    )
+    body = "\n".join(part for part in parts if part)
+    return f"<!doctype html>\n<html lang='en'><head>{head}</head>\n<body>\n{body}\n</body></html>\n"
+
+
+def _worst_first(row: Mapping[str, Any]) -> tuple[bool, float]:
+    error = row["toe_error_cm"]
+    return not row["falls"], -(error if error is not None else 0.0)
+
+
+def _tiles(played: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], unplayed: int) -> str:
+    def mean(name: str) -> float | None:
+        values = [row[name] for row in played if row[name] is not None]
+        return sum(values) / len(values) if values else None
+
+    tiles = [(str(len(played)), "played"), (str(len(failed)), "failed")]
+    tiles += [(str(unplayed), "not reached")] if unplayed else []
+    tiles.append((str(sum(row["falls"] or 0 for row in played)), "falls"))
+    for name, text, what in (
+        ("toe_error_cm", "{:.1f} cm", "toe error, mean of the files"),
+        ("clamped_share", "{:.1%}", "of the targets clamped"),
+        ("standing_share", "{:.1%}", "upright after standing up"),
+    ):
+        value = mean(name)
+        tiles += [] if value is None else [(text.format(value), what)]
+    return (
+        "<div class='tiles'>"
+        + "".join(f"<div class='tile'><b>{v}</b><span>{w}</span></div>" for v, w in tiles)
+        + "</div>"
+    )
+
+
+def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
+    if not failed:
+        return ""
+    lines = "".join(
+        f"<tr><td class='name'>{escape(row['file'])}</td><td>{escape(row['error'])}</td></tr>" for row in failed
+    )
+    return f"<section><h2>Failed</h2><table><tr><th>file<th>why</tr>{lines}</table></section>"
+
+
+def _table(played: Sequence[Mapping[str, Any]]) -> str:
+    if not played:
+        return ""
+    head = "".join(f"<th class=n>{heading}</th>" for heading, _, _ in _COLUMNS)
+    lines = []
+    for row in played:
+        cells = []
+        for _, name, text in _COLUMNS:
+            value = row[name]
+            cell = "–" if value is None else text.format(value)
+            if name == "toe_error_cm" and value is not None:
+                share = min(1.0, value / _WORST_ERROR)
+                cell = f"<span class='bar'><i style='width:{share:.0%}'></i></span>{cell}"
+            cells.append(f"<td class=n>{cell}</td>")
+        name = f"<a href='{escape(row['folder'], quote=True)}'>{escape(row['file'])}</a>"
+        name += " <b class='bad'>fell</b>" if row["falls"] else ""
+        lines.append(f"<tr{' class=noted' if row['notes'] else ''}><td>{name}</td>{''.join(cells)}</tr>")
+        if row["notes"]:
+            lines.append(f"<tr><td colspan={1 + len(_COLUMNS)}><small>{escape(row['notes'])}</small></td></tr>")
+    lead = "Falls first, then the largest toe error. Retargeting: clamped, moved, speed-limited. Robot: the rest."
+    return (
+        f"<section><h2>Played</h2><p class='lead'>{lead}</p><div class='wide'><table>"
+        f"<tr><th>file</th>{head}</tr>{''.join(lines)}</table></div></section>"
+    )
