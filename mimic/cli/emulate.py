@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,9 @@ from mimic.settings import EffectsSettings, EmulateSettings
 
 FRAMES_SHOWN = 1 / 30
 """Time between two pictures in the viewer [s]."""
+
+CLOSED_WITHIN = 5.0
+"""A viewer that does not close within this is left alone [s]."""
 
 RANDOM_FAULT = (0.5, 8.0)
 """A fault that is drawn begins this long after the first motor was switched on [s]."""
@@ -75,11 +80,8 @@ def emulate(options: ServeOptions, settings: EmulateSettings, robot: EffectsSett
     )
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
     server = EmulatorServer(emulated, host=host, port=port, slcan=options.slcan)
-    stop = _stop_at_signal()
     for fault in faults:
         note(f"fault        {fault}")
-    for address in server.addresses:
-        note(f"ready        {address}")
     begin = time.monotonic()
     told, late, stood = begin, 0, 0.0
 
@@ -96,14 +98,20 @@ def emulate(options: ServeOptions, settings: EmulateSettings, robot: EffectsSett
         if shown is not None:
             shown.show()
 
-    def ended() -> bool:
-        over = options.seconds is not None and time.monotonic() - begin >= options.seconds
-        return stop() or over or (shown is not None and not shown.open())
-
     try:
-        server.run(ended, each)
+        with _until_signal() as signalled:
+
+            def ended() -> bool:
+                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
+                return signalled() or over or (shown is not None and not shown.open())
+
+            for address in server.addresses:
+                note(f"ready        {address}")
+            server.run(ended, each)
     finally:
         server.close()
+        if shown is not None:
+            shown.close()
     status = server.status()
     bits, frames = sum(bus.bits for bus in emulated.buses), sum(bus.frames for bus in emulated.buses)
     rows = {
@@ -127,12 +135,16 @@ def _line(status: Any) -> str:
     return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
 
 
-def _stop_at_signal() -> Callable[[], bool]:
-    """Return whether Ctrl-C or SIGTERM has come since."""
+@contextmanager
+def _until_signal() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C or SIGTERM has come."""
     came: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda n, _: came.append(n))
-    return lambda: bool(came)
+    before = {n: signal.signal(n, lambda n, _: came.append(n)) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Viewer:
@@ -145,11 +157,20 @@ class _Viewer:
             raise ConfigError("--view needs a display, and there is none here")
         import mujoco.viewer
 
-        self._handle = mujoco.viewer.launch_passive(model, data)
+        if not model.nlight:  # hung up there is no scene around the robot
+            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.7
+        before = set(threading.enumerate())
+        self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._next = 0.0
 
     def open(self) -> bool:
         return self._handle.is_running()
+
+    def close(self) -> None:
+        self._handle.close()
+        for thread in self._threads:  # its window must be gone before the process ends, or that ends in a crash
+            thread.join(CLOSED_WITHIN)
 
     def show(self) -> None:
         if time.monotonic() >= self._next:

@@ -1,0 +1,131 @@
+"""``mimic emulate`` as a process of its own, and what it refuses."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from mimic.cli import main
+from mimic.run.buses import open_link
+from mimic.run.cybergear import Codec
+from mimic.run.motor_messages import Enable, Feedback
+
+PATIENCE = 60.0
+
+
+class Emulator:
+    """A process, and the lines that it has printed."""
+
+    def __init__(self, *arguments: str) -> None:
+        command = [sys.executable, "-m", "mimic", "emulate", "--listen", "127.0.0.1:0", "--homed", *arguments]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=os.environ | {"COLUMNS": "200"}
+        )
+        self._lines: queue.Queue[str] = queue.Queue()
+        self.said = ""
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._lines.put(line)
+
+    def until(self, wanted: str) -> str:
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            line = self._lines.get(timeout=PATIENCE)
+            self.said += line
+            if wanted in line:
+                return line
+        raise AssertionError(self.said)
+
+
+@pytest.fixture
+def emulator() -> Iterator[Callable[..., Emulator]]:
+    made: list[Emulator] = []
+
+    def start(*arguments: str) -> Emulator:
+        made.append(Emulator(*arguments))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.process.kill()
+        one.process.wait(PATIENCE)
+
+
+@pytest.mark.parametrize(("number", "transport"), [(signal.SIGTERM, "socketcand"), (signal.SIGINT, "slcan")])
+def test_it_serves_motors_to_another_process_until_it_is_told_to_stop(number, transport, emulator):
+    served = emulator("--slcan", "0", "--fault", "motor_hot:FL_knee=90@+0")
+    address = served.until(transport).split()[-1]
+    link, codec = open_link(address), Codec()
+    link.send(0, codec.encode(Enable(motor=1, host=0xFD)))
+    end, answer = time.monotonic() + PATIENCE, None
+    while answer is None and time.monotonic() < end:
+        received = link.receive(0.1)
+        if received is not None and received.frame.extended:
+            message = codec.decode(received.frame)
+            answer = message if isinstance(message, Feedback) else None
+    assert answer is not None
+    assert answer.motor == 1
+    served.until("first motor switched on")
+    served.until("motor_hot:FL_knee=90")
+    link.close()
+    served.process.send_signal(number)
+    served.until("bus load")
+    assert served.process.wait(PATIENCE) == 0
+    assert "Traceback" not in served.said
+
+
+def test_it_tells_bus_load_and_ends_after_its_time(capsys):
+    assert main(["emulate", "--listen", "127.0.0.1:0", "--buses", "2", "--seconds", "0.6", "--every", "0.2"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("ready ") == 2
+    assert "frames/s" in said
+    assert "bits each on average" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--listen", "29536"], "expected HOST:PORT"),
+        (["--listen", "127.0.0.1:a"], "expected HOST:PORT"),
+        (["--fault", "motor_sad"], "there is no fault 'motor_sad'"),
+        (["--fault", "bus_off:bus3"], "is on bus 3"),
+        (["--buses", "3"], "no line for 3 buses"),
+        (["--wiring", "nowhere.toml"], "nowhere.toml cannot be read"),
+        (["--effects", "nowhere.toml"], "nowhere.toml"),
+        (["--placement", "2"], "placement is 2"),
+        (["--timestep", "0.003"], "timestep is 0.003"),
+    ],
+)
+def test_what_it_cannot_do_it_says(arguments, says, capsys):
+    assert main(["emulate", "--seconds", "0", *arguments]) == 2
+    assert says in " ".join(capsys.readouterr().err.split())
+
+
+def test_without_a_display_there_is_nothing_to_watch(monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert main(["emulate", "--listen", "127.0.0.1:0", "--seconds", "0", "--view"]) == 2
+    assert "needs a display" in capsys.readouterr().err
+
+
+def test_a_stand_is_left_out_on_the_floor_and_said_so(tmp_path: Path, capsys):
+    effects = tmp_path / "effects.toml"
+    effects.write_text('[[effect]]\nname = "base_tilt"\nrole = "fixed"\nroll = [0.0]\npitch = [0.1]\nsource = "test"\n')
+    arguments = ["emulate", "--listen", "127.0.0.1:0", "--seconds", "0", "--effects", str(effects)]
+    assert main(arguments) == 0
+    assert "base_tilt" in capsys.readouterr().out
+    assert main([*arguments, "--hung"]) == 0
+    assert "base_tilt" not in capsys.readouterr().out
