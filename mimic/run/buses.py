@@ -26,6 +26,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import can
+import serial
 
 from mimic.errors import BusError, ConfigError, FrameError, MimicError
 from mimic.run.can_frame import CanFrame
@@ -73,6 +74,10 @@ class _Port:
         try:
             self._bus.send(message, timeout=SEND_WITHIN)
         except (can.CanError, OSError) as reason:
+            # pyserial calls it a timeout also when all bytes went out and this process was put aside just then
+            late = isinstance(reason.__cause__, serial.SerialTimeoutException)
+            if late and self.file is not None and select.select([], [self.file], [], 0)[1]:
+                return
             raise BusError(f"{self.name} does not take frames any more: {_short(reason)}") from None
 
     def take(self) -> CanFrame | None:
