@@ -19,8 +19,9 @@ import numpy as np
 
 from mimic.frames import rotation_from_quat
 from mimic.robot.description import load_description
+from mimic.run.brake import damping_command
 from mimic.run.evaluation import TIMING, command_script
-from mimic.run.loop import damping_command, run_policy
+from mimic.run.loop import run_policy
 from mimic.run.pool import loaded_policy, play_all
 from mimic.run.simulation import SimulatedPlant
 from mimic.run.touches import TouchRecorder

@@ -19,7 +19,8 @@ from mimic.frames import rotation_from_quat
 from mimic.metrics import uprightness
 from mimic.robot.description import load_description
 from mimic.robot.leg import all_toes
-from mimic.run.loop import damping_command, run_policy
+from mimic.run.brake import damping_command
+from mimic.run.loop import run_policy
 from mimic.run.pool import loaded_policy, play_all
 from mimic.run.simulation import SimulatedPlant
 from mimic.run.sit_down_evaluation import _Job, final_pose, hand_over, lies

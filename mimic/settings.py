@@ -148,6 +148,57 @@ class RunSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class BusSettings:
+    """How a robot on its bus is driven."""
+
+    wiring: str | None = None
+    """bus.toml of this robot; None takes the shipped one."""
+    homed: bool = False
+    """Take the zeros as the wiring has them, without looking whether mimic set them since the power came."""
+    yes: bool = False
+    """Do not wait for Enter; for rehearsals."""
+    guardian: bool = True
+    """Start the process that damps the robot when this one cannot."""
+    torque_limit: float = 12.0
+    """What each motor may give [N m]; written into the motors and read back."""
+    ramp: float = 2.0
+    """Time in which gains rise and the joints come into the lying pose [s]."""
+
+    def __post_init__(self) -> None:
+        _check_range("torque-limit", self.torque_limit, 1.0, 12.0, "N m")
+        _check_range("ramp", self.ramp, 0.5, 30.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProbeSettings:
+    """How a robot that hangs is moved to see what its drives are like."""
+
+    seconds: float = 120.0
+    """Length of the motion [s]."""
+    rate: float = 200.0
+    """Readings a second [Hz]; one bus carries twelve motors at 200 Hz, with 71 % of its time."""
+    joints: Literal["all", "legs", "each"] = "all"
+    """Joints that move at the same time: all, those of one leg, or one."""
+    size: float = 0.5
+    """Share of the joints' ranges that is used."""
+    kind: Literal["probe", "random"] = "probe"
+    """probe shows every effect; random is for a second log."""
+    kp: float = 30.0
+    """[N m/rad]"""
+    kd: float = 1.0
+    """[N m s/rad]"""
+    seed: int = 0
+    """Draws the motion."""
+
+    def __post_init__(self) -> None:
+        _check_range("seconds", self.seconds, 10.0, 3600.0, "s")
+        _check_range("rate", self.rate, 50.0, 250.0, "Hz")
+        _check_range("size", self.size, 0.05, 1.0)
+        _check_range("kp", self.kp, 1.0, 100.0, "N m/rad")
+        _check_range("kd", self.kd, 0.1, 5.0, "N m s/rad")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Randomisation:
     """Ranges of the paper's Table II and of the start; a pair is uniform between its ends.
 

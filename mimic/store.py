@@ -157,3 +157,15 @@ def save_json(data: Any, path: Path) -> None:
     """Write plain data as JSON, complete or not at all."""
     with written_whole(path) as part:
         part.write_text(json.dumps(plain(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def load_json(path: Path) -> Any:
+    """Read plain data from a JSON file.
+
+    Raises:
+        AssetError: If it is missing or is no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as reason:
+        raise AssetError(f"{path} cannot be read as JSON: {reason}") from None

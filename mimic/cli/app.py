@@ -13,6 +13,7 @@ from cyclopts.exceptions import CycloptsError
 from mimic import __version__
 from mimic.errors import ConfigError, MimicError
 from mimic.settings import (
+    BusSettings,
     CalibrateSettings,
     EffectsSettings,
     EmulateSettings,
@@ -48,10 +49,11 @@ app = App(
 
 @app.default
 def play(
-    source: Path,
+    source: Path | None = None,
     /,
     *,
     sim: Annotated[bool, Parameter(negative="")] = False,
+    robot: str | None = None,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     video: Path | None = None,
     view: bool | None = None,
@@ -59,7 +61,8 @@ def play(
     stored: Annotated[StoredSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
     run: Annotated[RunSettings | None, Flat] = None,
-    robot: Annotated[EffectsSettings | None, Flat] = None,
+    model: Annotated[EffectsSettings | None, Flat] = None,
+    bus: Annotated[BusSettings | None, Flat] = None,
 ) -> int:
     """Play a human video or stored motion on the robot.
 
@@ -70,6 +73,9 @@ def play(
         (.parquet).
     sim
         Play it in MuJoCo.
+    robot
+        Play it on the robot on these buses: can0, several with commas, slcan:/dev/ttyACM0, socketcand://HOST:PORT/can0.
+        Without a source it stands until Ctrl-C.
     out
         Run folder; by default runs/NAME, with a number where that is taken.
     video
@@ -77,8 +83,22 @@ def play(
     view
         Open the Rerun viewer at the end; by default where a display exists.
     """
-    if not sim:
-        raise ConfigError("say where to play it: add --sim for the simulated robot")
+    if sim == (robot is not None):
+        raise ConfigError(
+            "say where to play it: add --sim for the simulated robot, or --robot can0 for the one on that bus"
+            if robot is None
+            else "--sim and --robot are two robots; give one of them"
+        )
+    if robot is not None:
+        if video is not None:
+            raise ConfigError("--video films the simulated robot; leave it out with --robot")
+        from mimic.cli.robot import play_on_robot
+
+        inputs = _inputs(pose, stored, retarget)
+        options = {"out": out, "view": view, "run": run or RunSettings(), "bus": bus or BusSettings()}
+        return play_on_robot(source, robot, inputs, **options)
+    if source is None:
+        raise ConfigError("say what to play: a video of one person, or motion stored before")
     from mimic.cli.play import play_source
 
     return play_source(
@@ -88,7 +108,7 @@ def play(
         film=video,
         view=view,
         run=run or RunSettings(),
-        robot=robot or EffectsSettings(),
+        robot=model or EffectsSettings(),
     )
 
 
@@ -385,6 +405,82 @@ def emulate(
         view=view,
     )
     return serve(options, settings or EmulateSettings(), robot or EffectsSettings())
+
+
+@log_app.command
+def salvage(run: Path, /) -> int:
+    """Turn what a run on the robot had on disk when it was killed into its log.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    """
+    from mimic.cli.robot import salvage_run
+
+    return salvage_run(run)
+
+
+robot_app = App(name="robot", help="The robot on its CAN bus: find it, set its zeros, check it, measure its drives.")
+app.command(robot_app)
+
+
+@robot_app.command
+def scan(buses: str, /, *, bus: Annotated[BusSettings | None, Flat] = None) -> int:
+    """Find motors and IMU on the buses; nothing moves.
+
+    Parameters
+    ----------
+    buses
+        Such as can0; see mimic --help.
+    """
+    from mimic.cli.robot import scan_buses
+
+    return scan_buses(buses, bus or BusSettings())
+
+
+@robot_app.command
+def zero(
+    buses: str,
+    /,
+    *,
+    again: Annotated[bool, Parameter(negative="")] = False,
+    bus: Annotated[BusSettings | None, Flat] = None,
+) -> int:
+    """Set the zeros of a robot that lies on its folded legs; needed after every power-up. Nothing moves.
+
+    Parameters
+    ----------
+    buses
+        Such as can0; see mimic --help.
+    again
+        Forget what was known of this robot: the pose it lies in now is exactly the lying pose.
+    """
+    from mimic.cli.robot import zero_joints
+
+    return zero_joints(buses, bus or BusSettings(), again=again)
+
+
+@robot_app.command
+def check(
+    buses: str,
+    /,
+    *,
+    hung: Annotated[bool, Parameter(negative="")] = False,
+    bus: Annotated[BusSettings | None, Flat] = None,
+) -> int:
+    """Do the pre-flight alone; nothing moves.
+
+    Parameters
+    ----------
+    buses
+        Such as can0; see mimic --help.
+    hung
+        The robot hangs instead of lying.
+    """
+    from mimic.cli.robot import check_robot
+
+    return check_robot(buses, bus or BusSettings(), hung=hung)
 
 
 @app.command

@@ -42,7 +42,7 @@ def retarget_only(source: Path, out: Path, settings: InputSettings) -> int:
             f"{source} holds commands, which have no targets to make; play them with: mimic {source} --sim"
         )
     store.save(motion.targets, out, made_by=_made_by(settings, {"source": source}))
-    table("Targets", _target_rows(motion.targets) | {"written": str(out)})
+    table("Targets", target_rows(motion.targets) | {"written": str(out)})
     return DONE
 
 
@@ -51,7 +51,8 @@ def _made_by(settings: InputSettings, inputs: dict[str, Path], **more: Any) -> P
     return store.provenance(command=COMMAND.get(), settings=parts | more, inputs=inputs)
 
 
-def _target_rows(targets: TargetTrack) -> dict[str, str]:
+def target_rows(targets: TargetTrack) -> dict[str, str]:
+    """Return what retargeting did, a figure a row."""
     report: dict[str, Any] = dict(targets.report)
     if "targets" not in report:  # not made by mimic retarget
         return {"targets": f"{targets.t[-1]:.1f} s in all"}
@@ -70,7 +71,8 @@ def _target_rows(targets: TargetTrack) -> dict[str, str]:
     return rows
 
 
-def _run_folder(source: Path, out: Path | None) -> Path:
+def run_folder(source: Path, out: Path | None) -> Path:
+    """Return the folder of a run, which is not there yet or empty."""
     if out is not None:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
@@ -146,7 +148,7 @@ def play_source(
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
     _keep_source(source, film)
-    folder = _run_folder(source, out)
+    folder = run_folder(source, out)
     tell_of_stand(robot)
     simulated(robot)  # what cannot be played is told before the long work
     load_policy(run.policy, load_description())
@@ -187,8 +189,8 @@ def play_source(
 
         with progress_bar("film") as progress:
             save_video(film, **shown, progress=progress)
-    rows = {} if motion.targets is None else _target_rows(motion.targets)
-    rows |= _metric_rows(metrics) | {"run folder": str(folder)}
+    rows = {} if motion.targets is None else target_rows(motion.targets)
+    rows |= metric_rows(metrics) | {"run folder": str(folder)}
     table(source.name, rows | ({"film": str(film)} if film else {}))
     if result.fell_at is not None:
         warn(f"the robot was about to fall at {result.fell_at:.1f} s and sat down")
@@ -199,7 +201,8 @@ def play_source(
     return STOPPED if result.fell_at is not None or result.interrupted else DONE
 
 
-def _metric_rows(m: dict[str, Any]) -> dict[str, str]:
+def metric_rows(m: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of a run, a figure a row."""
     error = m["toe_error_cm"]
     return {
         "stood up in": f"{m['stand_up_s']:.2f} s",

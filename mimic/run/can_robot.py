@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
-from mimic.errors import BusError, MimicError, PlantError
+from mimic.errors import MimicError, PlantError
 from mimic.robot.description import RobotDescription
 from mimic.robot.wiring import Wiring
+from mimic.run.brake import damp, switch_off, told_off
 from mimic.run.exchange import ALL, Exchange
 from mimic.run.link import Link
-from mimic.run.motor_messages import LIMIT_TORQUE, RUN_MODE, Enable, Mode, RunMode, Stop
-from mimic.run.safety_rules import LIMITS
+from mimic.run.motor_messages import CAN_TIMEOUT, LIMIT_TORQUE, RUN_MODE, Enable, Mode, RunMode, Stop
 from mimic.types import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick
 
 ANSWERS = 0.005
 """For so long at least answers are waited for, also where the step began late: twelve commands and answers take 3.4 ms [s]."""
 
-STOP_TRIES = 10
-"""How often a motor is told to stop before it counts as not to be reached."""
+TIMEOUT = 4000
+"""What CAN_TIMEOUT is set to: 0.2 s if it counts 50 us as in the successor's firmware, 4 s if it counts milliseconds; nobody
+has published which, nor that a public frame can set it."""
 
 
 class Watcher(Protocol):
@@ -54,6 +53,11 @@ def still(q: FloatArray) -> JointCommand:
     return JointCommand(q_des=np.nan_to_num(q), dq_des=zeros, kp=zeros, kd=zeros, tau_ff=zeros)
 
 
+def set_timeout(exchange: Exchange) -> bool:
+    """Ask the motors to stop by themselves without a host, and return whether all of them read back that they will."""
+    return bool(np.all(np.abs(exchange.write(CAN_TIMEOUT, float(TIMEOUT)) - TIMEOUT) < 0.5))
+
+
 class CanRobot:
     """Twelve motors and an IMU, in real time: a step lasts one control step of the link's clock.
 
@@ -83,10 +87,12 @@ class CanRobot:
         self._link = link
         self._watcher = watcher
         self._torque_limit = description.torque_max if torque_limit is None else torque_limit
-        self._kd = float(description.raw["motor"]["kd_most"])
         self._on = self._closed = False
         self._missed = np.zeros(len(JOINTS), dtype=int)
+        self._bits = self.exchange.bits.copy()
         self._began = self._ended = self._due = self._link.now()
+        self.timeout_taken = False
+        """Whether the motors stop by themselves when this computer is silent."""
         self.ending = "nothing was switched on"
         """How the robot was left, as a sentence without its full stop."""
 
@@ -107,6 +113,7 @@ class CanRobot:
         self._need(self.exchange.ask_feedback(lambda motor: Stop(motor=motor, host=host)))
         self.exchange.set(RUN_MODE, float(RunMode.OPERATION), "run_mode")  # only a motor that is off may change it
         self.exchange.set(LIMIT_TORQUE, self._torque_limit, "limit_torque")
+        self.timeout_taken = set_timeout(self.exchange)
         if self._watcher is not None:
             self._watcher.arm()
         self._on = True
@@ -116,6 +123,7 @@ class CanRobot:
             raise PlantError(f"{', '.join(off)} did not switch on; look for faults with: mimic robot check")
         self._missed[:] = 0
         self._began = self._ended = self._due = self._link.now()
+        self._bits = self.exchange.bits.copy()
         q, _, _ = self.exchange.readings(-np.inf)
         return self.step(still(q)).state
 
@@ -183,71 +191,22 @@ class CanRobot:
             guarded=self._watcher is None or self._watcher.alive(),
         )
 
+    def load(self) -> FloatArray:
+        """Return which share of its time each bus was busy since the start, by the frames seen here (buses,)."""
+        seconds = max(self._link.now() - self._began, self._description.dt)
+        return (self.exchange.bits - self._bits) / self.exchange.wiring.bitrate / seconds
+
     def close(self) -> None:
         """Damp the robot until it rests, then switch its motors off. Safe to call twice; raises nothing that it can help."""
         if self._closed or not self._on:
             return
         self._closed, self._on = True, False
+        beat = (lambda: None) if self._watcher is None else self._watcher.beat
         try:
-            self._damp()
-            reached = self._stop()
+            damp(self.exchange, self._description, beat)
+            left = switch_off(self.exchange, self._description, beat)
+            self.ending = told_off(left)
         except MimicError as reason:
-            reached, self.ending = False, f"the motors could not be stopped: {reason}"
+            left, self.ending = list(ALL), f"the motors could not be stopped: {reason}"
         if self._watcher is not None:
-            self._watcher.disarm() if reached else self._watcher.take_over()
-
-    def _damp(self) -> None:
-        exchange, link, dt = self.exchange, self._link, self._description.dt
-        q, _, _ = exchange.readings(-np.inf)
-        zeros = np.zeros(len(JOINTS))
-        brake = JointCommand(
-            q_des=np.clip(np.nan_to_num(q), self._description.q_min, self._description.q_max),
-            dq_des=zeros,
-            kp=zeros,
-            kd=np.full(len(JOINTS), self._kd),
-            tau_ff=zeros,
-        )
-        began = rested = link.now()
-        while link.now() - began < LIMITS.damp_seconds and link.now() - rested < LIMITS.rest_seconds:
-            if self._watcher is not None:
-                self._watcher.beat()
-            since = link.now()
-            taken = [_reach(lambda j=j: exchange.command(brake, [j])) for j in ALL]
-            heard = _reach(lambda since=since: exchange.listen(since + dt))
-            if not any(taken):
-                raise BusError("no bus takes frames any more")
-            if not heard:
-                link.sleep(dt)
-            _, dq, _ = exchange.readings(since)
-            if np.isnan(dq).all() or np.nanmax(np.abs(dq)) >= LIMITS.rest_speed:
-                rested = link.now()
-
-    def _stop(self) -> bool:
-        exchange, host = self.exchange, self.exchange.wiring.host
-        left = list(ALL)
-        since = self._link.now()
-        for _ in range(STOP_TRIES):
-            for joint in left:
-                motor = int(exchange.wiring.motor[joint])
-                _reach(lambda joint=joint, motor=motor: exchange.send(joint, Stop(motor=motor, host=host)))
-            _reach(lambda: exchange.listen(self._link.now() + self._description.dt))
-            left = [j for j in left if not self._off(j, since)]
-            if not left:
-                break
-        names = ", ".join(JOINTS[j] for j in left)
-        self.ending = "the robot was damped and all motors are off"
-        if left:
-            self.ending = f"the robot was damped, but {names} did not confirm to be off: take the power away"
-        return not left
-
-    def _off(self, joint: int, since: float) -> bool:
-        newest = self.exchange.feedback[joint]
-        return newest is not None and self.exchange.came[joint] > since and newest.mode == Mode.RESET
-
-
-def _reach(act: Callable[[], object]) -> bool:
-    """Return whether a bus did what was asked; a bus that fails must not keep the others from being told."""
-    with contextlib.suppress(BusError):
-        act()
-        return True
-    return False
+            self._watcher.take_over() if left else self._watcher.disarm()

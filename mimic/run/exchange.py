@@ -62,7 +62,8 @@ class Exchange:
         """Frames that made no sense or came from nobody who is known."""
         self._values: dict[tuple[int, int], float] = {}
         self._ids: dict[int, int] = {}
-        self._bits = np.zeros(wiring.buses)
+        self.bits: FloatArray = np.zeros(wiring.buses)
+        """Bits on each bus so far, as this computer saw the frames (buses,)."""
         self._frames = 0
         self._weights: dict[tuple[int, int], int] = {}
 
@@ -84,12 +85,7 @@ class Exchange:
         if kind not in self._weights or self._frames % _WEIGHED == 0:
             self._weights[kind] = frame_bits(frame)
         self._frames += 1
-        self._bits[bus] += self._weights[kind]
-
-    def bits(self) -> FloatArray:
-        """Return the bits on each bus since the last call (buses,), as this computer saw the frames."""
-        bits, self._bits = self._bits, np.zeros(self.wiring.buses)
-        return bits
+        self.bits[bus] += self._weights[kind]
 
     @property
     def errors(self) -> int:

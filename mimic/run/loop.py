@@ -17,6 +17,7 @@ from mimic.policy.contract import ObservationBuilder, PolicyContract
 from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg import front_toes
+from mimic.run.brake import damping_command
 from mimic.run.plant import Plant
 from mimic.run.safety import Event, Mode
 from mimic.run.ticking import Run, Safety, Sink
@@ -68,12 +69,6 @@ def fallen(state: RobotState, description: RobotDescription) -> bool:
 def falling(state: RobotState, description: RobotDescription) -> bool:
     """Return whether a robot that should stand is about to tip over."""
     return bool(uprightness(state.quat_WB, description) < FALLING_COSINE)
-
-
-def damping_command(q: FloatArray, kd: float) -> JointCommand:
-    """Return the command that only brakes: no stiffness, velocity gain kd [N m s/rad]."""
-    zeros = np.zeros_like(q)
-    return JointCommand(q_des=q.copy(), dq_des=zeros, kp=zeros, kd=np.full_like(q, kd), tau_ff=zeros)
 
 
 def desired_at(
@@ -275,9 +270,10 @@ def _ramp(run: Run, contract: PolicyContract) -> None:
 
 def _damp(run: Run) -> None:
     """Only brake, as hard as the motors can, until the supervisor finds that the robot rests."""
-    kd = float(run.plant.description.raw["motor"]["kd_most"])
+    d = run.plant.description
+    kd = float(d.raw["motor"]["kd_most"])
     while run.mode < Mode.STOPPED:
-        run.hold(damping_command(run.q, kd), DAMP)
+        run.hold(damping_command(np.clip(run.q, d.q_min, d.q_max), kd), DAMP)
 
 
 def _follow(

@@ -51,6 +51,11 @@ class Supervisor:
         self.events: list[Event] = []
 
     @property
+    def unbelieved(self) -> frozenset[int]:
+        """Joints whose positions are not believed any more."""
+        return frozenset(self._watch.unbelieved)
+
+    @property
     def decisive(self) -> Event | None:
         """What first ended the run, if anything did."""
         return next((event for event in self.events if event.mode > Mode.RUN), None)

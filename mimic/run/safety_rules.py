@@ -129,6 +129,8 @@ class Watch:
         self.description, self._limits = description, limits
         self.lost: set[int] = set()
         """Joints that cannot be relied on any more."""
+        self.unbelieved: set[int] = set()
+        """Joints whose positions are not believed any more."""
         self.heat: MotorHeat | None = None
         self.rise: FloatArray = np.zeros(len(JOINTS))
         self.jump: FloatArray = np.zeros(len(JOINTS))
@@ -193,7 +195,9 @@ class Watch:
     def _compare_legs(self, facts: Facts) -> None:
         """Work out how high the toes are against each other, by legs and IMU."""
         state, limits = facts.state, self._limits
-        toes = all_toes(state.q, self.description) @ rotation_from_quat(state.quat_WB)[2]
+        q = state.q.copy()
+        q[list(self.unbelieved)] = np.nan
+        toes = all_toes(q, self.description) @ rotation_from_quat(state.quat_WB)[2]
         self.hind_apart = float(abs(toes[2] - toes[3]))
         self.front_above = float(toes[:2].min() - toes[2:].min())
         stands = PHASES[facts.phase] in STANDING
@@ -252,8 +256,9 @@ def _motor_fault(facts: Facts, watch: Watch, limits: Limits) -> Iterator[Finding
 
 
 def _motor_off(facts: Facts, watch: Watch, limits: Limits) -> Iterator[Finding]:
-    off = np.flatnonzero(~facts.health.running & (facts.health.missed == 0))
+    off = np.flatnonzero(~facts.health.running & (facts.health.missed == 0) & (facts.health.faults == 0))
     watch.lost.update(map(int, off))
+    watch.unbelieved.update(map(int, off))
     for joint in off:
         yield _lost(int(joint), f"motor {JOINTS[joint]} switched itself off, so its zero may be lost", watch)
 
@@ -282,6 +287,7 @@ def _joint_impossible(facts: Facts, watch: Watch, limits: Limits) -> Iterator[Fi
     outside = np.maximum(q - description.q_max, description.q_min - q)
     bad = np.flatnonzero((outside > limits.outside) | (watch.jump > limits.jump))
     watch.lost.update(map(int, bad))
+    watch.unbelieved.update(map(int, bad))
     for joint in bad:
         if outside[joint] > limits.outside:
             text = f"joint {JOINTS[joint]} reads {q[joint]:.2f} rad, {outside[joint]:.2f} rad beyond its limit"
@@ -380,7 +386,7 @@ RULES = tuple(
         (_terminated, "SIGTERM", "1 tick", "damp"),
         (_motor_silent, f"{_L.silent_ticks} ticks without an answer", "60 ms", _SIT),
         (_motor_fault, "any fault bit", "1 tick", _SIT),
-        (_motor_off, "not in run mode", "1 tick", _SIT),
+        (_motor_off, "not in run mode, without a fault", "1 tick", _SIT),
         (_motor_hot, f"{_L.temperature_announced:g} °C; {_L.temperature:g} °C", "1 tick", f"announce; {_SIT}"),
         (
             _winding_hot,

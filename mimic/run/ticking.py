@@ -150,11 +150,12 @@ class Run:
             health_row(done.health, state.t, clamped, self.mode),
         )
         self.state = done.state
-        self.q, self.quat_WB = self._gaps.filled(done.state)
         self.ticks += 1
         if done.samples is not None:
             self.samples.append(done.samples)
         self._judge(done, phase)
+        unbelieved = () if self.safety is None else self.safety.supervisor.unbelieved
+        self.q, self.quat_WB = self._gaps.filled(done.state, unbelieved)
         if self.sink is not None:
             self.sink(done)
         if self.progress is not None:

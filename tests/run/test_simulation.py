@@ -11,7 +11,8 @@ from mimic.errors import PlantError
 from mimic.frames import heading_from_quat
 from mimic.metrics import stand_up_time, standing
 from mimic.policy.runtime import load_policy
-from mimic.run.loop import damping_command, run_policy
+from mimic.run.brake import damping_command
+from mimic.run.loop import run_policy
 from mimic.run.simulation import SimulatedPlant
 from mimic.settings import NOMINAL, Randomisation, RunSettings
 from mimic.types import CommandTrack, JointCommand, RobotState

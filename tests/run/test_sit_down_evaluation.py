@@ -7,7 +7,7 @@ import pytest
 
 from mimic.errors import ContractError
 from mimic.policy.runtime import load_policy
-from mimic.run.loop import damping_command
+from mimic.run.brake import damping_command
 from mimic.run.simulation import SimulatedPlant
 from mimic.run.sit_down_evaluation import evaluate_sit_down, lies, summarise
 from mimic.run.touches import TouchRecorder

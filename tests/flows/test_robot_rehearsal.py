@@ -1,0 +1,189 @@
+"""Rehearsals across processes: an emulated robot, the command that drives it, and what is left of both.
+
+Real processes and a real clock: nothing here looks at how long anything took, and limits are there for hangs only.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic import store
+from mimic.errors import FrameError
+from mimic.run.buses import open_link
+from mimic.run.cybergear import Codec
+from mimic.run.motor_messages import Feedback, Mode, Operation
+from mimic.types import PHASES, HealthLog, RunLog
+
+PATIENCE = 120.0
+
+
+@pytest.fixture
+def emulator(tmp_path) -> Iterator[Callable[..., str]]:
+    """Return a function that starts an emulated robot and returns the word for its bus."""
+    started: list[subprocess.Popen] = []
+
+    def start(*options: str) -> str:
+        command = [sys.executable, "-m", "mimic", "emulate", "--listen", "127.0.0.1:0", "--homed", *options]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=here(tmp_path))
+        started.append(process)
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("ready"):
+                return line.split()[1]
+        raise AssertionError("the emulator did not start")
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=PATIENCE)
+
+
+def here(folder: Path) -> dict[str, str]:
+    hidden = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return {**hidden, "XDG_STATE_HOME": str(folder / "state"), "XDG_CACHE_HOME": str(folder / "cache")}
+
+
+def mimic(folder: Path, *words: str) -> subprocess.Popen:
+    command = [sys.executable, "-m", "mimic", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=here(folder))
+
+
+class Listener:
+    """Hears all that goes over a bus."""
+
+    def __init__(self, words: str) -> None:
+        self.link, self.codec = open_link(words), Codec()
+        self.modes: dict[int, Mode] = {}
+        self.gains: dict[int, tuple[float, float]] = {}
+
+    def until(self, what: Callable[[], bool]) -> None:
+        end = time.monotonic() + PATIENCE
+        while not what():
+            assert time.monotonic() < end, f"this did not happen; modes {self.modes}, gains {self.gains}"
+            received = self.link.receive(0.1)
+            if received is None:
+                continue
+            try:
+                message = self.codec.decode(received.frame)
+            except FrameError:
+                continue
+            if isinstance(message, Feedback):
+                self.modes[message.motor] = message.mode
+            elif isinstance(message, Operation):
+                self.gains[message.motor] = message.kp, message.kd
+
+    def moving(self) -> bool:
+        return len(self.gains) == 12 and all(kp > 29.0 for kp, _ in self.gains.values())
+
+    def braking(self) -> bool:
+        return len(self.gains) == 12 and all(kp == 0.0 and kd > 4.99 for kp, kd in self.gains.values())
+
+    def off(self) -> bool:
+        return len(self.modes) == 12 and set(self.modes.values()) == {Mode.RESET}
+
+
+@pytest.fixture
+def listening() -> Iterator[Callable[[str], Listener]]:
+    made: list[Listener] = []
+
+    def listen(words: str) -> Listener:
+        made.append(Listener(words))
+        return made[-1]
+
+    yield listen
+    for listener in made:
+        listener.link.close()
+
+
+def test_ctrl_c_sits_down_and_leaves_a_whole_log(emulator, listening, tmp_path):
+    words = emulator()
+    listener = listening(words)
+    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
+    listener.until(listener.moving)
+    run.send_signal(signal.SIGINT)
+    listener.until(listener.braking)
+    listener.until(listener.off)
+    told, _ = run.communicate(timeout=PATIENCE)
+    assert "Traceback" not in told
+    assert "all motors are off" in told.splitlines()[-1] or "all motors are off" in told.splitlines()[-2]
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "events.jsonl",
+        "health.parquet",
+        "log.parquet",
+        "metrics.json",
+        "scene.rrd",
+    ]
+    log = store.load(tmp_path / "run" / "log.parquet", RunLog)
+    health = store.load(tmp_path / "run" / "health.parquet", HealthLog)
+    assert np.array_equal(log.t, health.t)
+    assert PHASES[log.phase[-1]] == "damp"
+
+
+def test_a_process_that_is_killed_leaves_a_robot_that_its_guardian_damps_and_a_log_that_can_be_salvaged(
+    emulator, listening, tmp_path
+):
+    words = emulator()
+    listener = listening(words)
+    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
+    listener.until(listener.moving)
+    run.kill()
+    run.communicate(timeout=PATIENCE)
+    listener.until(listener.braking)
+    listener.until(listener.off)
+    assert not (tmp_path / "run" / "log.parquet").exists()
+    salvaged = mimic(tmp_path, "log", "salvage", str(tmp_path / "run"))
+    told, _ = salvaged.communicate(timeout=PATIENCE)
+    assert salvaged.returncode == 0, told
+    log = store.load(tmp_path / "run" / "log.parquet", RunLog)
+    assert len(log.t) > 10
+    assert not (tmp_path / "run" / "log.rows").exists()
+
+
+def test_a_request_to_end_damps(emulator, listening, tmp_path):
+    words = emulator()
+    listener = listening(words)
+    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
+    listener.until(listener.moving)
+    run.terminate()
+    listener.until(listener.braking)
+    listener.until(listener.off)
+    told, _ = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 3
+    assert "SIGTERM" in told
+    assert "Traceback" not in told
+
+
+def test_a_robot_without_zeros_is_not_moved(emulator, tmp_path):
+    words = emulator()
+    run = mimic(tmp_path, "--robot", words, "--yes", "-o", str(tmp_path / "run"))
+    told, _ = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 2
+    assert "nothing was moved" in told
+    assert "mimic robot zero" in told
+    assert not (tmp_path / "run").exists()
+
+
+def test_scan_zero_and_check_agree_on_a_robot(emulator, tmp_path):
+    words = emulator()
+    for verb, *options in (("scan",), ("zero", "--yes"), ("check",)):
+        run = mimic(tmp_path, "robot", verb, words, *options)
+        told, _ = run.communicate(timeout=PATIENCE)
+        assert run.returncode == 0, told
+    assert "set since the power came" in told
+
+
+def test_nobody_at_the_other_end_is_told_in_a_sentence(tmp_path):
+    run = mimic(tmp_path, "--robot", "socketcand://127.0.0.1:9/can0", "--homed", "--yes", "-o", str(tmp_path / "run"))
+    told, _ = run.communicate(timeout=PATIENCE)
+    assert run.returncode == 2
+    assert "nobody listens" in told
+    assert "Traceback" not in told

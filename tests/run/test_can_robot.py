@@ -1,0 +1,349 @@
+"""The robot on its bus, against emulated motors in a time of their own: what is sent, what is read, how it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mimic.errors import BusError, PlantError
+from mimic.robot.wiring import load_wiring
+from mimic.run.can_robot import CanRobot, still
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulated_link import EmulatedLink
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.motor_messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
+from mimic.settings import EmulateSettings
+from mimic.types import JOINTS, JointCommand
+
+
+class Watcher:
+    """Notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.there = True
+
+    def arm(self) -> None:
+        self.told.append("arm")
+
+    def beat(self) -> None:
+        self.told.append("beat")
+
+    def alive(self) -> bool:
+        return self.there
+
+    def disarm(self) -> None:
+        self.told.append("disarm")
+
+    def take_over(self) -> None:
+        self.told.append("take over")
+
+
+@pytest.fixture(params=[1, 2])
+def made(request, description):
+    """Return a function that makes an emulated robot and the plant on it, on one bus or two."""
+
+    def make(*faults: str, watcher=None, torque_limit=None, **settings):
+        wiring = load_wiring(buses=request.param)
+        options = EmulateSettings(**{"homed": True, "placement": 0.02, **settings})
+        robot = EmulatedRobot(description, wiring, options, faults=[parse_fault(f) for f in faults])
+        link = EmulatedLink(robot)
+        link.sleep(0.1)
+        return robot, CanRobot(link, wiring, description, watcher=watcher, torque_limit=torque_limit)
+
+    return make
+
+
+def hold(description, q=None) -> JointCommand:
+    zeros = np.zeros(12)
+    q = description.poses["lie"] if q is None else q
+    return JointCommand(
+        q_des=q, dq_des=zeros, kp=np.full(12, description.kp), kd=np.full(12, description.kd), tau_ff=zeros
+    )
+
+
+def modes(robot) -> set[Mode]:
+    return {motor.mode for motor in robot.motors}
+
+
+def test_it_starts_switched_on_without_gains_where_it_lies(made, description):
+    robot, plant = made()
+    state = plant.start()
+    assert modes(robot) == {Mode.RUN}
+    assert {motor.drive.kp for motor in robot.motors} == {0.0}
+    assert np.abs(state.q - robot.body.data.qpos[7:]).max() < 2e-3
+    assert np.abs(state.quat_WB - robot.body.data.qpos[3:7]).max() < 1e-3
+    assert np.isnan(state.p_WB).all()
+
+
+def test_its_torque_limit_is_in_the_motors(made):
+    robot, plant = made(torque_limit=7.5)
+    plant.start()
+    assert {motor.values[LIMIT_TORQUE] for motor in robot.motors} == {7.5}
+
+
+@pytest.mark.parametrize("honoured", [True, False])
+def test_the_motors_own_timeout_is_set_where_they_take_it(honoured, made):
+    robot, plant = made(can_timeout=honoured)
+    plant.start()
+    assert plant.timeout_taken is honoured
+    assert all((motor.values[CAN_TIMEOUT] > 0) is honoured for motor in robot.motors)
+
+
+def test_every_step_lasts_a_control_step_and_brings_every_joint(made, description):
+    _, plant = made()
+    times = [plant.start().t]
+    for _ in range(20):
+        tick = plant.step(hold(description))
+        times.append(tick.state.t)
+        assert np.isfinite(tick.state.q).all()
+        assert not tick.health.missed.any()
+        assert tick.health.age.max() < description.dt
+        assert tick.health.running.all()
+        assert tick.health.late < 1e-6
+    assert np.allclose(np.diff(times), description.dt, atol=1e-6)
+
+
+def test_a_tick_tells_the_command_as_the_frames_rounded_it(made, description):
+    robot, plant = made()
+    plant.start()
+    asked = hold(description, description.poses["lie"] + np.linspace(-0.1, 0.1, 12))
+    sent = plant.step(asked).sent
+    assert not np.array_equal(sent.q_des, asked.q_des)
+    assert np.abs(sent.q_des - asked.q_des).max() <= 4e-4
+    assert np.abs(sent.kp - asked.kp).max() <= 8e-3
+    for joint, motor in enumerate(robot.motors):
+        sign, offset = plant.exchange.wiring.sign[joint], plant.exchange.wiring.offset[joint]
+        assert motor.drive.q * sign + offset == pytest.approx(sent.q_des[joint], abs=1e-9)
+        assert motor.drive.kp == pytest.approx(sent.kp[joint], abs=1e-9)
+        assert motor.drive.kd == pytest.approx(sent.kd[joint], abs=1e-9)
+
+
+def test_what_it_reads_is_what_the_joints_do(made, description):
+    robot, plant = made(hung=True)
+    plant.start()
+    target = description.poses["four"]
+    for _ in range(60):
+        state = plant.step(hold(description, target)).state
+    truth = robot.body.data.qpos[-12:]
+    assert np.abs(state.q - truth).max() < 0.01
+    assert np.abs(state.q - target).max() < 0.2
+    assert np.abs(state.tau).max() > 0.3
+
+
+@pytest.mark.parametrize("joint", ["FL_abad", "RR_knee"])
+def test_a_motor_that_does_not_answer_is_nan_and_its_age_grows(joint, made, description):
+    robot, plant = made()
+    plant.start()
+    index = JOINTS.index(joint)
+    robot.inject(parse_fault(f"motor_mute:{joint}@{robot.now}"))
+    ages = []
+    for number in range(1, 6):
+        tick = plant.step(hold(description))
+        assert np.isnan([tick.state.q[index], tick.state.dq[index], tick.state.tau[index]]).all()
+        assert np.isfinite(np.delete(tick.state.q, index)).all()
+        assert tick.health.missed[index] == number
+        ages.append(tick.health.age[index])
+    assert np.allclose(np.diff(ages), description.dt, atol=1e-6)
+
+
+def test_an_answer_that_comes_back_counts_again(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"motor_mute:FL_hip@{robot.now}-{robot.now + 0.05}"))
+    missed = [int(plant.step(hold(description)).health.missed[1]) for _ in range(8)]
+    assert max(missed) in (2, 3)
+    assert missed[-1] == 0
+
+
+def test_an_answer_that_is_late_by_a_step_is_not_taken_for_a_new_one(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"stalled@{robot.now + 0.005}-{robot.now + 0.0399}"))
+    seen = [plant.step(hold(description)) for _ in range(4)]
+    assert seen[-1].health.missed.max() == 0
+    stale = [tick for tick in seen if tick.health.missed.any()]
+    assert stale
+    for tick in stale:
+        assert np.isnan(tick.state.q[tick.health.missed > 0]).all()
+
+
+def test_faults_temperature_and_mode_are_told(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"motor_fault:RL_hip=16@{robot.now}"))
+    robot.inject(parse_fault(f"motor_hot:FR_knee=66@{robot.now}"))
+    for _ in range(3):
+        health = plant.step(hold(description)).health
+    assert health.faults[JOINTS.index("RL_hip")] & 16
+    assert not health.running[JOINTS.index("RL_hip")]
+    assert health.temperature[JOINTS.index("FR_knee")] == pytest.approx(66.0, abs=0.2)
+    assert health.faults[JOINTS.index("FR_knee")] == 0
+
+
+def test_an_imu_that_falls_silent_ages_and_is_nan(made, description):
+    robot, plant = made("imu_silent@1.0")
+    plant.start()
+    while robot.now < 1.2:
+        tick = plant.step(hold(description))
+    assert tick.health.imu_age > 0.15
+    assert np.isnan(tick.state.quat_WB).all()
+
+
+def test_closing_damps_until_it_rests_and_switches_off(made, description):
+    robot, plant = made()
+    plant.start()
+    for _ in range(25):
+        plant.step(hold(description, description.poses["four"]))  # pushes itself up a little
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+    assert plant.ending == "the robot was damped and all motors are off"
+    assert np.abs(robot.body.data.qvel[6:]).max() < 0.3
+    before = robot.now
+    plant.close()
+    assert robot.now == before
+
+
+def test_it_brakes_with_all_that_the_motors_have(made, description):
+    robot, plant = made()
+    plant.start()
+    for _ in range(25):
+        plant.step(hold(description, description.poses["four"]))
+    seen: list[tuple[float, float]] = []
+    plant.exchange.link.close()
+    link = EmulatedLink(robot)
+    receive = link.receive
+
+    def look(timeout: float):
+        seen.extend((motor.drive.kp, motor.drive.kd) for motor in robot.motors if motor.mode is Mode.RUN)
+        return receive(timeout)
+
+    link.receive = look
+    plant.exchange.link = link
+    plant.close()
+    damped = [pair for pair in seen if pair[0] == 0.0]
+    assert damped
+    assert max(kd for _, kd in damped) == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_plant_that_was_never_started_sends_nothing(made):
+    robot, plant = made()
+    before = robot.buses[0].frames
+    plant.close()
+    assert robot.buses[0].frames == before
+    assert modes(robot) == {Mode.RESET}
+
+
+@pytest.mark.parametrize("fault", ["motor_dead:FL_knee@0", "motor_deaf:RR_hip@0", "motor_mute:FL_abad@0"])
+def test_a_motor_that_is_silent_at_the_start_is_named_and_nothing_is_switched_on(fault, made):
+    robot, plant = made(fault)
+    with pytest.raises(PlantError, match=fault.split(":")[1].split("@")[0]):
+        plant.start()
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_a_motor_with_a_fault_does_not_switch_on_and_the_others_are_switched_off_again(made):
+    robot, plant = made("motor_fault:FL_knee=8@0")
+    with pytest.raises(PlantError, match="FL_knee did not switch on"):
+        plant.start()
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_a_motor_that_dies_is_named_at_the_end_and_the_others_are_off(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"motor_mute:FL_hip@{robot.now}"))
+    plant.step(hold(description))
+    plant.close()
+    assert "FL_hip did not confirm" in plant.ending
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_an_adapter_that_is_pulled_raises_and_closing_says_what_is_left(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"unplugged@{robot.now}"))
+    with pytest.raises(BusError):
+        plant.step(hold(description))
+    plant.close()
+    assert "could not be stopped" in plant.ending
+
+
+def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"unplugged@{robot.now}-{robot.now + 2.0}"))
+    with pytest.raises(BusError):
+        plant.step(hold(description))
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(description):
+    wiring = load_wiring(buses=2)
+    robot = EmulatedRobot(description, wiring, EmulateSettings(homed=True))
+    link = EmulatedLink(robot)
+    link.sleep(0.1)
+    plant = CanRobot(link, wiring, description)
+    plant.start()
+    robot.inject(parse_fault(f"unplugged:bus1@{robot.now}"))
+    with pytest.raises(BusError):
+        plant.step(hold(description))
+    plant.close()
+    off = {wiring.bus[j]: motor.mode for j, motor in enumerate(robot.motors)}
+    assert off[0] is Mode.RESET
+    assert "did not confirm" in plant.ending
+
+
+# ---------------------------------------------------------------------- its guardian
+
+
+def test_the_guardian_is_armed_before_anything_is_on_and_disarmed_when_all_is_off(made, description):
+    watcher = Watcher()
+    robot, plant = made(watcher=watcher)
+    armed = []
+    watcher.arm = lambda: armed.append(modes(robot))
+    plant.start()
+    plant.step(hold(description))
+    plant.close()
+    assert armed == [{Mode.RESET}]
+    assert watcher.told[-1] == "disarm"
+    assert set(watcher.told[:-1]) == {"beat"}
+
+
+def test_the_guardian_takes_over_where_not_all_motors_confirm(made, description):
+    watcher = Watcher()
+    robot, plant = made(watcher=watcher)
+    plant.start()
+    robot.inject(parse_fault(f"unplugged@{robot.now}"))
+    with pytest.raises(BusError):
+        plant.step(hold(description))
+    plant.close()
+    assert watcher.told[-1] == "take over"
+
+
+def test_a_guardian_that_is_gone_is_told(made, description):
+    watcher = Watcher()
+    _, plant = made(watcher=watcher)
+    plant.start()
+    assert plant.step(hold(description)).health.guarded
+    watcher.there = False
+    assert not plant.step(hold(description)).health.guarded
+
+
+def test_the_load_of_the_bus_is_what_it_was(made, description):
+    robot, plant = made()
+    plant.start()
+    begin, bits = robot.now, [bus.bits for bus in robot.buses]
+    for _ in range(100):
+        plant.step(hold(description))
+    real = [(bus.bits - b) / bus.bitrate / (robot.now - begin) for bus, b in zip(robot.buses, bits, strict=True)]
+    assert plant.load() == pytest.approx(real, rel=0.03)
+
+
+def test_asking_for_nothing_has_no_gains():
+    command = still(np.array([np.nan, 1.0] * 6))
+    assert np.isfinite(command.q_des).all()
+    assert not np.any([command.kp, command.kd, command.tau_ff])

@@ -1,0 +1,139 @@
+"""Zeros on emulated motors, which forget them with the power and know their angle within a rotor turn only."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimic.errors import AssetError, PlantError
+from mimic.robot.wiring import load_wiring
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulated_link import EmulatedLink
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.exchange import Exchange
+from mimic.run.homing import check_lying, home, homed, read_homing, uneven, with_homing
+from mimic.settings import EmulateSettings
+from mimic.types import JOINTS
+
+TURN = 2 * np.pi / 7.75
+
+
+@pytest.fixture
+def robot(description) -> EmulatedRobot:
+    return EmulatedRobot(description, load_wiring(), EmulateSettings(placement=0.05, seed=4))
+
+
+def exchange_of(robot: EmulatedRobot) -> Exchange:
+    exchange = Exchange(EmulatedLink(robot), load_wiring())
+    exchange.link.sleep(0.1)
+    return exchange
+
+
+def cycle_power(robot: EmulatedRobot) -> None:
+    for joint in JOINTS:
+        robot.inject(parse_fault(f"power_cycle:{joint}@{robot.now}"))
+    robot.advance(robot.now + 0.2)
+
+
+def truth(robot: EmulatedRobot) -> np.ndarray:
+    return robot.body.data.qpos[7:].copy()
+
+
+def test_a_robot_that_was_just_switched_on_is_not_homed(robot, description):
+    exchange = exchange_of(robot)
+    assert homed(exchange, None)
+    homing, _ = home(exchange, description, None)
+    cycle_power(robot)
+    problems = homed(exchange, homing)
+    assert len(problems) == 12
+    assert "lost its zero" in problems[0]
+
+
+def test_the_first_homing_takes_the_lying_pose_for_what_it_sees(robot, description):
+    exchange = exchange_of(robot)
+    homing, q = home(exchange, description, None)
+    assert np.array_equal(q, description.poses["lie"])
+    assert homed(exchange, homing) == []
+    known = with_homing(load_wiring(), homing)
+    read = known.q_of(np.array([f.q for f in exchange.feedback]))
+    assert np.abs(read - truth(robot)).max() < 0.055  # what the placement was off by
+
+
+def test_a_later_homing_puts_joints_back_to_the_angles_of_the_first_one(robot, description):
+    exchange = exchange_of(robot)
+    homing, _ = home(exchange, description, None)
+    before = truth(robot)
+    error = description.poses["lie"] - before
+    cycle_power(robot)
+    moved = before + np.random.default_rng(0).uniform(-0.25, 0.25, 12)
+    moved = np.clip(moved, description.q_min, description.q_max)
+    robot.body.data.qpos[7:] = moved  # somebody laid it down differently
+    again, q = home(exchange, description, homing)
+    assert np.allclose(q, truth(robot) + error, atol=2e-3)
+    assert homed(exchange, again) == []
+    assert again.mark != homing.mark
+    assert homed(exchange, homing)
+
+
+def test_homing_twice_without_a_power_cycle_changes_nothing(robot, description):
+    exchange = exchange_of(robot)
+    first, q = home(exchange, description, None)
+    second, again = home(exchange, description, first)
+    assert np.allclose(again, q, atol=2e-3)
+    assert np.allclose(second.phase, first.phase)
+
+
+def test_a_motor_that_was_exchanged_is_told_and_learnt_anew(robot, description):
+    exchange = exchange_of(robot)
+    homing, _ = home(exchange, description, None)
+    other = dataclasses.replace(homing, uid=(homing.uid[0] + 1, *homing.uid[1:]))
+    problems = homed(exchange, other)
+    assert len(problems) == 1
+    assert "FL_abad has another motor" in problems[0]
+    _, q = home(exchange, description, other)
+    assert q[0] == description.poses["lie"][0]
+
+
+def test_a_silent_motor_is_named(robot, description):
+    robot.inject(parse_fault("motor_dead:RL_hip@0"))
+    with pytest.raises(PlantError, match="no answer from RL_hip"):
+        home(exchange_of(robot), description, None)
+
+
+@pytest.mark.parametrize("joint", range(12))
+@pytest.mark.parametrize("off", [0.36, -0.36, 0.8])
+def test_a_joint_too_far_from_lying_is_refused_by_name(joint, off, description):
+    q = description.poses["lie"].copy()
+    q[joint] += off
+    with pytest.raises(PlantError, match=JOINTS[joint]):
+        check_lying(q, description)
+
+
+def test_neighbours_that_differ_are_told(description):
+    q = description.poses["lie"].copy()
+    assert uneven(q) == []
+    q[1] += 0.3
+    assert "FL_hip and FR_hip" in uneven(q)[0]
+    q = description.poses["lie"].copy()
+    q[[6, 9]] = 0.2, -0.2  # both outward
+    assert uneven(q) == []
+
+
+def test_what_is_known_comes_back_from_its_file(robot, description, tmp_path):
+    homing, _ = home(exchange_of(robot), description, None)
+    homing.save(tmp_path / "homing.json")
+    read = read_homing(tmp_path / "homing.json")
+    assert read.uid == homing.uid
+    assert read.mark == homing.mark
+    assert np.array_equal(read.offset, homing.offset)
+    assert np.array_equal(read.phase, homing.phase, equal_nan=True)
+    assert read_homing(tmp_path / "nowhere.json") is None
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"uid": [1]}', "not json"])
+def test_another_file_is_refused(text, tmp_path):
+    (tmp_path / "homing.json").write_text(text)
+    with pytest.raises(AssetError):
+        read_homing(tmp_path / "homing.json")
