@@ -198,7 +198,7 @@ class EmulatedBody:
 
     def temperature(self, joint: int) -> float:
         """Return how warm a motor is [degC]: its fault comes when the winding is as warm as its continuous torque makes it."""
-        return AMBIENT + (HOT - AMBIENT) * float(self._rise[:, joint].sum())
+        return AMBIENT + (HOT - AMBIENT) * float(self._rise[0, joint] + self._rise[1, joint])
 
     def base(self) -> tuple[FloatArray, FloatArray]:
         """Return the trunk's orientation, wxyz, and its angular velocity in base axes [rad/s]."""

@@ -123,7 +123,7 @@ class EmulatedMotor:
     host: int = 0xFD
     """Who gets unasked reports."""
     values: dict[int, float] = field(default_factory=dict)
-    _reported: tuple[int, int] = (0, 0)
+    _reported: tuple[Fault, bool] = (Fault(0), False)
 
     def power_up(self, q: float) -> MotorMessage:
         """Forget everything but the id, and tell it.
@@ -131,7 +131,7 @@ class EmulatedMotor:
         Args:
             q: Own angle [rad].
         """
-        self.mode, self.drive, self.faults, self._reported = Mode.RESET, FREE, Fault(0), (0, 0)
+        self.mode, self.drive, self.faults, self._reported = Mode.RESET, FREE, Fault(0), (Fault(0), False)
         self.values = {index: p.default for index, p in PARAMETERS.items()}
         self.zero = q - ((q + self.encoder + ROTOR_TURN / 2) % ROTOR_TURN - ROTOR_TURN / 2)
         return DeviceId(motor=self.id, uid=self.uid)
@@ -249,29 +249,33 @@ class EmulatedMotor:
 
     # ------------------------------------------------------------------ what happens to it
 
-    def look_after(self, t: float, measured: Measured, more: Fault) -> MotorMessage | None:
+    def look_after(self, t: float, temperature: float, voltage: float, more: Fault) -> MotorMessage | None:
         """Notice faults and a host that fell silent; return the report that is due.
 
         Args:
             t: Now [s].
-            measured: What the sensors say.
+            temperature: Of the motor [degC].
+            voltage: Of the supply [V].
             more: Faults besides those of temperature and voltage.
         """
-        if measured.temperature >= HOT:
+        if temperature >= HOT:
             more |= Fault.OVER_TEMPERATURE
-        if measured.voltage < LOW_VOLTAGE:
+        if voltage < LOW_VOLTAGE:
             more |= Fault.UNDER_VOLTAGE
-        self.faults |= more
+        if more:
+            self.faults |= more
         if self.faults:
             self.stop()
         silence = self.values[CAN_TIMEOUT] * TIMEOUT_TICK
         if self.mode is Mode.RUN and 0 < silence < t - self.heard_at:
             self.stop()
-        detail = DetailedFault(0)
-        for fault, named in _DETAIL.items():
-            detail |= named if fault in self.faults else DetailedFault(0)
-        now = (int(detail), int(measured.temperature >= WARM))
+        now = (self.faults, temperature >= WARM)
         if now == self._reported:
             return None
         self._reported = now
-        return FaultReport(motor=self.id, host=self.host, faults=detail, warnings=now[1])
+        detail = DetailedFault(0)
+        for fault, named in _DETAIL.items():
+            detail |= named if fault in self.faults else DetailedFault(0)
+        if self.faults and not detail:
+            return None  # such as an encoder's, which only the feedback tells
+        return FaultReport(motor=self.id, host=self.host, faults=detail, warnings=int(now[1]))

@@ -297,22 +297,21 @@ class EmulatedRobot:
         self.body.advance(self.now)
         q, dq, tau = self.body.joint(i, self.now)
         sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
+        return Measured(sign * (q - offset), sign * dq, sign * tau, *self._heat_and_voltage(i))
+
+    def _heat_and_voltage(self, i: int) -> tuple[float, float]:
         heat = self.body.temperature(i)
         hot, voltage = self._value("motor_hot", joint=i), self._value("under_voltage")
-        return Measured(
-            sign * (q - offset),
-            sign * dq,
-            sign * tau,
-            heat if hot is None else max(heat, hot),
-            VOLTAGE if voltage is None else voltage,
-        )
+        return heat if hot is None else max(heat, hot), VOLTAGE if voltage is None else voltage
 
     def _look_after_motors(self) -> None:
+        self.body.advance(self.now)
         for i, motor in enumerate(self.motors):
             if self._value("motor_dead", joint=i) is not None:
                 continue
             bits = self._value("motor_fault", joint=i)
-            report = motor.look_after(self.now, self._measured(i), Fault(0 if bits is None else int(bits) & 0x3F))
+            more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
+            report = motor.look_after(self.now, *self._heat_and_voltage(i), more)
             self._apply(i)
             if report is not None:
                 self._tell(i, report, self.now)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -68,3 +69,8 @@ def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
         again = parse_fault(str(fault))
         assert (again.kind, again.joint, again.bus) == (fault.kind, fault.joint, fault.bus)
         assert again.start == pytest.approx(fault.start, rel=1e-4)
+
+
+def test_the_manual_names_every_kind():
+    manual = (Path(__file__).parents[2] / "docs" / "robot.md").read_text(encoding="utf-8")
+    assert [kind for kind in KINDS if f"`{kind}`" not in manual] == []
