@@ -44,6 +44,10 @@ _LINE_WITHIN = 0.002
 _TRIES = 3
 """Handshakes of socketcand that are tried: on a busy bus a frame can come right after an answer, which python-can refuses."""
 
+_FULL, _FRAME = 60, 0.00015
+"""Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues ten frames
+unless told otherwise, and twelve commands come at once."""
+
 _SLICE = 0.0005
 """How long to wait at a time on a bus that cannot be waited for [s]."""
 
@@ -71,14 +75,19 @@ class _Port:
 
     def send(self, frame: CanFrame) -> None:
         message = can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, check=False)
-        try:
-            self._bus.send(message, timeout=SEND_WITHIN)
-        except (can.CanError, OSError) as reason:
-            # pyserial calls it a timeout also when all bytes went out and this process was put aside just then
-            late = isinstance(reason.__cause__, serial.SerialTimeoutException)
-            if late and self.file is not None and select.select([], [self.file], [], 0)[1]:
+        for left in reversed(range(_FULL)):
+            try:
+                self._bus.send(message, timeout=SEND_WITHIN)
                 return
-            raise BusError(f"{self.name} does not take frames any more: {_short(reason)}") from None
+            except (can.CanError, OSError) as reason:
+                if getattr(reason, "error_code", None) == errno.ENOBUFS and left:
+                    time.sleep(_FRAME)
+                    continue
+                # pyserial calls it a timeout also when all bytes went out and this process was put aside just then
+                late = isinstance(reason.__cause__, serial.SerialTimeoutException)
+                if late and self.file is not None and select.select([], [self.file], [], 0)[1]:
+                    return
+                raise BusError(f"{self.name} does not take frames any more: {_short(reason)}") from None
 
     def take(self) -> CanFrame | None:
         """Return a frame that is there already, or None."""

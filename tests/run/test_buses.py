@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 
+import can
 import pytest
 
 from mimic.errors import BusError, ConfigError
@@ -234,3 +236,91 @@ def test_lines_of_an_adapter_that_are_no_frames_are_counted_and_passed_over():
             assert str(received.frame) == "021#0102"
             assert link.garbled == 2
         link.close()
+
+
+class FakeSocketcan:
+    """What ``can.Bus`` gives for a SocketCAN interface, as far as it is needed here."""
+
+    def __init__(self, sends: list[Exception | None], hears: list[can.Message]) -> None:
+        self._sends, self._hears, self.sent = sends, hears, 0
+        self._mine, self._theirs = socket.socketpair()
+        self._theirs.send(b"x" * len(hears))
+
+    def fileno(self) -> int:
+        return self._mine.fileno()
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        problem = self._sends.pop(0)
+        if problem is not None:
+            raise problem
+        self.sent += 1
+
+    def recv(self, timeout: float) -> can.Message:
+        self._mine.recv(1)
+        return self._hears.pop(0)
+
+    def shutdown(self) -> None:
+        self._mine.close()
+        self._theirs.close()
+
+
+@pytest.fixture
+def socketcan(monkeypatch) -> Callable[..., tuple[CanLink, FakeSocketcan]]:
+    """Return a function that opens can0 with what its sends raise and what it hears."""
+
+    def make(
+        sends: tuple[Exception | None, ...] = (), hears: tuple[can.Message, ...] = ()
+    ) -> tuple[CanLink, FakeSocketcan]:
+        fake = FakeSocketcan(list(sends), list(hears))
+        monkeypatch.setattr(can, "Bus", lambda **_: fake)
+        return open_link("can0"), fake
+
+    return make
+
+
+def test_a_queue_that_is_full_for_a_moment_is_waited_for(socketcan):
+    """SocketCAN's default queue holds ten frames, and twelve commands are sent at once."""
+    link, fake = socketcan(sends=(can.CanOperationError("full", errno.ENOBUFS),) * 3 + (None,))
+    link.send(0, CanFrame(1, b""))
+    assert fake.sent == 1
+    link.close()
+
+
+def test_a_queue_that_stays_full_is_an_error(socketcan):
+    link, _ = socketcan(sends=(can.CanOperationError("full", errno.ENOBUFS),) * 10_000)
+    with pytest.raises(BusError, match="does not take frames"):
+        link.send(0, CanFrame(1, b""))
+    link.close()
+
+
+def test_other_problems_of_sending_are_errors_at_once(socketcan):
+    link, fake = socketcan(sends=(can.CanOperationError("down", errno.ENETDOWN), None))
+    with pytest.raises(BusError, match="down"):
+        link.send(0, CanFrame(1, b""))
+    assert fake.sent == 0
+    link.close()
+
+
+def test_an_error_frame_of_a_bus_that_is_off_is_an_error_and_others_are_passed_over(socketcan):
+    frames = (
+        can.Message(arbitration_id=0x04, is_error_frame=True, data=bytes(8)),
+        can.Message(arbitration_id=0x10, is_remote_frame=True, is_extended_id=False),
+        can.Message(arbitration_id=0x21, data=b"\x01", is_extended_id=False),
+        can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)),
+    )
+    link, _ = socketcan(hears=frames)
+    received = link.receive(PATIENCE)
+    assert received is not None
+    assert str(received.frame) == "021#01"
+    with pytest.raises(BusError, match="can0 is off"):
+        link.receive(PATIENCE)
+    link.close()
+
+
+def test_an_interface_that_is_not_there_says_how_to_bring_it_up(monkeypatch):
+    def missing(**_: object) -> None:
+        raise OSError(errno.ENODEV, "No such device")
+
+    monkeypatch.setattr(can, "Bus", missing)
+    with pytest.raises(BusError, match="ip link set can3 up"):
+        open_link("can3")
