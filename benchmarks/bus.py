@@ -117,16 +117,17 @@ def transports(seconds: float) -> None:
                 "--homed",
                 "--hung",
             ]
-            process = subprocess.Popen([*command, "--every", "0"], stdout=subprocess.PIPE, text=True)
-            assert process.stdout is not None
-            address = next(line.split()[-1] for line in process.stdout if kind in line)
-            begin = time.monotonic()
-            link = open_link(address)
-            opened = time.monotonic() - begin
-            took, missed = cycles(link, load_wiring(), rate, seconds)
-            link.close()
-            process.terminate()
-            process.wait(10.0)
+            with subprocess.Popen([*command, "--every", "0"], stdout=subprocess.PIPE, text=True) as process:
+                assert process.stdout is not None
+                try:
+                    address = next(line.split()[-1] for line in process.stdout if kind in line)
+                    begin = time.monotonic()
+                    link = open_link(address)
+                    opened = time.monotonic() - begin
+                    took, missed = cycles(link, load_wiring(), rate, seconds)
+                    link.close()
+                finally:
+                    process.terminate()
             p50, p99, most = 1e3 * np.quantile(took, [0.5, 0.99, 1.0])
             print(
                 f"| {kind} | {rate:.0f} Hz | {p50:.1f} / {p99:.1f} / {most:.1f} ms | {missed} of {len(took)} | {1e3 * opened:.0f} ms |"

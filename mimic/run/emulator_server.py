@@ -121,7 +121,8 @@ class EmulatorServer:
 
     def turn(self) -> None:
         """Wait until something is due, at most 10 ms, and do it."""
-        left = self.robot.next_event - self._time()
+        anybody = any(client.host is not None for client in self._clients)
+        left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
         reading = [*self._listening, *(client.sock for client in self._clients)]
         writing = [client.sock for client in self._clients if client.waiting]
         ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
