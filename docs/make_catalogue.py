@@ -30,7 +30,7 @@ def _row(effect: Effect) -> str:
         for mark, has in (
             ("declared", effect.declared),
             ("always refitted", effect.structural),
-            ("simulated only", effect.random),
+            ("read off target by target", effect.random),
         )
         if has
     ]

@@ -79,7 +79,7 @@ class Remainder:
     peak_ratio: float
     """That peak over the median of the spectrum."""
     verdict: str
-    """explained, state-dependent, periodic, or broadband."""
+    """explained, state-dependent, periodic, events, or broadband."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

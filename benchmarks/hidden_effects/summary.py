@@ -169,8 +169,6 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
         return [r for r in records if r["group"] == group and (not strengths or r["key"].split("/")[2] in strengths)]
 
     plain, weak = of("single", "strong", "medium"), of("single", "weak")
-    drawn = [r for r in (*plain, *weak) if CATALOGUE[r["names"][0]].random]
-    plain, weak = ([r for r in part if r not in drawn] for part in (plain, weak))
     pairs, triples, clean, aliens = of("pair"), of("triple"), of("clean"), of("alien")
     rows = [
         ("one effect, strong or medium: named, nothing else", "95 %", _share(plain, right)),
@@ -181,11 +179,6 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
             "one effect, weak: named or among the rivals, nothing else",
             "80 %",
             _share(weak, lambda r: right(r) or right_or_rival(r)),
-        ),
-        (
-            "jitter or lost commands (simulated, not replayed): nothing named, called unexplained",
-            "",
-            _share(drawn, unexplained),
         ),
         ("two effects: both named", "80 %", _share(pairs, all_found)),
         ("two effects: both named, nothing else", "", _share(pairs, right)),
@@ -221,8 +214,7 @@ def effect_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
         tuple(r["names"]) for r in records if r["group"] in ("single", "alien", "pair", "triple")
     ):
         mine = [r for r in records if tuple(r.get("names", ())) == names]
-        drawn = len(names) == 1 and names[0] in CATALOGUE and CATALOGUE[names[0]].random
-        judge = unexplained if drawn or mine[0]["group"] == "alien" else right
+        judge = unexplained if mine[0]["group"] == "alien" else right
         cells = []
         for strength in ("strong", "medium", "weak"):
             part = [r for r in mine if r["strength"] == strength]
@@ -259,9 +251,7 @@ def plot(records: Sequence[Record], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    singles = [
-        r for r in records if r["group"] == "single" and "error" not in r and not CATALOGUE[r["names"][0]].random
-    ]
+    singles = [r for r in records if r["group"] == "single" and "error" not in r]
     if not singles:
         return
     x = np.array([declared_error(r) for r in singles])

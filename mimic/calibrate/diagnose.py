@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.problem import Point, Problem
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
@@ -39,6 +40,12 @@ FAR = 4.0
 FAR_Z = 6.0
 """Effects this far behind the best, in standard errors, are not fitted to the end."""
 
+AGREEMENT = (0.75, 1.35)
+"""What the chains must share of the lateness that each shows of single targets, when targets are late."""
+
+PASSES = 6
+"""Most rounds of finding which targets were late, and fitting all numbers."""
+
 STRONG = 4
 """Effects that are fitted to the end and compared."""
 
@@ -62,6 +69,8 @@ class Tried:
     """Joints where the effect is there (J,)."""
     why: str
     """Why it is not accepted; empty where it is."""
+    timing: Timing | None = None
+    """Which targets were late, where that is the effect."""
 
     def candidate(self, problem: Problem, best: Tried | None) -> Candidate:
         """Return the record of it."""
@@ -236,10 +245,18 @@ def search(
         tick: Called with what is being done.
         refine: Returns a fit judged at finer steps.
     """
-    tick("screening")
-    picked = _pick(screen(problem, incumbent, candidates, motion))
-    masks = {s.name: s.joints for s in picked}
     before, _ = left_out(incumbent, problem)
+    random = [n for n in candidates if CATALOGUE[n].random]
+    late: tuple[Tried, ...] = ()
+    if random:
+        tick("looking for single late targets")
+        late = _late(problem, incumbent, before, names, joints, random)
+        if late and not late[0].why:  # first, since the rest is then judged without their noise
+            rivals = tuple(t.name for t in late[1:] if paired(late[0].squares, t.squares)[1] < RIVAL_Z)
+            return Found(tried=late, best=late[0], rivals=rivals)
+    tick("screening")
+    picked = _pick(screen(problem, incumbent, [n for n in candidates if n not in random], motion))
+    masks = {s.name: s.joints for s in picked}
     tick(f"refitting {len(picked)} effects")
     fits = fit_all(
         problem,
@@ -249,14 +266,14 @@ def search(
         ],
     )
     tried = [judge(problem, incumbent, before, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
-    hard = [t for t in tried if CATALOGUE[t.name].structural and (t.gain < LEAST_GAIN or t.z < LEAST_Z)]
-    if hard and np.mean(problem.mean_squares(incumbent.residual, False)) > FAR:
+    hard = [t for t in tried if _astray(problem, t, tried)]
+    if hard:
         tick(f"refitting {', '.join(CATALOGUE[t.name].title for t in hard)} from the model's numbers")
         begins = {s.name: _afresh(problem, s) for s in picked}
         fits = fit_all(
             problem,
             [
-                fitting(problem, begins[t.name], [*names, t.name], {**joints, t.name: masks[t.name]}, most=4)
+                fitting(problem, begins[t.name], [*names, t.name], {**joints, t.name: masks[t.name]}, most=6)
                 for t in hard
             ],
         )
@@ -269,16 +286,88 @@ def search(
     strong = [t for t in strong if paired(strong[0].squares, t.squares)[1] < FAR_Z][:STRONG]
     if strong:
         tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
-        fits = fit_all(problem, [fitting(problem, t.fitted.point, [*names, t.name], joints, most=4) for t in strong])
+        fits = fit_all(
+            problem,
+            [
+                fitting(problem, t.fitted.point, [*names, t.name], {**joints, t.name: masks[t.name]}, most=4)
+                for t in strong
+            ],
+        )
         for t, f in zip(strong, fits, strict=True):
             tried[tried.index(t)] = judge(problem, incumbent, before, t.name, refine(f), masks[t.name])
     tried.sort(key=lambda t: -t.gain)
     good = [t for t in tried if not t.why]
+    tried += late
     if not good:
         return Found(tried=tuple(tried), best=None, rivals=())
     best = good[0]
     rivals = tuple(t.name for t in good[1:] if _rivals(problem, best, t))
     return Found(tried=tuple(tried), best=best, rivals=rivals)
+
+
+def _late(
+    problem: Problem,
+    incumbent: Fit,
+    before: FloatArray,
+    names: Sequence[str],
+    joints: dict[str, BoolArray],
+    candidates: Sequence[str],
+) -> tuple[Tried, ...]:
+    """Return laws of single late targets, the better first; it is fitted to the end if the chains agree on it."""
+    replay, found = problem.replay, []
+    had = replay.late
+    readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
+    for timing in sorted(timings(problem, incumbent, candidates), key=lambda t: t.squares.sum()):
+        gain, z = paired(timing.squares, before)
+        unexplained = before.sum() - float(readings * problem.channels)
+        share = (before.sum() - timing.squares.sum()) / max(unexplained, 1e-9)
+        why = ""
+        if not AGREEMENT[0] < timing.agreement < AGREEMENT[1]:
+            why = f"the chains share {100 * timing.agreement:.0f} % of the lateness that each shows"
+        elif gain < LEAST_GAIN:
+            why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
+        elif z < LEAST_Z:
+            why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
+        elif share < LEAST_SHARE:
+            why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
+        fitted = replace(incumbent, point=timing.point)
+        improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
+        if not why and not found:
+            for _ in range(PASSES):
+                replay.set_late(timing.late)
+                left = problem.mean_squares(fitted.residual, False).sum()
+                fitted = fit(problem, timing.point, names, joints, most=1)
+                if problem.mean_squares(fitted.residual, False).sum() > 0.97 * left:
+                    break
+                again = timings(problem, fitted, [timing.name])
+                if not again:
+                    break
+                timing = replace(again[0], squares=timing.squares, agreement=timing.agreement)
+            replay.set_late(had)
+            fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
+            improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
+        found.append(
+            Tried(
+                name=timing.name,
+                fitted=fitted,
+                squares=timing.squares,
+                gain=gain,
+                z=z,
+                improvement=improvement,
+                joints=np.ones(len(problem.machine.joints), dtype=bool),
+                why=why,
+                timing=timing,
+            )
+        )
+    return tuple(found)
+
+
+def _astray(problem: Problem, t: Tried, tried: Sequence[Tried]) -> bool:
+    """Return whether an effect with a threshold may have been fitted from a bad start: it leaves much, and explains
+    nothing, or more than any other."""
+    promising = t.gain < LEAST_GAIN or t.z < LEAST_Z or t.gain == max(o.gain for o in tried)
+    left = np.mean(problem.mean_squares(t.fitted.residual, False))
+    return CATALOGUE[t.name].structural and promising and bool(left > FAR)
 
 
 def _afresh(problem: Problem, start: Start) -> Point:

@@ -13,8 +13,17 @@ from mimic.types import BoolArray, FloatArray
 DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""
 
+STIFFER = (30.0, 300.0)
+"""Those that are tried where none of them leads down."""
+
 LARGEST = 1e12
 """Stands for the sum of squares of a replay that blew up."""
+
+DOUBTFUL = 1.5
+"""Growth of a block's sum of squares when it is left out, from which on the linear model is not believed."""
+
+SHARES = (1.0, 0.3, 0.1)
+"""Shares of a move that are replayed then."""
 
 CONVERGED = 2e-3
 """A fit has converged when the sum of squares falls by less than this share."""
@@ -151,10 +160,10 @@ def fitting(
     frozen: Fit | None = None,
 ) -> Asking:
     """Ask for the replays of a fit, step by step; see :func:`fit` and :func:`fit_all`."""
-    knobs, train = problem.knobs(start, joints, names), problem.blocks.train
+    knobs = problem.knobs(start, joints, names)
     point = start
     residual = (yield [point])[0]
-    best = problem.block_squares(residual)[train].sum() + penalty(point, knobs)
+    best = _cost(problem, point, residual, knobs)
     known: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
         known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
@@ -167,30 +176,79 @@ def fitting(
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
         stacked = [columns[k.key, k.joint] for k in knobs]
-        sums = problem.sums(residual, stacked, knobs)
-        hessian, gradient = sums.over(train)
-        at = point.read(knobs)
-        trials = [point.moved(knobs, solve(hessian, gradient, knobs, at, damping)) for damping in DAMPINGS]
-        replayed = yield trials
-        squares = [
-            problem.block_squares(r)[train].sum() + penalty(trial, knobs)
-            for r, trial in zip(replayed, trials, strict=True)
-        ]
-        winner = int(np.argmin(squares))
-        if not squares[winner] < best:
-            break
-        converged = 1 - squares[winner] / best < CONVERGED
-        point, residual, best = trials[winner], replayed[winner], squares[winner]
-        if converged:
+        hessian, gradient = problem.sums(residual, stacked, knobs).over(problem.blocks.train)
+        at, before = point.read(knobs), best
+        steps: list[FloatArray] = [np.zeros(len(knobs))]
+        costs, replayed = [best], [residual]
+        for dampings in (DAMPINGS, STIFFER):
+            if dampings is STIFFER and not _promised(problem, knobs, gradient * steps[-1], best, costs):
+                break
+            tried = [solve(hessian, gradient, knobs, at, damping) for damping in dampings]
+            trials = [point.moved(knobs, step) for step in tried]
+            answers = yield trials
+            steps += tried
+            replayed += list(answers)
+            costs += [_cost(problem, p, r, knobs) for p, r in zip(trials, answers, strict=True)]
+        if (mixed := _best_of_chains(problem, knobs, steps, costs)) is not None:  # no one step suits all chains
+            steps.append(mixed)
+            replayed.append((yield [point.moved(knobs, mixed)])[0])
+            costs.append(_cost(problem, point.moved(knobs, mixed), replayed[-1], knobs))
+        winner = int(np.argmin([cost.sum() for cost in costs]))
+        point, residual, best = point.moved(knobs, steps[winner]), replayed[winner], costs[winner]
+        if not winner or (1 - best / before < CONVERGED).all():
             break
     sums = problem.sums(residual, stacked, knobs)  # derivatives of the last step's start: near enough once it is small
     return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
+
+
+def _cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> FloatArray:
+    """Return the sum of squares of each chain (K,), with its priors; those of the whole machine go to the first."""
+    cost = np.zeros(int(problem.machine.chain.max()) + 1)
+    np.add.at(cost, problem.channel_chain, problem.block_squares(residual)[problem.blocks.train].sum(0))
+    chains = [0 if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in knobs]
+    away = point.read(knobs) - np.array([k.centre for k in knobs])
+    np.add.at(cost, np.array(chains, dtype=int), prior(knobs) * away**2)
+    return np.minimum(cost, LARGEST)
+
+
+def _best_of_chains(
+    problem: Problem, knobs: Sequence[Knob], steps: Sequence[FloatArray], costs: Sequence[FloatArray]
+) -> FloatArray | None:
+    """Return the step (P,) that takes for each chain the one of steps (P,) with the least of costs (K,).
+
+    Numbers of the whole machine go with the step that is best in all. None where one step is best for every chain.
+    """
+    choice, overall = np.argmin(costs, axis=0), int(np.argmin([cost.sum() for cost in costs]))
+    if (choice == choice[0]).all():
+        return None
+    of = [overall if k.joint < 0 else int(choice[problem.machine.chain[k.joint]]) for k in knobs]
+    return np.stack(steps)[of, np.arange(len(knobs))]
+
+
+def _promised(
+    problem: Problem, knobs: Sequence[Knob], fall: FloatArray, best: FloatArray, costs: Sequence[FloatArray]
+) -> bool:
+    """Return whether some chain has not come down though a linear model says that it should by a twentieth.
+
+    Args:
+        problem: Log and model.
+        knobs: Fitted numbers (P,).
+        fall: What the linear model promises of a step, by number (P,).
+        best: Cost of each chain before (K,).
+        costs: Those of the steps that were tried.
+    """
+    promised = np.zeros(len(best))
+    for knob, by in zip(knobs, fall, strict=True):
+        if knob.joint >= 0:
+            promised[problem.machine.chain[knob.joint]] += by
+    return bool(((promised > 0.05 * best) & (np.min(costs, axis=0) > 0.98 * best)).any())
 
 
 def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     """Return each fitted block's sum of squares when it is judged by a fit without it, and the values of those fits.
 
     Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
+    Where that changes a block much, the linear model is not believed, and the fit without the block is replayed.
 
     Returns:
         Squares of each channel (B_train, C), and changes of the knobs (B_train, P).
@@ -215,7 +273,40 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
         squares[row] = np.nan_to_num(np.sum(residual.astype(np.float64) ** 2, axis=0), nan=np.inf)
-    return np.minimum(squares, LARGEST), moves
+    return _replayed(fitted, problem, np.minimum(squares, LARGEST), moves)
+
+
+def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return squares and moves as :func:`left_out` does, replayed for blocks and chains that a linear model makes far worse.
+
+    There each chain takes the share of its move that suits the other blocks best.
+    """
+    train, chains = problem.blocks.train, int(problem.machine.chain.max()) + 1
+    own = problem.channel_chain[:, None] == np.arange(chains)
+    inside = problem.block_squares(fitted.residual)[train]
+    doubt = squares @ own > DOUBTFUL * (inside @ own)
+    rows = np.flatnonzero(doubt.any(1))
+    if not len(rows):
+        return squares, moves
+    trials = [fitted.point.moved(fitted.knobs, share * moves[row]) for row in rows for share in SHARES]
+    replayed = problem.residuals([fitted.point, *trials])
+    replayed += fitted.residual - replayed[0]  # what a finer replay knows better
+    made = np.stack([problem.block_squares(r)[train] for r in replayed])
+    costs = np.stack(
+        [_cost(problem, p, r, fitted.knobs) for p, r in zip([fitted.point, *trials], replayed, strict=True)]
+    )
+    chain_of = np.array([k.joint if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in fitted.knobs])
+    squares, moves = squares.copy(), moves.copy()
+    for i, row in enumerate(rows):
+        mine = [0, *range(1 + i * len(SHARES), 1 + (i + 1) * len(SHARES))]
+        rest = costs[mine] - made[mine, row] @ own
+        choice = np.argmin(np.nan_to_num(rest, nan=np.inf), axis=0)
+        shares = np.where(doubt[row], np.array([0.0, *SHARES])[choice], 1.0)
+        moves[row] *= np.where(chain_of < 0, shares.min(), shares[chain_of])
+        for chain in np.flatnonzero(doubt[row]):
+            channels = own[:, chain]
+            squares[row, channels] = np.minimum(made[mine[choice[chain]], row, channels], LARGEST)
+    return squares, moves
 
 
 def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,8 @@ class _Search:
     joints: dict[str, BoolArray]
     names: list[str]
     current: Fit
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Of the numbers that are read off the lateness of the targets."""
 
     def tick(self, text: str) -> None:
         self.progress(text, self.problem.replay.replays)
@@ -173,6 +175,7 @@ def _fine(problem: Problem, point: Point) -> FloatArray:
     replay = Replay(
         problem.machine, coarse.log, timestep=coarse.dt / FINE, threads=coarse.threads, torque=coarse.torque
     )
+    replay.set_late(coarse.late)
     fine = Problem(
         replay,
         problem.noise[: len(problem.machine.joints)],
@@ -238,7 +241,10 @@ def _motion(problem: Problem, fitted: Fit) -> Motion:
 
 def _candidates(state: _Search) -> list[str]:
     allowed = state.settings.effects or tuple(CATALOGUE)
-    return [n for n in allowed if n not in state.names and not CATALOGUE[n].random and not CATALOGUE[n].declared]
+    timed = any(CATALOGUE[n].random for n in state.names)  # one law of late targets is enough
+    return [
+        n for n in allowed if n not in state.names and not CATALOGUE[n].declared and not (timed and CATALOGUE[n].random)
+    ]
 
 
 def _explained(state: _Search) -> bool:
@@ -269,6 +275,9 @@ def _grow(state: _Search) -> list[Stage]:
                 break
             stages.append(_nothing(state, found))
             break
+        if (timing := found.best.timing) is not None:
+            state.problem.replay.set_late(timing.late)
+            state.intervals[timing.name] = timing.interval
         _correct(state.problem, found.best.fitted.point)
         state.current = pruned(state.problem, found.best, state.names, state.joints)
         state.names.append(found.best.name)
@@ -295,7 +304,7 @@ def _nothing(state: _Search, found: Found) -> Stage:
 def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
     """Drop effects that no longer pay beside those found after them."""
     added = [s.added for s in stages if s.added]
-    for name in added[:-1] if len(added) > 1 else []:
+    for name in [n for n in added[:-1] if not CATALOGUE[n].random]:
         state.tick(f"is {CATALOGUE[name].title} still needed")
         rest = [n for n in state.names if n != name]
         without = fit(state.problem, state.current.point.without(name), rest, state.joints, most=3)
@@ -325,7 +334,9 @@ def _effect_set(state: _Search, final: Fit) -> EffectSet:
         for p in spec.parameters:
             row = final.point.values[name, p.name]
             values[p.name] = np.array([row[max(j, 0)] for j in index])
-            if not p.fixed:
+            if name in state.intervals:
+                intervals[p.name] = np.array([state.intervals[name]])
+            elif not p.fixed:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
                 low, high = values[p.name] - half, values[p.name] + half
                 intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
@@ -402,6 +413,7 @@ def _left(left: list[Remainder]) -> str:
         what = {
             "state-dependent": f"depends on {' and '.join(r.depends_on) or 'the state'}",
             "periodic": f"periodic near {r.peak_hz:.1f} Hz, whatever the robot does",
+            "events": "single events, nothing in between",
             "broadband": "broadband, depends on nothing logged",
         }[r.verdict]
         groups.setdefault(what, []).append(r.joint)

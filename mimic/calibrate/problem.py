@@ -179,13 +179,18 @@ class Problem:
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
-        made = self.replay.run(
-            stack(points, self.machine) or {("delay", "time"): np.zeros((len(points), 1))}, len(points)
-        )
-        parts = [made.residual]
-        if made.torque_residual is not None and self.channels > len(self.machine.joints):
-            parts.append(made.torque_residual)
-        joined = np.concatenate(parts, -1) / self.noise.astype(np.float32)
+        joints = len(self.machine.joints)
+        joined = np.empty((len(points), len(self.replay.log.t), self.channels), dtype=np.float32)
+        alike: dict[frozenset[Key], list[int]] = {}  # no replay runs the laws of another
+        for i, point in enumerate(points):
+            alike.setdefault(frozenset(point.values), []).append(i)
+        for rows in alike.values():
+            values = stack([points[i] for i in rows], self.machine)
+            made = self.replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows))
+            joined[rows, :, :joints] = made.residual
+            if self.channels > joints:
+                joined[rows, :, joints:] = made.torque_residual
+        joined /= self.noise.astype(np.float32)
         joined[:, self.blocks.index < 0] = np.nan
         return joined if self.correction is None else joined + self.correction
 
@@ -226,7 +231,7 @@ class Problem:
         for name in names:
             spec = CATALOGUE[name]
             for p in spec.parameters:
-                if p.fixed:
+                if p.fixed or spec.random:
                     continue
                 if spec.scope == "machine":
                     found.append(self._knob(point, name, p, -1))

@@ -23,6 +23,12 @@ PEAK = 40.0
 COHERENT = 0.4
 """Coherence with the torque at a peak, from which on the robot's own motion made it."""
 
+STEADY_R2 = 0.1
+"""Share that one sine wave predicts on blocks that were not used, from which on the rest is periodic."""
+
+BURST_SHARE, BURST_TIME = 0.5, 0.1
+"""So much of the squares in so little of the time are single events."""
+
 FEATURES = 160
 """Random Fourier features of the regression on the state."""
 
@@ -84,14 +90,14 @@ def _remainder(
         verdict = "explained"
     elif r2 > STATE_R2:
         verdict = "state-dependent"
-    elif peak_ratio > PEAK and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) < COHERENT:
-        verdict = "periodic"
-        depends = ("time",)
-    elif peak_ratio > PEAK:
+    elif peak_ratio > PEAK and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) >= COHERENT:
         verdict = "state-dependent"
         depends = ("torque",)
+    elif peak_ratio > PEAK and _steady(slow, t[rows], blocks[rows], peak_hz) > STEADY_R2:
+        verdict = "periodic"
+        depends = ("time",)
     else:
-        verdict = "broadband"
+        verdict = "events" if _bursts(r, dt) else "broadband"
     return Remainder(
         joint=name,
         ratio=ratio,
@@ -115,6 +121,36 @@ def _coherence(r: FloatArray, x: FloatArray, dt: float, at_hz: float) -> float:
     size = min(len(r), int(5.0 / dt))
     frequency, coherence = signal.coherence(r, x, 1 / dt, nperseg=size)
     return float(np.max(coherence[np.abs(frequency - at_hz) <= 0.3], initial=0.0))
+
+
+def _steady(r: FloatArray, t: FloatArray, blocks: IntArray, near_hz: float) -> float:
+    """Return the share of the variance of r (T,) that a sine wave near a frequency predicts on blocks left out.
+
+    Something external keeps its phase; what the robot's own motion makes comes and goes with it.
+    """
+    span = float(t[-1] - t[0])
+    best, wave = -1.0, np.zeros((len(r), 2))
+    for frequency in np.arange(max(near_hz - 0.15, 0.1), near_hz + 0.15, 0.25 / span):
+        angle = 2 * np.pi * frequency * t
+        a = np.stack([np.cos(angle), np.sin(angle)], -1)
+        fitted = a @ np.linalg.lstsq(a, r, rcond=None)[0]
+        if (found := float(fitted @ r)) > best:
+            best, wave = found, a
+    error, total = 0.0, 0.0
+    for fold in range(5):
+        test = blocks % 5 == fold
+        w = np.linalg.lstsq(wave[~test], r[~test], rcond=None)[0]
+        error += float(np.sum((r[test] - wave[test] @ w) ** 2))
+        total += float(np.sum(r[test] ** 2))
+    return 1.0 - error / max(total, 1e-12)
+
+
+def _bursts(r: FloatArray, dt: float) -> bool:
+    """Return whether most of what noise does not explain of r (T,), in noise floors, is in a few fifths of a second."""
+    rows = max(int(0.2 / dt), 1)
+    squares = (r[: len(r) // rows * rows] ** 2).reshape(-1, rows).mean(1) - 1.0
+    top = np.sort(squares)[::-1][: max(int(BURST_TIME * len(squares)), 1)]
+    return bool(top.sum() > BURST_SHARE * np.maximum(squares, 0.0).sum() and squares.sum() > 0)
 
 
 def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:

@@ -73,7 +73,13 @@ class Replay:
         self._part = t / timestep - self._rows
         self.counts = t >= settle
         """Readings that count: all but those of the first settling (T,)."""
-        self._grid = self._on_grid(log.q_des if log.q_des is not None else log.q * 0.0)
+        asked = log.q_des if log.q_des is not None else log.q * 0.0
+        self.sent = np.flatnonzero(np.concatenate([[True], (np.diff(asked, axis=0) != 0).any(1)]))
+        """Rows at which a new target was sent (K,)."""
+        self.late: FloatArray | None = None
+        """How long after the delay of all each target acts (K,) [s]; None where all act in time."""
+        self._targets = asked
+        self._grid = self._on_grid(asked)
         self._force = None if log.force is None else self._on_grid(log.force)
         self._plan = self._reading_plan()
         self.replays = 0
@@ -89,9 +95,23 @@ class Replay:
         """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
         self._heat = np.asarray(tau) ** 2
 
+    def set_late(self, late: FloatArray | None) -> None:
+        """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
+        self.late = late
+        self._grid = self._on_grid(self._targets) if late is None else self.delayed(late)
+
+    def delayed(self, late: FloatArray) -> FloatArray:
+        """Return the targets of each physics step (steps, J) when each acts so much later (K,) [s]."""
+        arrival = (self.log.t - self.log.t[0])[self.sent] + late
+        arrival[0] = 0.0
+        kept = arrival <= np.minimum.accumulate(np.append(arrival[1:], np.inf)[::-1])[::-1]
+        return self._mean_over_steps(arrival[kept], self._targets[self.sent[kept]])
+
     def _on_grid(self, values: FloatArray) -> FloatArray:
         """Return the mean over each physics step of what holds from each reading to the next (steps, J)."""
-        t = self.log.t - self.log.t[0]
+        return self._mean_over_steps(self.log.t - self.log.t[0], values)
+
+    def _mean_over_steps(self, t: FloatArray, values: FloatArray) -> FloatArray:
         area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
         at = np.arange(self.total + 1) * self.dt
         row = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
@@ -100,13 +120,22 @@ class Replay:
 
     # ------------------------------------------------------------------ running
 
-    def run(self, parameters: Parameters, count: int) -> Prediction:
-        """Return the predictions of ``count`` parameter sets, each value (count, J) or (count, 1)."""
+    def run(self, parameters: Parameters, count: int, targets: FloatArray | None = None) -> Prediction:
+        """Return the predictions of ``count`` parameter sets.
+
+        Args:
+            parameters: Values (count, J) or (count, 1).
+            count: How many.
+            targets: Of each of them at each physics step (count, steps, J), instead of the log's.
+        """
         size = max(1, MOST_SIMULATIONS // self.segments)
         parts = []
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
-            parts.append(self._run({k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()}))
+            values: dict[tuple[str, str], FloatArray] = {
+                k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
+            }
+            parts.append(self._run(values, self._grid[None] if targets is None else targets[rows]))
         self.replays += count
         joined = np.concatenate([p.residual for p in parts])
         torque = (
@@ -124,7 +153,7 @@ class Replay:
             self._batches[size] = Batch(model, size, self.threads)
         return self._batches[size]
 
-    def _run(self, parameters: dict[tuple[str, str], FloatArray]) -> Prediction:
+    def _run(self, parameters: dict[tuple[str, str], FloatArray], targets: FloatArray) -> Prediction:
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
@@ -147,13 +176,14 @@ class Replay:
         gone, seen, last = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros(n, dtype=int)
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
+        which = np.repeat(np.arange(sets) % len(targets), segments)
         if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
             out[:, 0] = self.log.q[0] - before[order[:, 0]]
             if torque is not None:
                 torque[:, 0] = 0.0
         for k in range(self.length):
             now = begin + k
-            target = self._target(now, shifts)
+            target = self._target(now, shifts, targets, which)
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             inputs = law.step(q, dq, target, (now * self.dt)[:, None], force)
             fields.write(inputs)
@@ -206,13 +236,14 @@ class Replay:
             heat[i] = (self._heat[:row] * np.exp(-age / time[i]) * (dt / time[i])).sum(0) if row else 0.0
         return heat
 
-    def _target(self, now: IntArray, shifts: tuple[Any, Any]) -> FloatArray:
+    def _target(self, now: IntArray, shifts: tuple[Any, Any], targets: FloatArray, which: IntArray) -> FloatArray:
+        """Return what acts at steps now (n,) of the rows ``which`` (n,) of targets (V, steps, J), that much shifted."""
         whole, part = shifts
-        last = len(self._grid) - 1
-        late = np.clip(now[:, None] - whole, 0, last)
+        late = np.clip(now[:, None] - whole, 0, targets.shape[1] - 1)
         if late.shape[1] == 1:
-            newer, older = self._grid[late[:, 0]], self._grid[np.maximum(late[:, 0] - 1, 0)]
+            newer, older = targets[which, late[:, 0]], targets[which, np.maximum(late[:, 0] - 1, 0)]
         else:
-            columns = np.arange(self._grid.shape[1])
-            newer, older = self._grid[late, columns], self._grid[np.maximum(late - 1, 0), columns]
+            columns = np.arange(targets.shape[2])
+            newer = targets[which[:, None], late, columns]
+            older = targets[which[:, None], np.maximum(late - 1, 0), columns]
         return newer + part * (older - newer)

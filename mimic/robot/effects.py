@@ -70,7 +70,7 @@ class Effect:
     tip: bool = False
     """Only the last joint of a chain can have it."""
     random: bool = False
-    """Drawn anew in every run, so it can be simulated but not replayed."""
+    """Drawn anew for each target, so a replay needs what was drawn: it is read off the log, not fitted."""
     signature: str
     """What its residual looks like."""
     experiment: str

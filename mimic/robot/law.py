@@ -29,6 +29,12 @@ DAMPING_RATIO = 0.2
 SLOW = 1e-3
 """Below this speed the direction of motion fades, so that friction has no jump [rad/s]."""
 
+LEAST_SUPPLY = 0.1
+"""Share of the supply that is left whatever is drawn."""
+
+HALVINGS = 20
+"""Of the range in which the share of the supply left is looked for."""
+
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
 
@@ -132,8 +138,6 @@ class Law:
             state += ["torque", "torque_open", "torque_kd", "velocity_before"]
         if "kt_heat" in has:
             state += ["heat"]
-        if "supply_sag" in has:
-            state += ["power"]
         if self.rotor is not None:
             state += ["theta", "omega", "omega_open", "omega_slope"]
         for name in state:
@@ -276,13 +280,11 @@ class Law:
             held = self._lag_t[1]
             s["torque_open"], s["torque_kd"] = kp * (ctrl - theta) + bias, kd
             kp, kd, bias = kp * (1 - held), kd * (1 - held), bias * (1 - held) + held * s["torque"]
-        low, high = self._torque_limits(omega)
-        tau = xp.minimum(xp.maximum(kp * (ctrl - theta) + bias - kd * omega, low), high)
+        asked = kp * (ctrl - theta) + bias - kd * omega
+        low, high = self._torque_limits(omega, self._supply_left(asked, omega))
+        tau = xp.minimum(xp.maximum(asked, low), high)
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (tau * tau - s["heat"]) / get("kt_heat", "time")
-        if "power" in s:
-            power = xp.clip(tau * omega, 0.0, None)
-            s["power"] = self._zero + power.sum(-1)[:, None]
         friction, applied = self._friction(dq, tau), self._outside(q, dq, time)
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
         if self.rotor is not None:
@@ -291,17 +293,33 @@ class Law:
             ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
         )
 
-    def _torque_limits(self, omega: Any) -> tuple[Any, Any]:
-        xp, (torque, flat, speed) = self.xp, self._limits
-        if "power" in self.states:
-            left = xp.clip(1.0 - self.get("supply_sag", "drop") * self.states["power"], 0.1, 1.0)
-            torque, flat, speed = torque * left, flat * left, speed * left
+    def _torque_limits(self, omega: Any, left: Any) -> tuple[Any, Any]:
+        """Return the least and greatest torque at velocities omega (N, J) with shares of the supply left (N, 1)."""
+        xp, (torque, flat, speed) = self.xp, (limit * left for limit in self._limits)
         slope = torque / (speed - flat)
         high = xp.minimum(xp.clip((speed - omega) * slope, 0.0, None), torque)
         low = -xp.minimum(xp.clip((speed + omega) * slope, 0.0, None), torque)
         if self._most is not None:
             low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
         return low, high
+
+    def _supply_left(self, asked: Any, omega: Any) -> Any:
+        """Return the share of the supply (N, 1) at which motors asked for these torques draw what leaves just that share.
+
+        The more is left, the more they draw: the one root of a falling function, by halving.
+        """
+        if "supply_sag" not in self._has:
+            return 1.0
+        xp, drop = self.xp, self.get("supply_sag", "drop")
+        high = self._zero[:, :1] + 1.0
+        low = high * LEAST_SUPPLY
+        for _ in range(HALVINGS):
+            left = (low + high) / 2
+            least, most = self._torque_limits(omega, left)
+            power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[:, None]
+            more = 1.0 - drop * power > left
+            low, high = xp.where(more, left, low), xp.where(more, high, left)
+        return high
 
     def _direction(self, dq: Any) -> Any:
         return dq / self.xp.sqrt(dq * dq + SLOW * SLOW)

@@ -29,6 +29,7 @@ _VERDICTS = {
     "state-dependent": "depends on the state: an effect that the catalogue lacks",
     "periodic": "periodic, whatever the machine does: an external disturbance",
     "broadband": "depends on nothing logged: disturbance or timing",
+    "events": "single events: targets that were late or lost, knocks, something that catches",
 }
 
 

@@ -1,0 +1,348 @@
+"""Single targets that came late or never: what each loss would do, and which targets the log says were late.
+
+A replay in which one target in so many comes a period late shows what the loss of each of these does: a response that
+is over before the next one begins. Replays with every offset give the responses of all targets, and the residual is a
+sum of them, each times the lateness of its target. All joints take their targets from one message, so the lateness that
+the other chains show predicts what is left of a chain: that is evidence from readings which nothing was fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from mimic.calibrate.fit import Fit
+from mimic.calibrate.problem import Point, Problem, stack
+from mimic.types import BoolArray, FloatArray, IntArray
+
+FORGOTTEN = 0.5
+"""Time after which a joint under a servo no longer knows that a target was late [s]."""
+
+MOST_OFFSETS = 64
+"""Targets that come faster than this many in that time are not told from each other."""
+
+LEAST_ROWS = 3
+"""Readings for each target below which its own time is not seen."""
+
+NEAR = 0.25
+"""Periods of lateness by which derivatives are taken."""
+
+CERTAIN = 0.25
+"""Standard deviation of a lateness, in periods, up to which it says something of its own."""
+
+ALIKE = 0.5
+"""Correlation of the lateness of neighbouring targets from which on it is no jitter: something slow."""
+
+WIDEST = 5.0
+"""Most periods by which targets are taken to be late."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing:
+    """A law of the lateness of single targets."""
+
+    name: str
+    """Effect of the catalogue."""
+    value: float
+    """Of its parameter."""
+    interval: tuple[float, float]
+    """95 % interval of the value."""
+    late: FloatArray
+    """How much later than the point's delay each target acts, as all chains show it (K,) [s]."""
+    point: Point
+    """With the effect, and the delay that goes with ``late``."""
+    agreement: float
+    """Share of what single chains show of the lateness of single targets that the others show too; 1 where all is true."""
+    squares: FloatArray
+    """Sum of squares of each fitted block and channel that a linear model leaves with the lateness that the other chains
+    show (B_train, C)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Lateness:
+    """Of each target, in its periods (K,): estimate of the log alone, and its standard deviation."""
+
+    value: FloatArray
+    deviation: FloatArray
+
+
+def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_commands", "delay_jitter")) -> list[Timing]:
+    """Return lost and jittering targets as the residual of a fit shows them; none where the log cannot show them.
+
+    Lateness that the replay already has is found again, from the derivatives there where it is no loss.
+    """
+    groups = _groups(problem)
+    near = problem.replay.late is not None and "lost_commands" not in names
+    responses = _responses(problem, incumbent, near) if len(groups) > 1 else None
+    if responses is None:
+        return []
+    period, usual = _period(problem), _usual_late(problem)
+    inside = problem.blocks.index[:, None] >= 0
+    left = np.where(inside, np.nan_to_num(incumbent.residual), 0.0).astype(np.float64)
+    had = problem.replay.late
+    if had is not None:
+        left += _applied(problem, responses, (had - usual) / period, np.ones(problem.channels, dtype=bool))
+    normal = [_normal(problem, responses, left, channels) for channels in groups]
+    weights = _weights(problem, responses, left, groups, normal)
+    normal = [(bands * w, right * w) for (bands, right), w in zip(normal, weights, strict=True)]
+    whole = _lateness(normal)
+    seen = [_lateness([n for i, n in enumerate(normal) if i != g]) for g in range(len(groups))]
+    agreement = _agreement(normal, seen)
+    found = []
+    for name in names:
+        parameter, law = _LAWS[name]
+        value, interval, late = law(whole)
+        if not value > 0.0:
+            continue
+        after = left.copy()
+        for channels, lateness in zip(groups, seen, strict=True):
+            after[:, channels] -= _applied(problem, responses, law(lateness)[2], channels)
+        jitter = name == "delay_jitter"
+        size = value * period if jitter else value
+        shift = float(np.mean(_in_order(value)) - np.mean(late)) if jitter else -float(np.median(late))
+        point = incumbent.point.with_effect(name, problem.machine, {parameter: size})
+        if ("delay", "time") in point.values:
+            values = dict(point.values)
+            values["delay", "time"] = values["delay", "time"] + usual - shift * period
+            point = Point(values)
+        residual = np.where(inside, after, np.nan).astype(np.float32)
+        found.append(
+            Timing(
+                name=name,
+                value=size,
+                interval=(interval[0] * period, interval[1] * period) if jitter else interval,
+                late=period * np.clip(late + shift, 0.0, value if jitter else 1.0),
+                point=point,
+                agreement=agreement,
+                squares=problem.block_squares(residual)[problem.blocks.train],
+            )
+        )
+    return found
+
+
+def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence[_Lateness]) -> float:
+    """Return the covariance of what each group shows with what the others show, over the variance of its own."""
+    shared, own = 0.0, 0.0
+    for one, rest in zip(normal, others, strict=True):
+        mine = _lateness([one])
+        both = (mine.deviation < CERTAIN) & (rest.deviation < CERTAIN)
+        if both.sum() < 10:
+            continue
+        a, b = mine.value[both] - np.mean(mine.value[both]), rest.value[both] - np.mean(rest.value[both])
+        shared += float(np.sum(a * b))
+        own += float(np.sum(a * a - mine.deviation[both] ** 2))
+    return shared / own if own > 0.0 else 0.0
+
+
+def _usual_late(problem: Problem) -> float:
+    """Return the lateness that targets of the replay have in the middle [s]."""
+    return 0.0 if problem.replay.late is None else float(np.median(problem.replay.late))
+
+
+def _weights(
+    problem: Problem,
+    responses: FloatArray,
+    left: FloatArray,
+    groups: Sequence[BoolArray],
+    normal: Sequence[tuple[FloatArray, FloatArray]],
+) -> FloatArray:
+    """Return how far each group is believed: one over the mean square that lateness leaves of it, no more than 1."""
+    weights = np.ones(len(groups))
+    rows = problem.blocks.index >= 0
+    for _ in range(3):
+        lateness = _lateness([(bands * w, right * w) for (bands, right), w in zip(normal, weights, strict=True)])
+        rest = [left[:, g] - _applied(problem, responses, lateness.value, g) for g in groups]
+        weights = np.array([1.0 / max(float(np.mean(r[rows] ** 2)), 1.0) for r in rest])
+    return weights
+
+
+def _period(problem: Problem) -> float:
+    """Time between targets [s]."""
+    return float(np.median(np.diff(problem.replay.log.t[problem.replay.sent])))
+
+
+def _groups(problem: Problem) -> list[BoolArray]:
+    """Channels (C,) of each part that is judged by the others: chains, or joints where there is one chain."""
+    of = problem.channel_chain if len(np.unique(problem.channel_chain)) > 1 else problem.channel_joint
+    return [of == part for part in np.unique(of)]
+
+
+def _responses(problem: Problem, incumbent: Fit, near: bool) -> FloatArray | None:
+    """Return what a period of lateness of every n-th target changes (n, T, C), whitened; None where it cannot be seen.
+
+    With ``near`` a quarter of a period more than it has, times four; else a whole one more than most targets have.
+    """
+    replay = problem.replay
+    if len(replay.sent) < 10:
+        return None
+    rows = float(np.median(np.diff(replay.sent)))
+    offsets = int(np.ceil(FORGOTTEN / _period(problem)))
+    if rows < LEAST_ROWS or offsets > MOST_OFFSETS:
+        return None
+    joints = len(problem.machine.joints)
+    own = replay.late if near and replay.late is not None else np.full(len(replay.sent), _usual_late(problem))
+    share = NEAR if near else 1.0
+    grids = [replay.delayed(own)]
+    for offset in range(offsets):
+        late = own.copy()
+        late[offset::offsets] += share * _period(problem)
+        grids.append(replay.delayed(late))
+    parameters = stack([incumbent.point] * len(grids), problem.machine)
+    made = replay.run(parameters, len(grids), np.stack(grids))
+    parts = [made.residual]
+    if made.torque_residual is not None and problem.channels > joints:
+        parts.append(made.torque_residual)
+    whitened = np.concatenate(parts, -1) / problem.noise.astype(np.float32)
+    whitened[:, problem.blocks.index < 0] = 0.0
+    return np.nan_to_num(whitened[0] - whitened[1:]) / np.float32(share)
+
+
+def _spans(problem: Problem, offsets: int) -> Iterator[tuple[slice, IntArray, IntArray]]:
+    """Yield the rows between two targets, the targets that still act in them, and their offsets."""
+    sent = np.append(problem.replay.sent, len(problem.replay.log.t))
+    for k in range(len(sent) - 1):
+        targets = np.arange(max(k - offsets + 1, 1), k + 1)  # the first one has acted for long
+        if len(targets):
+            yield slice(int(sent[k]), int(sent[k + 1])), targets, targets % offsets
+
+
+def _normal(
+    problem: Problem, responses: FloatArray, left: FloatArray, channels: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations of the lateness of all targets: upper bands (n, K), and right side (K,)."""
+    offsets, count = len(responses), len(problem.replay.sent)
+    bands, right = np.zeros((offsets, count)), np.zeros(count)
+    own = responses[:, :, channels].astype(np.float64)
+    for rows, targets, of in _spans(problem, offsets):
+        a = own[of, rows].reshape(len(targets), -1)
+        square = a @ a.T
+        for i, k in enumerate(targets):
+            bands[offsets - 1 - (k - targets[: i + 1]), k] += square[: i + 1, i]
+        right[targets] += a @ left[rows][:, channels].reshape(-1)
+    return bands, right
+
+
+def _lateness(normal: Sequence[tuple[FloatArray, FloatArray]]) -> _Lateness:
+    """Return what some of the channels say of each target."""
+    bands, right = sum(n[0] for n in normal), sum(n[1] for n in normal)
+    bands, right = np.asarray(bands), np.asarray(right)
+    weight = 1.0  # a prior of one period, taken off again
+    bands = bands.copy()
+    bands[-1] += weight
+    value = linalg.solveh_banded(bands, right)
+    variance = np.minimum(_diagonal(bands), 0.999 / weight)
+    data = 1.0 - weight * variance
+    return _Lateness(value=value / data, deviation=np.sqrt(variance / data))
+
+
+def _diagonal(bands: FloatArray) -> FloatArray:
+    """Return the diagonal of the inverse of a banded matrix."""
+    factor = linalg.cholesky_banded(bands)
+    count, width = bands.shape[1], bands.shape[0]
+    found = np.empty(count)
+    step = 512
+    for begin in range(0, count, step):  # what is far from a column hardly matters
+        near = slice(max(begin - 4 * width, 0), min(begin + step + 4 * width, count))
+        size = near.stop - near.start
+        right = np.zeros((size, min(step, count - begin)))
+        right[np.arange(right.shape[1]) + begin - near.start, np.arange(right.shape[1])] = 1.0
+        part = linalg.cho_solve_banded((_cut(factor, near), False), right)
+        found[begin : begin + right.shape[1]] = part[
+            np.arange(right.shape[1]) + begin - near.start, np.arange(right.shape[1])
+        ]
+    return found
+
+
+def _cut(factor: FloatArray, near: slice) -> FloatArray:
+    """Return the factor of the rows and columns of a range."""
+    part = factor[:, near].copy()
+    width = len(factor)
+    for band in range(width - 1):
+        part[band, : width - 1 - band] = 0.0
+    return part
+
+
+def _applied(problem: Problem, responses: FloatArray, late: FloatArray, channels: BoolArray) -> FloatArray:
+    """Return what lateness (K,) in periods changes in some channels (T, c)."""
+    out = np.zeros((responses.shape[1], int(channels.sum())))
+    own = responses[:, :, channels].astype(np.float64)
+    for rows, targets, of in _spans(problem, len(responses)):
+        out[rows] = np.tensordot(late[targets], own[of, rows], 1)
+    return out
+
+
+def _usual(x: _Lateness) -> float:
+    """Return the lateness that most targets have: the delay that they share."""
+    known = x.deviation < CERTAIN
+    return float(np.median(x.value[known])) if known.any() else 0.0
+
+
+def _lost(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
+    """Return the share of lost targets, its interval, and the lateness of each in periods (K,): one or none."""
+    known = x.deviation < CERTAIN
+    usual = _usual(x)
+    value, variance = x.value - usual, x.deviation**2
+    share = 0.02
+    gone = np.zeros(len(value))
+    for _ in range(20):
+        odds = np.log(share / (1 - share)) + (value**2 - (value - 1.0) ** 2) / (2 * variance)
+        gone = 1.0 / (1.0 + np.exp(-np.clip(odds, -50, 50)))
+        if not known.any():
+            break
+        share = float(np.clip(gone[known].mean(), 1e-4, 0.9))
+    count = int(known.sum())
+    lost = int((gone[known] > 0.5).sum())
+    if count < 20 or lost < 3:
+        return 0.0, (0.0, 0.0), np.zeros(len(value))
+    share = lost / count
+    z = 1.96
+    centre = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * np.sqrt(share * (1 - share) / count + z * z / (4 * count**2)) / (1 + z * z / count)
+    return share, (centre - half, centre + half), (gone > 0.5) + usual
+
+
+def _jitter(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
+    """Return the width of a uniform lateness, its interval, and the lateness expected of each target (K,), in periods."""
+    known = x.deviation < CERTAIN
+    count = int(known.sum())
+    if count < 20:
+        return 0.0, (0.0, 0.0), np.zeros(len(x.value))
+    usual = float(np.mean(x.value[known]))
+    value = x.value - usual
+    weight = 1.0 / (x.deviation[known] ** 2 + 0.05**2) ** 2
+    squared = value[known] ** 2 - x.deviation[known] ** 2
+    variance = float(np.sum(weight * squared) / weight.sum())
+    if variance <= 0.0:
+        return 0.0, (0.0, 0.0), np.zeros(len(value))
+    both = known[1:] & known[:-1]
+    if both.any() and np.mean(value[1:][both] * value[:-1][both]) > ALIKE * variance:
+        return 0.0, (0.0, 0.0), np.zeros(len(value))
+    error = np.sqrt(np.sum((weight * (squared - variance)) ** 2)) / weight.sum()
+    low, width, high = (_width(max(variance + s * 1.96 * error, 0.0)) for s in (-1.0, 0.0, 1.0))
+    expected = value * variance / (variance + x.deviation**2) + usual
+    return width, (low, high), expected
+
+
+def _in_order(width: float) -> FloatArray:
+    """Return latenesses, in periods, of targets that are late by a uniform time and wait for those before them."""
+    drawn = np.random.default_rng(0).uniform(0.0, width, 4000)
+    sent = np.arange(4000.0)
+    return np.maximum.accumulate(sent + drawn) - sent
+
+
+def _width(variance: float) -> float:
+    """Return the width of a uniform lateness of which, in order, this variance is left."""
+    if variance <= 1.0 / 12.0:
+        return float(np.sqrt(12.0 * variance))
+    low, high = 1.0, WIDEST
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _in_order(middle).var() < variance else (low, middle)
+    return (low + high) / 2
+
+
+_LAWS = {"lost_commands": ("share", _lost), "delay_jitter": ("spread", _jitter)}
+"""Parameter of each effect, and what finds it from the lateness of the targets."""

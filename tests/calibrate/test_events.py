@@ -1,0 +1,89 @@
+"""Targets that were late or lost: which ones is read off the log, and only where the joints agree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.flow import calibrate
+from mimic.calibrate.replay import Replay
+from mimic.calibrate.simulate import simulate_log
+from mimic.calibration import Calibration
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.machine import MachineModel, read_machine
+from mimic.settings import CalibrateSettings, LogSettings
+
+PAIR = """<mujoco><worldbody>
+<body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.08" mass="0.3" diaginertia="0.001 0.001 0.0003"/></body>
+<body name="b" pos="0 1 0"><joint name="b" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></worldbody></mujoco>"""
+
+TIMING = ("lost_commands", "delay_jitter")
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    path = tmp_path_factory.mktemp("pair") / "pair.xml"
+    path.write_text(PAIR)
+    return read_machine(path, {"kp": 20.0, "kd": 0.8})
+
+
+def log_of(pair: MachineModel, *hidden: EffectValues) -> MachineLog:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 14.0, 0.02)
+    phase = rng.uniform(0, 2 * np.pi, (4, 2))
+    rates = (0.4, 0.9, 1.7, 3.1)
+    q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
+    delay = EffectValues(name="delay", values={"time": 0.011})
+    return replace(simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4)), tau=None)
+
+
+def calibrated(pair: MachineModel, *hidden: EffectValues) -> Calibration:
+    return calibrate(log_of(pair, *hidden), pair, CalibrateSettings(effects=TIMING))
+
+
+def found(result: Calibration) -> list[str]:
+    return [s.added for s in result.stages if s.added not in ("", "declared")]
+
+
+def test_lost_commands_are_named_with_their_share(pair: MachineModel) -> None:
+    result = calibrated(pair, EffectValues(name="lost_commands", values={"share": 0.04}))
+    assert found(result) == ["lost_commands"]
+    effect = next(e for e in result.effects if e.name == "lost_commands")
+    low, high = effect.intervals["share"][0]
+    assert low < 0.04 < high
+    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineModel) -> None:
+    result = calibrated(pair, EffectValues(name="delay_jitter", values={"spread": 0.012}))
+    assert found(result) == ["delay_jitter"]
+    values = {e.name: e.values for e in result.effects}
+    assert values["delay_jitter"]["spread"][0] == pytest.approx(0.012, rel=0.15)
+    assert values["delay"]["time"][0] == pytest.approx(0.011, abs=0.001)
+    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+def test_what_one_joint_shows_alone_is_no_late_target(pair: MachineModel) -> None:
+    sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
+    result = calibrated(pair, sticky)
+    assert found(result) == []
+    assert result.unexplained[0].verdict != "explained"
+
+
+def test_a_target_that_is_a_period_late_is_never_seen(pair: MachineModel) -> None:
+    log = log_of(pair)
+    assert log.q_des is not None
+    replay = Replay(pair, log, timestep=0.0025)
+    late = np.zeros(len(replay.sent))
+    late[[100, 200]] = 0.02
+    begin = replay.sent[[100, 200]]
+    held = log.q_des.copy()
+    for row in begin:
+        held[row : row + 4] = held[row - 1]
+    without = Replay(pair, replace(log, q_des=held), timestep=0.0025)
+    none = {("delay", "time"): np.zeros((1, 1))}
+    replay.set_late(late)
+    assert np.allclose(replay.run(none, 1).residual, without.run(none, 1).residual, equal_nan=True, atol=1e-7)
