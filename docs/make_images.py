@@ -27,6 +27,12 @@ STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
 SIT_DOWN = (0.0, 0.16, 0.36, 0.52, 0.64, 0.76, 0.92, 1.5)
 """Times after the beginning of sitting down that its strip shows [s]."""
 
+MOTIONS = {
+    "step_and_wave": (0.0, 0.9, 1.8, 2.6, 3.4, 4.15),
+    "ballet_in_words": (0.5, 1.3, 3.2, 4.0, 5.4, 6.6, 8.0, 8.9),
+}
+"""Times of the motions in words that their strips show [s]."""
+
 
 def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
     """Write moments of a run as a row of pictures."""
@@ -46,10 +52,21 @@ def small(path: Path, width: int = 1200) -> None:
     path.unlink()
 
 
+def words(folder: Path, images: Path) -> None:
+    """Make the strips of the motions that were asked for in words."""
+    for name, times in MOTIONS.items():
+        motion, run = HERE.parent / "examples" / "motions" / f"{name.removesuffix('_in_words')}.yaml", folder / name
+        assert mimic([str(motion), "--sim", "--no-view", "-o", str(run)]) == 0, f"{name} failed"
+        log = store.load(run / "log.parquet", RunLog)
+        strip(log, images / f"{name}.png", float(log.t[np.argmax(log.phase == PHASES.index("track"))]), times)
+        small(images / f"{name}.png", width=1600)
+
+
 def main() -> None:
     images = HERE / "images"
     images.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
+        words(Path(folder), images)
         for name, moment in MOMENTS.items():
             run = Path(folder) / name
             status = mimic([str(CLIPS / f"{name}.mp4"), "--rate", "0.1", "--sim", "--no-view", "-o", str(run)])

@@ -56,6 +56,26 @@ class StoredSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LanguageSettings:
+    """How a sentence becomes key frames."""
+
+    planner: Literal["auto", "llm", "phrasebook"] = "auto"
+    """Who reads the sentence; auto is llm where an endpoint or a model is named, else the phrasebook."""
+    llm_url: str | None = None
+    """Endpoint that speaks OpenAI's chat completions, such as http://127.0.0.1:11434/v1; the key is OPENAI_API_KEY."""
+    llm_model: str | None = None
+    """Name of the model at the endpoint."""
+    llm_timeout: float = 120.0
+    """Longest wait for an answer [s]."""
+    longest: float = 60.0
+    """Longest motion [s]."""
+
+    def __post_init__(self) -> None:
+        _check_range("llm-timeout", self.llm_timeout, 0.1, 3600.0, "s")
+        _check_range("longest", self.longest, 1.0, 600.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RetargetSettings:
     """How landmarks become toe targets."""
 

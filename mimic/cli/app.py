@@ -18,6 +18,7 @@ from mimic.settings import (
     EffectsSettings,
     EmulateSettings,
     EvaluateSettings,
+    LanguageSettings,
     LearnSettings,
     LogSettings,
     MdpSettings,
@@ -52,6 +53,7 @@ def play(
     source: Path | None = None,
     /,
     *,
+    text: str | None = None,
     sim: Annotated[bool, Parameter(negative="")] = False,
     robot: str | None = None,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
@@ -59,18 +61,21 @@ def play(
     view: bool | None = None,
     pose: Annotated[PoseSettings | None, Flat] = None,
     stored: Annotated[StoredSettings | None, Flat] = None,
+    language: Annotated[LanguageSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
     run: Annotated[RunSettings | None, Flat] = None,
     model: Annotated[EffectsSettings | None, Flat] = None,
     bus: Annotated[BusSettings | None, Flat] = None,
 ) -> int:
-    """Play a human video or stored motion on the robot.
+    """Play a human video, stored motion or a sentence on the robot.
 
     Parameters
     ----------
     source
-        A video of one person; motion of a person from elsewhere (.npz, .trc, .bvh); or a track that mimic wrote
-        (.parquet).
+        A video of one person; motion of a person from elsewhere (.npz, .trc, .bvh); a motion in key frames (.yaml); or a
+        track that mimic wrote (.parquet).
+    text
+        Instead, a sentence such as "step forward, then wave the left hand".
     sim
         Play it in MuJoCo.
     robot
@@ -89,21 +94,24 @@ def play(
             if robot is None
             else "--sim and --robot are two robots; give one of them"
         )
+    given: Path | str | None = source if text is None else text
+    if source is not None and text is not None:
+        raise ConfigError("a file and --text are two motions; give one of them")
+    inputs = _inputs(pose, stored, retarget, language)
     if robot is not None:
         if video is not None:
             raise ConfigError("--video films the simulated robot; leave it out with --robot")
         from mimic.cli.robot import play_on_robot
 
-        inputs = _inputs(pose, stored, retarget)
         options = {"out": out, "view": view, "run": run or RunSettings(), "bus": bus or BusSettings()}
-        return play_on_robot(source, robot, inputs, **options)
-    if source is None:
-        raise ConfigError("say what to play: a video of one person, or motion stored before")
+        return play_on_robot(given, robot, inputs, **options)
+    if given is None:
+        raise ConfigError("say what to play: a file, or --text with a sentence")
     from mimic.cli.play import play_source
 
     return play_source(
-        source,
-        _inputs(pose, stored, retarget),
+        given,
+        inputs,
         out=out,
         film=video,
         view=view,
@@ -112,11 +120,16 @@ def play(
     )
 
 
-def _inputs(pose: PoseSettings | None, stored: StoredSettings | None, retarget: RetargetSettings | None) -> Any:
+def _inputs(
+    pose: PoseSettings | None,
+    stored: StoredSettings | None,
+    retarget: RetargetSettings | None,
+    language: LanguageSettings | None = None,
+) -> Any:
     """Return the settings of whatever is read; those not given are the defaults."""
     from mimic.cli.inputs import InputSettings
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
     return InputSettings(**{name: value for name, value in given.items() if value is not None})
 
 

@@ -7,16 +7,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mimic import store
 from mimic.cli import COMMAND
 from mimic.errors import AssetError, SourceError
-from mimic.settings import PoseSettings, RetargetSettings, StoredSettings
+from mimic.settings import LanguageSettings, PoseSettings, RetargetSettings, StoredSettings
 from mimic.types import CommandTrack, PoseTrack, TargetTrack, WristTrack
+
+if TYPE_CHECKING:
+    from mimic.keyframes import KeyFrames
+    from mimic.robot.reach import Reach
 
 STORED = (".npz", ".trc", ".bvh")
 """Endings of files with points or a skeleton over time."""
+SCRIPT = (".yaml", ".yml")
+"""Endings of motions in key frames."""
 RECORD = ".parquet"
 """Ending of our own records; the header says which one a file holds."""
 
@@ -28,6 +34,7 @@ class InputSettings:
     pose: PoseSettings = field(default_factory=PoseSettings)
     stored: StoredSettings = field(default_factory=StoredSettings)
     retarget: RetargetSettings = field(default_factory=RetargetSettings)
+    language: LanguageSettings = field(default_factory=LanguageSettings)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -41,6 +48,8 @@ class Motion:
     """The person, where there is one."""
     video: Path | None = None
     """The video that the person was seen in."""
+    script: KeyFrames | None = None
+    """The key frames, where it was made from such."""
 
 
 class Tell(Protocol):
@@ -110,37 +119,62 @@ def playable(path: Path) -> bool:
     """Return whether a file in a folder is meant to be played."""
     ending = path.suffix.lower()
     if ending != RECORD:
-        return ending in (*VIDEOS, *STORED)
+        return ending in (*VIDEOS, *STORED, *SCRIPT)
     try:
         return store.header(path)["record"] in PLAYABLE
     except AssetError:
         return False
 
 
-def kind_of(source: Path) -> str:
-    """Return what a file is by its ending: record, stored or video."""
-    ending = source.suffix.lower()
-    return "record" if ending == RECORD else "stored" if ending in STORED else "video"
-
-
-def load_motion(source: Path, settings: InputSettings, tell: Tell) -> Motion:
-    """Return what a file asks the robot to do.
+def load_motion(source: Path | str, settings: InputSettings, tell: Tell) -> Motion:
+    """Return what a file, or a sentence, asks the robot to do.
 
     Raises:
-        SourceError, AssetError: If it cannot be read as what its ending says.
+        SourceError, AssetError: If a file cannot be read as what its ending says, or a sentence is not understood.
+        ConfigError, MissingExtra: If a language model is asked for and not named, or its client not installed.
     """
+    if isinstance(source, str):
+        return _of_text(source, settings, tell)
     if not source.exists():
         raise SourceError(f"there is no file {source}")
     if source.is_dir():
         raise SourceError(f"{source} is a folder; expected a video file or stored motion; mimic batch plays a folder")
-    kind = kind_of(source)
-    if kind == "record":
+    ending = source.suffix.lower()
+    if ending == RECORD:
         return _of_record(source, settings, tell)
-    if kind == "stored":
+    if ending in SCRIPT:
+        from mimic.keyframes import read_keyframes
+        from mimic.robot.reach import Reach
+        from mimic.sources.language import check
+
+        script, reach = read_keyframes(source), Reach()
+        check(script, reach, settings.language, f"{source.name} asks for what this robot cannot do")
+        return _of_script(script, reach, settings)
+    if ending in STORED:
         from mimic.sources.stored import track_stored
 
         return _of_pose(track_stored(source, settings.stored, settings.pose), settings, tell, video=None)
     return _of_pose(pose_of(source, settings.pose, tell), settings, tell, video=source)
+
+
+def _of_text(sentence: str, settings: InputSettings, tell: Tell) -> Motion:
+    """Return what a sentence asks for, and tell who read it."""
+    from mimic.robot.reach import Reach
+    from mimic.sources.language import plan, uses_model
+
+    reach = Reach()
+    if uses_model(settings.language):
+        tell.note(f"planner      asking {settings.language.llm_model or 'a language model'}")
+    script = plan(sentence, reach, settings.language)
+    tell.note(f"planner      {script.planner}: {len(script.frames)} key frames, {script.seconds:.1f} s")
+    return _of_script(script, reach, settings)
+
+
+def _of_script(script: KeyFrames, reach: Reach, settings: InputSettings) -> Motion:
+    from mimic.retarget.keyframes import keyframe_commands
+
+    commands, targets = keyframe_commands(script, reach, settings.retarget)
+    return Motion(commands=commands, targets=targets, script=script)
 
 
 def _of_record(source: Path, settings: InputSettings, tell: Tell) -> Motion:

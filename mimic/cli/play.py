@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -21,12 +22,13 @@ if TYPE_CHECKING:
     from mimic.robot.description import RobotDescription
     from mimic.run.loop import RunResult
 
-SCENE, LOG, JOINTS, TARGETS, COMMANDS, POSE, METRICS = (
+SCENE, LOG, JOINTS, TARGETS, COMMANDS, SCRIPT, POSE, METRICS = (
     "scene.rrd",
     "log.parquet",
     "joints.parquet",
     "targets.parquet",
     "commands.parquet",
+    "motion.yaml",
     "pose.parquet",
     "metrics.json",
 )
@@ -57,7 +59,7 @@ def target_rows(targets: TargetTrack) -> dict[str, str]:
     if "targets" not in report:  # not made by mimic retarget
         return {"targets": f"{targets.t[-1]:.1f} s in all"}
     rows = {
-        "targets": f"{report['targets']} at {report['rate_s']:g} s, {targets.t[-1]:.1f} s in all",
+        "targets": f"{report['targets']} at {report['rate_s']:.3g} s, {targets.t[-1]:.1f} s in all",
         "clamped": f"{report['clamped_share']:.1%}, moved {report['moved_mean_cm']:.2f} cm on average, "
         f"{report['moved_max_cm']:.1f} cm at most",
         "limited by speed": f"{report['limited_share']:.1%}",
@@ -71,13 +73,16 @@ def target_rows(targets: TargetTrack) -> dict[str, str]:
     return rows
 
 
-def run_folder(source: Path, out: Path | None) -> Path:
+def run_folder(source: Path | str, out: Path | None) -> Path:
     """Return the folder of a run, which is not there yet or empty."""
     if out is not None:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
         return out
-    name = source.parent.name if source.name == TARGETS else source.stem
+    if isinstance(source, str):
+        name = "-".join(re.findall(r"[a-z0-9]+", source.lower())[:6]) or "text"
+    else:
+        name = source.parent.name if source.name in (TARGETS, COMMANDS, SCRIPT) else source.stem
     folder, number = Path("runs") / name, 2
     while folder.exists():
         folder, number = Path("runs") / f"{name}-{number}", number + 1
@@ -127,8 +132,22 @@ def run_simulated(
     return Simulated(result=result, description=description, inputs=inputs)
 
 
+def save_motion(motion: Motion, folder: Path, made_by: Provenance) -> None:
+    """Write what was played into a run folder."""
+    if motion.pose is not None:
+        store.save(motion.pose, folder / POSE, made_by=made_by)
+    if motion.targets is not None:
+        store.save(motion.targets, folder / TARGETS, made_by=made_by)
+    if motion.targets is None or motion.commands.v.any():
+        store.save(motion.commands, folder / COMMANDS, made_by=made_by)
+    if motion.script is not None:
+        from mimic.keyframes import save_keyframes
+
+        save_keyframes(motion.script, folder / SCRIPT)
+
+
 def play_source(
-    source: Path,
+    source: Path | str,
     settings: InputSettings,
     *,
     out: Path | None,
@@ -137,17 +156,19 @@ def play_source(
     run: RunSettings,
     robot: EffectsSettings,
 ) -> int:
-    """Play a source in simulation and write its run folder."""
+    """Play a file, or a sentence, in simulation and write its run folder."""
     from mimic.metrics import run_metrics
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
     from mimic.run.pool import simulated
 
-    if not source.exists():
-        raise SourceError(f"there is no file {source}")
+    file = source if isinstance(source, Path) else None
+    if file is not None and not file.exists():
+        raise SourceError(f"there is no file {file}")
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
-    _keep_source(source, film)
+    if file is not None:
+        _keep_source(file, film)
     folder = run_folder(source, out)
     tell_of_stand(robot)
     simulated(robot)  # what cannot be played is told before the long work
@@ -156,13 +177,8 @@ def play_source(
     with progress_bar("simulation") as progress:
         done = run_simulated(motion, run, robot, progress)
     result, description = done.result, done.description
-    made_by = _made_by(settings, {"source": source, **done.inputs}, run=run, robot=robot)
-    if motion.pose is not None:
-        store.save(motion.pose, folder / POSE, made_by=made_by)
-    if motion.targets is not None:
-        store.save(motion.targets, folder / TARGETS, made_by=made_by)
-    else:
-        store.save(motion.commands, folder / COMMANDS, made_by=made_by)
+    made_by = _made_by(settings, done.inputs | ({} if file is None else {"source": file}), run=run, robot=robot)
+    save_motion(motion, folder, made_by)
     store.save(result.log, folder / LOG, made_by=made_by)
     if result.samples is not None:
         store.save(result.samples, folder / JOINTS, made_by=made_by)
@@ -191,7 +207,7 @@ def play_source(
             save_video(film, **shown, progress=progress)
     rows = {} if motion.targets is None else target_rows(motion.targets)
     rows |= metric_rows(metrics) | {"run folder": str(folder)}
-    table(source.name, rows | ({"film": str(film)} if film else {}))
+    table(source.name if isinstance(source, Path) else source, rows | ({"film": str(film)} if film else {}))
     if result.fell_at is not None:
         warn(f"the robot was about to fall at {result.fell_at:.1f} s and sat down")
     if result.error is not None:

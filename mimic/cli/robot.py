@@ -17,7 +17,7 @@ from mimic.cli import COMMAND
 from mimic.cli.app import BUG, DONE, STOPPED, USER
 from mimic.cli.console import console, matrix, note, progress_bar, table, warn
 from mimic.cli.inputs import Aloud, InputSettings, Motion, load_motion
-from mimic.cli.play import COMMANDS, LOG, METRICS, POSE, SCENE, TARGETS, metric_rows, run_folder, target_rows
+from mimic.cli.play import LOG, METRICS, SCENE, metric_rows, run_folder, save_motion, target_rows
 from mimic.errors import MimicError
 from mimic.settings import BusSettings, RunSettings
 from mimic.types import CommandTrack, RunLog
@@ -90,7 +90,7 @@ def _undisturbed() -> Iterator[None]:
 
 
 def play_on_robot(
-    source: Path | None,
+    source: Path | str | None,
     words: str,
     settings: InputSettings,
     *,
@@ -114,12 +114,13 @@ def play_on_robot(
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = Motion(commands=_standing(policy.contract)) if source is None else load_motion(source, settings, Aloud())
+    file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
     for one in (policy, sit_down):
         for _ in range(WARM_UP):
             one.act(np.zeros(one.contract.observation_size))
     folder = run_folder(Path("robot") if source is None else source, out)
     supervisor, signals = Supervisor(description), Signals()
-    what = "It stands up now." if source is None else f"It stands up now and plays {source.name}."
+    what = "It stands up now." if source is None else f"It stands up now and plays {name}."
     with ready(
         words,
         bus,
@@ -138,27 +139,23 @@ def play_on_robot(
         finally:
             recorder.close()
         load = plant.load(), expected_load(plant.exchange.wiring, 1.0 / description.dt)
-    inputs = {"policy": policy.path, "sit_down": sit_down.path} | ({} if source is None else {"source": source})
+    inputs = {"policy": policy.path, "sit_down": sit_down.path} | ({} if file is None else {"source": file})
     made_by = store.provenance(command=COMMAND.get(), settings={"run": run, "bus": bus}, inputs=inputs)
-    _save(folder, result, motion, made_by, source)
+    _save(folder, result, motion, made_by, standing=source is None)
     recorder.discard()
     metrics = _finish(folder, result, motion, made_by, description)
     rows = {} if motion.targets is None else target_rows(motion.targets)
     rows |= metric_rows(metrics) | _timing_rows(result, words, *load) | {"run folder": str(folder)}
-    table("robot" if source is None else source.name, rows)
+    table(name, rows)
     return _last_line(folder, result, plant.ending, endless=source is None)
 
 
-def _save(folder: Path, result: RunResult, motion: Motion, made_by: Any, source: Path | None) -> None:
+def _save(folder: Path, result: RunResult, motion: Motion, made_by: Any, *, standing: bool) -> None:
     store.save(result.log, folder / LOG, made_by=made_by)
     assert result.health is not None
     store.save(result.health, folder / HEALTH, made_by=made_by)
-    if motion.pose is not None:
-        store.save(motion.pose, folder / POSE, made_by=made_by)
-    if motion.targets is not None:
-        store.save(motion.targets, folder / TARGETS, made_by=made_by)
-    elif source is not None:
-        store.save(motion.commands, folder / COMMANDS, made_by=made_by)
+    if not standing:
+        save_motion(motion, folder, made_by)
 
 
 def _finish(folder: Path, result: RunResult, motion: Motion, made_by: Any, description: Any) -> dict[str, Any]:

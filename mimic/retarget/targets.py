@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.frames import R_BT
 from mimic.retarget.limits import limit_track
 from mimic.retarget.sampling import between, fill_gaps, target_times
+from mimic.robot.arms import toes_of_arms
 from mimic.robot.reach import FRONT, Closest, Reach
 from mimic.settings import RetargetSettings
 from mimic.types import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
@@ -23,8 +23,7 @@ ROUNDS = 4
 def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> FloatArray:
     """Return where the person's arms ask the front toes to be, reachable or not; works row by row.
 
-    Each toe is at its hip axis, plus the arm's vector stretched by ``[reach] scale`` of robot.toml along forward, left
-    and up and by ``settings.scale``, plus ``[reach] forward``. With ``settings.mirror`` the arms change sides.
+    With ``settings.mirror`` the arms change sides; :func:`mimic.robot.arms.toes_of_arms` does the rest.
 
     Args:
         p_SH: Shoulder -> wrist (..., 2, 3), torso axes [arm lengths].
@@ -34,13 +33,10 @@ def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> F
     Returns:
         Base -> toe (..., 2, 3), base axes [m].
     """
-    facts = reach.description.raw["reach"]
     arms = np.asarray(p_SH, dtype=np.float64)
     if settings.mirror:
         arms = arms[..., ::-1, :] * (1.0, -1.0, 1.0)
-    forward = np.array([facts["forward"], 0.0, 0.0])
-    hips = np.array([leg.origin + (0.0, leg.offset, 0.0) for leg in reach.legs])
-    return hips + (settings.scale * np.array(facts["scale"]) * arms + forward) @ R_BT.T
+    return toes_of_arms(arms, reach, settings.scale)
 
 
 def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -> TargetTrack:
@@ -72,22 +68,56 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
         filled = fill_gaps(t, asked[:, side], seen[:, side], neutral[side])
         times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
         wanted[:, side] = between(times[side], between(t, filled, times[side]), grid)
+    valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)
+    heading = np.interp(grid, t, np.unwrap(wrists.heading - wrists.heading[0]))
+    return reachable_track(
+        grid,
+        wanted,
+        reach,
+        settings,
+        heading=-heading if settings.mirror else heading,
+        valid=valid,
+        times=times,
+        warnings=wrists.warnings,
+    )
+
+
+def reachable_track(
+    t: FloatArray,
+    wanted: FloatArray,
+    reach: Reach,
+    settings: RetargetSettings,
+    *,
+    heading: FloatArray,
+    valid: BoolArray,
+    times: list[FloatArray],
+    warnings: tuple[str, ...] = (),
+) -> TargetTrack:
+    """Return toes that the robot can reach and follow, nearest to the wanted ones; every source ends here.
+
+    Args:
+        t: Times at the robot's control rate (T,) [s].
+        wanted: Base -> toe (T, 2, 3), base axes [m].
+        reach: The robot.
+        settings: For the report.
+        heading: Of the robot relative to its start (T,) [rad].
+        valid: Where the source saw the hand (T, 2).
+        times: Times of the targets of each side [s], for the report.
+        warnings: Of the source.
+    """
     closest = reach.closest_track(wanted)
     q, p_BE = limited(closest, reach)
-
-    valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)
     slowed = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > MOVED
-    heading = np.interp(grid, t, np.unwrap(wrists.heading - wrists.heading[0]))
     return TargetTrack(
-        t=grid,
+        t=t,
         p_BE=p_BE,
-        heading=-heading if settings.mirror else heading,
+        heading=heading,
         valid=valid,
         moved=closest.moved,
         limited=slowed,
         wanted=wanted,
         report=_report(times, q, closest.moved, slowed, valid, reach, settings),
-        warnings=wrists.warnings,
+        warnings=warnings,
     )
 
 

@@ -16,6 +16,7 @@ from mimic.robot.reach import Reach
 from mimic.types import CommandTrack, JointSamples, RunLog, TargetTrack, WristTrack
 
 HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
+HEAVY += ("openai", "ray", "yaml")
 
 
 STANDING = {
@@ -167,6 +168,11 @@ def commands(here: Path, rows: int = 25, speed: float = 0.2) -> None:
     store.save(track, here / "commands.parquet", made_by=store.provenance())
 
 
+def fast_motion(here: Path) -> None:
+    row = "{duration: 1, velocity: [2, 0], heading_deg: 0, left_deg: [0, 45, -70], right_deg: [0, 45, -70]}"
+    (here / "fast.yaml").write_text(f"frames:\n- {row}\n")
+
+
 def folder(here: Path) -> None:
     (here / "folder").mkdir()
 
@@ -205,6 +211,14 @@ BAD = [
     ("targets.parquet --sim --effects nowhere.toml", nothing, "nowhere.toml cannot be read"),
     ("targets.parquet --sim --effects text.toml", text_file("text.toml"), "text.toml is not"),
     ("evaluate text.onnx --table --effects nowhere.toml", text_file("text.onnx"), "nowhere.toml cannot be read"),
+    ("--sim", nothing, "say what to play: a file, or --text"),
+    ("targets.parquet --text wave --sim", nothing, "a file and --text are two motions"),
+    ("--text wave", nothing, "add --sim"),
+    ("--text moonwalk --sim", nothing, "does not know 'moonwalk' (near: walk)"),
+    ("--text wave --sim --planner llm", nothing, "--llm-model"),
+    ("--text wave --sim --planner poet", nothing, "poet"),
+    ("text.yaml --sim", text_file("text.yaml"), "expected a list of frames"),
+    ("fast.yaml --sim", fast_motion, "fast.yaml asks for what this robot cannot do: frame 1: velocity forward is 2"),
     ("view nowhere", nothing, "nowhere"),
     ("view folder", folder, "there is no scene.rrd in folder"),
     ("dance", nothing, "add --sim"),
@@ -304,6 +318,28 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     assert main([str(run / "pose.parquet"), "--sim", "--no-view", "--hold", "0", "-o", str(again)]) == 0
     one, other = (store.load(folder / "targets.parquet", TargetTrack) for folder in (run, again))
     assert np.array_equal(one.p_BE, other.p_BE)
+
+
+def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
+    assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", "--hold", "0"]) == 0
+    assert "phrasebook: 6 key frames" in capsys.readouterr().out
+    run = here / "runs" / "step-forward-then-stop-and-wave"
+    assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
+    log = store.load(run / "log.parquet", RunLog)
+    assert log.v_des[:, 0].max() == 0.25
+    assert json.loads((run / "metrics.json").read_text())["standing_share"] > 0.9
+    assert main([str(run / "motion.yaml"), "--sim", "--no-view", "--hold", "0", "-o", "again"]) == 0
+    again = store.load(here / "again" / "log.parquet", RunLog)
+    np.testing.assert_allclose(again.p_BE_des, log.p_BE_des, atol=1e-3)
+    assert main([str(run / "commands.parquet"), "--sim", "--no-view", "--hold", "0", "-o", "once more"]) == 0
+    assert np.array_equal(store.load(here / "once more" / "log.parquet", RunLog).q, log.q)
+
+
+@pytest.mark.parametrize("name", ["step_and_wave", "ballet"])
+def test_the_example_motions_are_retargeted_without_clamping(name, here):
+    motion = Path(__file__).parents[2] / "examples" / "motions" / f"{name}.yaml"
+    assert main(["retarget", str(motion), "-o", "targets.parquet"]) == 0
+    assert store.load(here / "targets.parquet", TargetTrack).report["clamped_share"] == 0.0
 
 
 def test_ctrl_c_ends_with_three(here, targets, capsys, monkeypatch):

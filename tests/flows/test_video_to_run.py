@@ -69,7 +69,7 @@ def test_every_file_names_version_settings_and_inputs(played, targets):
         assert head["version"] == __version__
         assert head["inputs"] == inputs
         assert head["settings"]["run"] == store.plain(RunSettings(seed=4, hold=0.5))
-        assert set(head["settings"]) == {"pose", "retarget", "robot", "run", "stored"}
+        assert set(head["settings"]) == {"language", "pose", "retarget", "robot", "run", "stored"}
 
 
 def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_200_hz(played, targets):

@@ -1,0 +1,43 @@
+"""From key frames to toe targets and velocities, clamped and limited like a person's."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from mimic.keyframes import KeyFrames
+from mimic.retarget.targets import reachable_track
+from mimic.robot.reach import FRONT, Reach
+from mimic.settings import RetargetSettings
+from mimic.types import CommandTrack, TargetTrack
+
+
+def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSettings) -> tuple[CommandTrack, TargetTrack]:
+    """Return what the policy is asked for, and how its toes were clamped.
+
+    Joints go from key frame to key frame on a shape-preserving cubic and turn into toes by forward kinematics; these are
+    clamped and limited as a person's are. The heading goes straight, and the velocity is that of the frame on the way.
+    Scale, mirror and rate are a person's and have no say.
+    """
+    dt = reach.description.dt
+    times = np.cumsum([0.0, *(frame.duration for frame in motion.frames)])
+    t = dt * np.arange(int(times[-1] / dt + 1e-6) + 1)
+    start = reach.description.poses["upright"][:FRONT]
+    q = PchipInterpolator(times, np.stack([start, *(frame.q for frame in motion.frames)]), axis=0)(t)
+    heading = np.interp(t, times, [0.0, *(frame.heading for frame in motion.frames)])
+    row = np.minimum(np.searchsorted(times, t + 1e-9, side="right") - 1, len(motion.frames) - 1)
+    targets = reachable_track(
+        t,
+        reach.toes(q),
+        reach,
+        settings,
+        heading=heading,
+        valid=np.ones((len(t), 2), dtype=np.bool_),
+        times=[times, times],
+    )
+    report = {**targets.report, "rate_s": motion.seconds / len(motion.frames)}
+    targets = dataclasses.replace(targets, report=report)
+    v = np.array([frame.velocity for frame in motion.frames])[row]
+    return CommandTrack(t=t, v=v, heading=heading, p_BE=targets.p_BE), targets

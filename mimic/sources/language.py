@@ -1,0 +1,176 @@
+"""A sentence becomes key frames that this robot can do: by the phrasebook, or by a language model whose answers are checked.
+
+Nothing that a model answers is executed or evaluated: of its second answer the first JSON object is read, its numbers are
+held against the robot, and what is wrong goes back to it, at most CORRECTIONS times.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from mimic.errors import ConfigError, MissingExtra, SourceError
+from mimic.keyframes import LARGEST, KeyFrames, frames_from, told
+from mimic.robot.feasible import complaints
+from mimic.robot.reach import Reach
+from mimic.settings import LanguageSettings
+from mimic.sources import prompts
+from mimic.sources.phrasebook import plan_by_phrasebook
+
+if TYPE_CHECKING:
+    from openai import OpenAI
+
+CORRECTIONS = 3
+"""How often a model may mend its answer."""
+ANSWER_TOKENS = 8000
+"""Longest answer that is asked for."""
+LONGEST_SENTENCE = 2000
+"""Characters of a sentence at most."""
+TOLD = 12
+"""Complaints that go back at once."""
+
+Chat = Callable[[list[dict[str, str]]], str]
+
+
+def uses_model(settings: LanguageSettings) -> bool:
+    """Return whether a language model reads the sentence."""
+    named = settings.llm_url is not None or settings.llm_model is not None
+    return settings.planner == "llm" or (settings.planner == "auto" and named)
+
+
+def plan(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
+    """Return key frames for a sentence, all of which this robot can do; their ``planner`` says who spoke.
+
+    Raises:
+        SourceError: If the sentence is not understood, the endpoint does not answer, or its answers cannot be played.
+        ConfigError: If no model is named.
+        MissingExtra: If the client is not installed.
+    """
+    if not sentence.strip() or len(sentence) > LONGEST_SENTENCE:
+        raise SourceError(
+            f"the sentence has {len(sentence.strip())} characters; say in 1 to {LONGEST_SENTENCE} what the robot should do"
+        )
+    if uses_model(settings):
+        return _by_model(sentence, reach, settings)
+    motion = plan_by_phrasebook(sentence, reach)
+    check(motion, reach, settings, "the sentence asks for what this robot cannot do")
+    return motion
+
+
+def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, what: str) -> None:
+    """Hold key frames against the robot.
+
+    Raises:
+        SourceError: If it cannot do them; it begins with ``what``.
+    """
+    wrong = complaints(motion, reach, settings.longest)
+    if wrong:
+        raise SourceError(f"{what}: {told(wrong)}")
+
+
+def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
+    model = settings.llm_model
+    if model is None:
+        raise ConfigError("name the model at the endpoint with --llm-model, or use --planner phrasebook")
+    chat = _chat(settings, model)
+    talk = [
+        {"role": "system", "content": prompts.rules(reach, settings.longest)},
+        {"role": "user", "content": prompts.describe(sentence)},
+    ]
+    talk.append({"role": "assistant", "content": chat(talk)[:LARGEST]})
+    talk.append({"role": "user", "content": prompts.ask_targets(reach)})
+    wrong: list[str] = []
+    for _ in range(1 + CORRECTIONS):
+        answer = chat(talk)
+        motion, wrong = _read(answer, sentence, model)
+        if motion is not None:
+            wrong = complaints(motion, reach, settings.longest)
+            if not wrong:
+                return motion
+        more = [f"and {len(wrong) - TOLD} more like these"] if len(wrong) > TOLD else []
+        talk = [
+            *talk[:4],  # only the last answer and its faults, so that the talk does not grow
+            {"role": "assistant", "content": answer[:LARGEST]},
+            {"role": "user", "content": prompts.complain([*wrong[:TOLD], *more])},
+        ]
+    raise SourceError(
+        f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {told(wrong)}; say it more simply, try "
+        "another model, or use --planner phrasebook"
+    )
+
+
+def _read(answer: str, sentence: str, model: str) -> tuple[KeyFrames | None, list[str]]:
+    """Return the motion in an answer, or what is wrong with it."""
+    if len(answer) > LARGEST:
+        return None, [f"the answer has {len(answer)} characters; give at most {LARGEST}"]
+    data = first_json(answer)
+    if data is None:
+        return None, ["the answer holds no complete JSON object with 'frames'"]
+    frames, wrong = frames_from(data)
+    return (None, wrong) if wrong else (KeyFrames(frames=frames, sentence=sentence, planner=model), [])
+
+
+def first_json(text: str) -> Any:
+    """Return the first JSON object in a text that has ``frames``, whatever prose is around it; None where there is none."""
+    decoder = json.JSONDecoder()
+    at, tries = text.find("{"), 0
+    while at >= 0 and tries < 100:
+        tries += 1
+        try:
+            value, end = decoder.raw_decode(text, at)
+        except (ValueError, RecursionError):
+            at = text.find("{", at + 1)
+            continue
+        if isinstance(value, dict) and "frames" in value:
+            return value
+        at = text.find("{", end)
+    return None
+
+
+def _chat(settings: LanguageSettings, model: str) -> Chat:
+    """Return a function that sends a talk and returns the answer."""
+    try:
+        import openai
+    except ModuleNotFoundError as missing:
+        raise MissingExtra(str(missing.name), "language") from None
+    where = settings.llm_url or os.environ.get("OPENAI_BASE_URL") or "OpenAI"
+    key = os.environ.get("OPENAI_API_KEY")
+    if key is None and where == "OpenAI":
+        raise ConfigError("put your key into the environment as OPENAI_API_KEY, or name an endpoint with --llm-url")
+    client: OpenAI = openai.OpenAI(
+        base_url=settings.llm_url, api_key=key or "none", timeout=settings.llm_timeout, max_retries=2
+    )
+
+    def chat(talk: list[dict[str, str]]) -> str:
+        messages: Any = talk
+        try:
+            done = client.chat.completions.create(
+                model=model, messages=messages, temperature=0.2, max_tokens=ANSWER_TOKENS
+            )
+            text = done.choices[0].message.content
+        except openai.APITimeoutError:
+            raise SourceError(
+                f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout, or use "
+                "--planner phrasebook"
+            ) from None
+        except openai.APIConnectionError as error:
+            raise SourceError(f"nobody answers at {where} ({error}); is the server running there?") from None
+        except openai.RateLimitError as error:
+            raise SourceError(
+                f"{where} refuses for now, too many requests or no credit (429): {_brief(error)}"
+            ) from None
+        except openai.AuthenticationError as error:
+            raise SourceError(f"{where} does not take the key in OPENAI_API_KEY (401): {_brief(error)}") from None
+        except openai.APIStatusError as error:
+            raise SourceError(f"{where} answers with an error ({error.status_code}): {_brief(error)}") from None
+        except (openai.OpenAIError, AttributeError, IndexError, TypeError, ValueError) as error:
+            raise SourceError(f"{where} does not speak chat completions: {_brief(error)}; check --llm-url") from None
+        return text or ""
+
+    return chat
+
+
+def _brief(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

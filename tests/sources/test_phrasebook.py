@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mimic.errors import SourceError
+from mimic.keyframes import KeyFrames
+from mimic.robot.arms import posture
+from mimic.robot.feasible import complaints
+from mimic.robot.reach import Reach
+from mimic.sources.phrasebook import plan_by_phrasebook
+
+
+@pytest.fixture(scope="module")
+def reach() -> Reach:
+    return Reach()
+
+
+@pytest.fixture(scope="module")
+def plan(reach):
+    def say(sentence: str) -> KeyFrames:
+        motion = plan_by_phrasebook(sentence, reach)
+        assert complaints(motion, reach, 120.0) == []
+        return motion
+
+    return say
+
+
+def headings(motion: KeyFrames) -> list[float]:
+    return [float(np.degrees(frame.heading)) for frame in motion.frames]
+
+
+def test_the_paper_s_sentence_steps_stops_and_waves_the_left_hand(plan, reach):
+    motion = plan("step forward, then stop and wave the left hand up and down")
+    assert motion.frames[0].velocity[0] > 0
+    assert all(frame.velocity == (0.0, 0.0) for frame in motion.frames[1:])
+    home = reach.description.poses["upright"][3:6]
+    assert all(np.allclose(frame.q[3:], home) for frame in motion.frames)
+    heights = [reach.toes(frame.q)[0, 0] for frame in motion.frames[2:]]
+    assert np.ptp(heights) > 0.1
+    assert motion.planner == "phrasebook"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "seconds"),
+    [
+        ("step forward", 1.0),
+        ("take two steps back", 2.0),
+        ("step forward 3 times", 3.0),
+        ("walk for 4 seconds", 4.0),
+        ("walk 0.5 metres at 0.2 m/s", 2.5),
+        ("hold for 2.5 s", 2.5),
+        ("raise both hands for 2 seconds", 2.0),
+        ("wave for 5 seconds", 5.0),
+        ("turn left 60 degrees", 2.0),
+        ("raise the left hand; lower it", 1.6),
+    ],
+)
+def test_a_sentence_takes_the_time_it_says(sentence, seconds, plan):
+    assert plan(sentence).seconds == pytest.approx(seconds)
+
+
+def test_backwards_is_backwards(plan):
+    assert plan("walk backwards").frames[0].velocity[0] < 0
+    assert plan("step back").frames[0].velocity[0] < 0
+
+
+def test_slow_and_quick_change_the_pace(plan):
+    assert plan("raise both hands slowly").seconds > plan("raise both hands").seconds
+    assert plan("raise both hands quickly").seconds < plan("raise both hands").seconds
+    assert plan("walk slowly").frames[0].velocity[0] < plan("walk").frames[0].velocity[0]
+
+
+def test_turns_add_up_and_keep_their_side(plan):
+    motion = plan("turn left 45 degrees, then turn right 90 degrees")
+    assert headings(motion) == pytest.approx([45, -45])
+
+
+def test_while_does_both_at_once(plan):
+    motion = plan("walk forward while waving the right hand 3 times")
+    assert all(frame.velocity[0] > 0 for frame in motion.frames)
+    assert len(motion.frames) >= 6
+    motion = plan("raise the left hand while turning left 60 degrees")
+    assert motion.seconds == pytest.approx(2.0)
+    assert headings(motion)[-1] == pytest.approx(60)
+
+
+def test_a_step_while_waving_ends_before_the_wave(plan):
+    motion = plan("step forward while waving the left hand 3 times")
+    assert motion.frames[0].velocity[0] > 0
+    assert motion.frames[-1].velocity[0] == 0
+
+
+@pytest.mark.parametrize(("side", "moved"), [("left", (True, False)), ("right", (False, True)), ("both", (True, True))])
+@pytest.mark.parametrize("verb", ["wave", "raise", "lower", "punch", "open"])
+def test_only_the_side_that_was_named_moves(verb, side, moved, plan, reach):
+    home = reach.description.poses["upright"][:6]
+    motion = plan(f"{verb} the {side} hand")
+    q = np.stack([frame.q for frame in motion.frames])
+    for part, does in zip((slice(0, 3), slice(3, 6)), moved, strict=True):
+        assert (np.abs(q[:, part] - home[part]).max() > 0.05) == does
+
+
+def test_a_punch_goes_out_and_comes_back(plan, reach):
+    motion = plan("punch with the right hand twice")
+    out = [np.allclose(frame.q[3:], posture("forward", reach)[3:], atol=1e-6) for frame in motion.frames]
+    assert out == [False, True, False, True, False]
+
+
+def test_hands_stay_where_the_clause_before_left_them(plan, reach):
+    motion = plan("raise the left hand, then hold for 1 second, then raise the right hand")
+    np.testing.assert_allclose(motion.frames[-1].q, posture("up", reach), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("jump", "does not know 'jump'"),
+        ("wave the lft hand", "'lft' (near: lift, left"),
+        ("wafe and stpe", "'wafe' (near: wave"),
+        ("", "no verb"),
+        ("please the robot", "no verb"),
+        ("slowly", "before any verb"),
+        ("step left", "does not step sideways"),
+        ("turn", "say where to turn"),
+        ("turn both", "say where to turn"),
+        ("walk at 2 m/s", "up to 0.3 m/s"),
+        ("wave the hand 5", "the number 5 at the end has no unit"),
+        ("hold seconds", "has no number"),
+        ("wave 1000 times", "more than"),
+        ("wave 90 times, then wave 90 times", "more than"),
+        ("turn up", "not something"),
+    ],
+)
+def test_what_is_not_understood_is_told_with_what_would_be(sentence, told, plan):
+    with pytest.raises(SourceError) as error:
+        plan(sentence)
+    assert told in str(error.value)
