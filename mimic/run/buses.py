@@ -66,7 +66,7 @@ class _Port:
         Args:
             name: As the user gave it.
             bus: Of python-can.
-            sock: Its socket, where python-can hides one.
+            sock: Its socket, where it has one.
             ready: Whether nothing is to be read unless its file says so.
         """
         self.name, self._bus, self._sock, self._ready = name, bus, sock, ready
@@ -127,6 +127,8 @@ class _Port:
             self._bus.shutdown()
         except (can.CanError, OSError):
             logging.getLogger(__name__).debug("%s did not close well", self.name, exc_info=True)
+        if self._sock is not None:
+            self._sock.close()  # pyserial leaves it open when the other side is gone
 
 
 class CanLink:
@@ -284,9 +286,10 @@ def _slcan(name: str, channel: str, bitrate: int) -> _Port:
         options["sleep_after_open"] = 0  # a board that resets when its port is opened has a serial port
     bus = can.Bus(interface="slcan", channel=channel, **options)
     sock = getattr(getattr(bus, "serialPortOrig", None), "_socket", None)
-    if isinstance(sock, socket.socket):
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return _Port(name, bus, None, ready=True)
+    if not isinstance(sock, socket.socket):
+        return _Port(name, bus, None, ready=True)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return _Port(name, bus, sock, ready=True)
 
 
 def _address(name: str) -> tuple[str, int]:

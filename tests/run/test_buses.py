@@ -238,6 +238,35 @@ def test_lines_of_an_adapter_that_are_no_frames_are_counted_and_passed_over():
         link.close()
 
 
+def test_all_that_is_there_is_read_however_it_is_cut():
+    """A burst of 100 messages is read in pieces of 1024 bytes, which cut some in two."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        kept: list[socket.socket] = []
+        burst = threading.Thread(target=_burst, args=(server, kept), daemon=True)
+        burst.start()
+        link = open_link(f"socketcand://127.0.0.1:{server.getsockname()[1]}/can0")
+        burst.join(PATIENCE)
+        first = link.receive(PATIENCE)
+        assert first is not None
+        got = [first.frame, *(r.frame for r in iter(lambda: link.receive(0.0), None))]
+        assert [frame.id for frame in got] == list(range(100))
+        link.close()
+        kept[0].close()
+
+
+def _burst(server: socket.socket, kept: list[socket.socket]) -> None:
+    """Shake hands with a client of socketcand, then send it a hundred frames at once."""
+    server.accept()[0].close()  # it knocks first
+    sock, _ = server.accept()
+    kept.append(sock)
+    sock.sendall(b"< hi >")
+    for _ in ("open", "rawmode"):
+        sock.recv(100)
+        sock.sendall(b"< ok >")
+    time.sleep(0.3)  # python-can expects the last answer alone
+    sock.sendall(b"".join(b"< frame %08X 0.000000 0102030405060708 >" % n for n in range(100)))
+
+
 class FakeSocketcan:
     """What ``can.Bus`` gives for a SocketCAN interface, as far as it is needed here."""
 
