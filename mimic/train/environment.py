@@ -197,7 +197,7 @@ class StandTrackEnv(VecEnv):
             self._after_physics()
         self._calls += 1
         extras: dict[str, Any] = {"time_outs": self._time_out.clone()}
-        if self._calls % 24 == 0:
+        if self._calls % 12 == 0:
             extras["log"] = dict(zip(self._log, self._log_values.clone().unbind(), strict=True))
         return self.get_observations(), self._reward.clone(), self._done.long(), extras
 

@@ -101,10 +101,12 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     bell = torch.exp(-(((f.clearance - wanted) / 0.025) ** 2))
     lifted = 0.5 * (bell + torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1)) * (1 - planted)
     stepping = torch.where(swing > 0, lifted, planted)
-    stepping = torch.where(f.moving[:, None], stepping, planted)
-    speed = 0.5 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
-    speed = speed + 0.5 * torch.exp(-f.mean_velocity_error.square().sum(-1) / 0.02)
-    turning = 0.5 * torch.exp(-f.heading_error.square() / 0.5) + 0.5 * torch.exp(-f.heading_error.square() / 0.03)
+    stepping = torch.where(f.moving[:, None], stepping, torch.maximum(stepping, planted))
+    mean = f.mean_velocity_error.square().sum(-1)  # the wide bell is felt while the robot does not walk at all
+    speed = 0.3 * torch.exp(-mean / 0.15) + 0.35 * torch.exp(-mean / 0.02)
+    speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
+    square = f.heading_error.square()
+    turning = 0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
     return {
         "alive": torch.ones_like(f.height),
         "height": torch.exp(-((over / 0.1) ** 2)),
