@@ -560,7 +560,7 @@ class RewardWeights:
     joint_velocity: float = -3e-4
     joint_speed: float = -0.02
     joint_acceleration: float = -1e-7
-    limits: float = -2.0
+    limits: float = -6.0
     fall: float = -2.0
 
 
@@ -697,7 +697,7 @@ class MdpSettings:
     """Constraint Jacobians in sparse form; the same physics, other kernels."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
-    command_margin: float = 0.05
+    command_margin: float = 0.09
     """Commanded joint positions keep this far from the joint limits [rad]. With more than the 5 degrees at which the paper
     ends an episode no joint gets there by itself, but an almost straight knee is left without torque."""
     ease_falls: float = 0.008
@@ -776,6 +776,8 @@ class LearnSettings:
     """Limit the change of a value in an update to ``clip`` too."""
     init_std: float = 1.0
     std_range: tuple[float, float] = (0.05, 1.2)
+    resume_std: float = 0.0
+    """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
     hidden: tuple[int, ...] = (512, 256, 128)
     mirror: float = 0.2
     """Weight of the loss that asks for mirrored actions in mirrored states; 0 is none. With 0.5, the one tried, the loss

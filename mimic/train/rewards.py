@@ -98,8 +98,9 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     swing = (torch.stack([sine, -sine], -1) - both) / (1 - both)
     wanted = settings.swing_height * torch.clamp(2 * swing, min=0.0, max=1.0)
     planted = f.contact.float()
-    bell = torch.exp(-(((f.clearance - wanted) / 0.025) ** 2))
-    lifted = 0.5 * (bell + torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1)) * (1 - planted)
+    too_high = torch.clamp(f.clearance - wanted - 0.01, min=0.0) / 0.03
+    lifted = torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
+    lifted = (0.4 + 0.6 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     stepping = torch.where(swing > 0, lifted, planted)
     stepping = torch.where(f.moving[:, None], stepping, torch.maximum(stepping, planted))
     mean = f.mean_velocity_error.square().sum(-1)  # the wide bell is felt while the robot does not walk at all
