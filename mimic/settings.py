@@ -105,7 +105,7 @@ class EffectsSettings:
     effects: str | None = None
     """effects.toml of a calibration; None simulates the robot as described."""
     timestep: float = 0.0025
-    """Physics step with effects [s]; lags and backlash are shorter than the 5 ms that do without effects."""
+    """Physics step with effects [s]; by default the step without effects."""
 
     def __post_init__(self) -> None:
         _check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
@@ -437,7 +437,7 @@ CALM = Disturbance()
 class Solver:
     """How the physics is integrated; the default is that of the robot description."""
 
-    timestep: float = 0.005
+    timestep: float = 0.0025
     """Physics step [s]; the control step must be a multiple of it."""
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
@@ -646,7 +646,7 @@ class MdpSettings:
     effects: str = ""
     """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
     timestep: float = 0.0
-    """Physics step [s]; 0 is that of the description, with effects 2.5 ms."""
+    """Physics step [s]; 0 is that of the description."""
     episode_steps: int = 600
     """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
     stand_up_steps: int = 50
@@ -684,9 +684,9 @@ class MdpSettings:
     noise_axes: float = 0.015
     """Half width of the noise on the two world axes."""
     solver_iterations: int = 6
-    """Newton iterations of the training physics; the judge uses MuJoCo's 100. After 0.6 s of standing up nine of ten worlds
-    are within 4e-3 rad of the judge with 10 and within 4e-2 with 5, the worst is 0.14 and 0.47 away; with 14, all are within
-    3e-4 (benchmarks/solver_accuracy.py)."""
+    """Newton iterations of the training physics; the judge uses MuJoCo's 100. After 0.6 s of standing up in steps of 2.5 ms
+    nine of ten worlds are within 7e-3 rad of the judge with 5 to 7 and the worst 2e-2 away; with 10, 8e-5 and 6e-3
+    (benchmarks/solver_accuracy.py)."""
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     contacts: int = 8

@@ -36,15 +36,15 @@ FRICTION_1 = dataclasses.replace(Randomisation(), ground_friction=(1.0, 1.0))
 """With pyramidal cones the feet sink into the ground where friction is high."""
 
 SOLVERS: dict[str, tuple[Solver, Randomisation]] = {
-    "5 ms implicitfast elliptic": (Solver(), Randomisation()),
+    "2.5 ms implicitfast elliptic": (Solver(), Randomisation()),
+    "5 ms implicitfast elliptic": (Solver(timestep=0.005), Randomisation()),
     "1 ms implicitfast elliptic": (Solver(timestep=0.001), Randomisation()),
-    "5 ms implicit elliptic": (Solver(integrator="implicit"), Randomisation()),
-    "5 ms Euler elliptic": (Solver(integrator="Euler"), Randomisation()),
+    "2.5 ms implicit elliptic": (Solver(integrator="implicit"), Randomisation()),
     "1 ms Euler elliptic": (Solver(timestep=0.001, integrator="Euler"), Randomisation()),
-    "5 ms implicitfast pyramidal": (Solver(cone="pyramidal"), Randomisation()),
+    "2.5 ms implicitfast pyramidal": (Solver(cone="pyramidal"), Randomisation()),
     "1 ms implicitfast pyramidal": (Solver(timestep=0.001, cone="pyramidal"), Randomisation()),
-    "5 ms implicitfast elliptic, friction 1": (Solver(), FRICTION_1),
-    "5 ms implicitfast pyramidal, friction 1": (Solver(cone="pyramidal"), FRICTION_1),
+    "2.5 ms implicitfast elliptic, friction 1": (Solver(), FRICTION_1),
+    "2.5 ms implicitfast pyramidal, friction 1": (Solver(cone="pyramidal"), FRICTION_1),
 }
 """Ways to integrate the same physics, on the paper's random robots; the first is the one of training."""
 

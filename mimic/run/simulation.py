@@ -45,7 +45,8 @@ class SimulatedPlant:
             seed: Draws the variation, the start and the pushes.
             samples: Also record the joints at each physics step.
             disturbance: What happens to the robot besides.
-            solver: How the physics is integrated; by default as the description says, with effects in steps of 2.5 ms.
+            solver: How the physics is integrated; by default as the description says, with effects in the steps
+                of EffectsSettings.
             effects: What a calibration found; the law of the drives then takes the place of the native motors.
             watch: Sees the physics after each of its steps.
 

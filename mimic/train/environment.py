@@ -42,9 +42,6 @@ from mimic.types import JOINTS, LEGS
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
 
-DRIVEN_TIMESTEP = 0.0025
-"""Physics step with the law of a calibration in place of the native motors [s]."""
-
 MERCY_STEPS, EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 30, 0.06, 0.3
 """The paper's terminations in the first control steps: highest hind toe [m] and largest joint motion in a step [rad]."""
 
@@ -84,8 +81,7 @@ class StandTrackEnv(VecEnv):
     """A joint nearer to its limit than this costs [rad]."""
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
-        timestep = settings.timestep or (DRIVEN_TIMESTEP if settings.effects else description.timestep)
-        description = with_timestep(description, timestep)
+        description = with_timestep(description, settings.timestep or description.timestep)
         self.description, self.settings = description, settings
         self.contract = make_contract(description, settings)
         self.device = device
