@@ -107,7 +107,9 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     speed = 0.3 * torch.exp(-mean / 0.15) + 0.35 * torch.exp(-mean / 0.02)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     square = f.heading_error.square()
-    turning = 0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
+    turning = (
+        0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
+    )
     return {
         "alive": torch.ones_like(f.height),
         "height": torch.exp(-((over / 0.1) ** 2)),

@@ -26,7 +26,7 @@ def test_legs_have_the_limits_of_their_end(description):
 
 def test_a_policy_runs_at_50_hz_over_physics_at_200_hz(description):
     assert description.dt == pytest.approx(1 / 50)
-    assert description.timestep == pytest.approx(1 / 200)
+    assert description.timestep == pytest.approx(1 / 400)
 
 
 def test_upright_is_a_direction(description):

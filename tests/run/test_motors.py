@@ -57,11 +57,12 @@ def test_without_effects_the_robot_is_mujocos_own_motor_to_the_last_bit(descript
     data.qpos[3:7], data.qpos[7:] = states[0].quat_WB, states[0].q
     mujoco.mj_forward(model, data)
     rng, d = np.random.default_rng(0), description
+    delay = round(0.015 / d.timestep)
     commands = [states[0].q] * 3
     for state in states[1:]:
         commands = [d.poses["lie"] + rng.uniform(-0.4, 0.2, 12), *commands[:2]]
         for k in range(d.decimation):
-            data.ctrl[:] = command_in_effect(k, d.decimation, 3, *commands, np.where)
+            data.ctrl[:] = command_in_effect(k, d.decimation, delay, *commands, np.where)
             mujoco.mj_step(model, data)
         assert np.array_equal(state.q, data.qpos[7:])
         assert np.array_equal(state.tau, data.actuator_force)

@@ -94,12 +94,12 @@ def test_joints_are_sampled_at_each_physics_step(description):
     plant.start()
     ticks = [plant.step(command(description, description.poses["four"])) for _ in range(5)]
     t = np.concatenate([tick.samples.t for tick in ticks])
-    assert np.allclose(t, description.timestep * np.arange(1, 21))
+    assert np.allclose(t, description.timestep * np.arange(1, 5 * description.decimation + 1))
     for tick in ticks:
         assert np.array_equal(tick.samples.q[-1], tick.state.q)
         assert np.array_equal(tick.samples.dq[-1], tick.state.dq)
         assert np.array_equal(tick.samples.tau[-1], tick.state.tau)
-        assert np.array_equal(tick.samples.q_des, np.tile(description.poses["four"], (4, 1)))
+        assert np.array_equal(tick.samples.q_des, np.tile(description.poses["four"], (description.decimation, 1)))
 
 
 def test_a_lying_robot_rests_on_the_floor(description):

@@ -93,7 +93,7 @@ def test_lost_commands_leave_the_one_before_in_effect(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, lost_share=(1.0, 1.0)))
     before = env.worlds.qpos[0, 7:].clone()
     env.step(torch.ones(1, 12))
-    assert torch.allclose(env.worlds.substep_ctrl[:, 0], before.expand(4, 12))
+    assert torch.allclose(env.worlds.substep_ctrl[:, 0], before.expand(description.decimation, 12))
 
 
 def test_toe_motion_is_that_of_the_kinematics(description):
