@@ -31,6 +31,12 @@ Progress = Callable[[str, int], None]
 FINE = 5
 """A fine replay has this many times more steps."""
 
+FINE_SEGMENT = 3.0
+"""Length of its segments [s]; they are few, so that short ones are faster."""
+
+MOST_CORRECTIONS = 6
+"""Most steps of a fit from fine replays."""
+
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
@@ -170,54 +176,68 @@ def _errors(problem: Problem, residual: FloatArray) -> Errors:
 
 
 def _fine(problem: Problem, point: Point) -> FloatArray:
-    """Return whitened residuals (T, C) of a replay with FINE times more steps."""
-    coarse = problem.replay
+    """Return whitened residuals (T, C) as steps without length would leave them.
+
+    From replays with FINE and 2 FINE times more steps: what is left of their error goes with the step where the motors
+    are at their limits, and with its square elsewhere (Richardson).
+    """
+    once, twice = (_replayed_finely(problem, point, FINE * more) for more in (1, 2))
+    return 2.0 * twice - once
+
+
+def _replayed_finely(problem: Problem, point: Point, steps: int) -> FloatArray:
+    coarse, joints = problem.replay, len(problem.machine.joints)
     replay = Replay(
-        problem.machine, coarse.log, timestep=coarse.dt / FINE, threads=coarse.threads, torque=coarse.torque
+        problem.machine,
+        coarse.log,
+        timestep=coarse.dt / steps,
+        segment=FINE_SEGMENT,
+        threads=coarse.threads,
+        torque=coarse.torque,
     )
     replay.set_late(coarse.late)
-    fine = Problem(
-        replay,
-        problem.noise[: len(problem.machine.joints)],
-        problem.noise[len(problem.machine.joints) :],
-        problem.blocks,
-    )
-    residual = fine.residuals([point])[0]
-    coarse.replays += FINE
-    return residual
+    replay.set_heat_of(coarse)
+    fine = Problem(replay, problem.noise[:joints], problem.noise[joints:], problem.blocks)
+    coarse.replays += steps
+    return fine.residuals([point])[0]
 
 
 def _correct(problem: Problem, point: Point) -> None:
     """Correct all residuals from here on by what coarse steps are wrong by at this point."""
-    problem.correction = None
-    problem.correction = _fine(problem, point) - problem.residuals([point])[0]
+    problem.correction = _fine(problem, point) - problem.uncorrected([point])[0]
 
 
 def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
     """Return the declared fit again, its coarse steps corrected by fine ones."""
-    _correct(problem, fitted.point)
     joints = len(problem.machine.joints)
-    if problem.channels == joints:
-        return fit(problem, fitted.point, names, {}, most=2, frozen=fitted)
-    assert problem.correction is not None
-    unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
-    problem.coarsen_torque(unsure)
-    _correct(problem, fitted.point)
-    return fit(problem, fitted.point, names, {}, most=3)
+    if problem.channels > joints:
+        _correct(problem, fitted.point)
+        assert problem.correction is not None
+        unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
+        problem.coarsen_torque(unsure)
+        _correct(problem, fitted.point)
+        fitted = fit(problem, fitted.point, names, {}, most=3)
+    problem.correction = None
+    fitted = _refined(problem, fitted, MOST_CORRECTIONS)
+    problem.correction = fitted.residual - problem.uncorrected([fitted.point])[0]
+    return fitted
 
 
-def _refined(problem: Problem, fitted: Fit) -> Fit:
-    """Return the fit after one step from the residuals of a fine replay."""
-    fine = _fine(problem, fitted.point)
+def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
+    """Return the fit after a few steps from the residuals of fine replays."""
+    point, residual = fitted.point, _fine(problem, fitted.point)
     train = problem.blocks.train
-    step, _ = linear_step(problem, fitted.point, fine, fitted.columns, fitted.knobs, 0.0)
-    moved = fitted.point.moved(fitted.knobs, step)
-    after = _fine(problem, moved)
-    squares = [
-        problem.block_squares(r)[train].sum() + penalty(p, fitted.knobs)
-        for r, p in ((fine, fitted.point), (after, moved))
-    ]
-    point, residual = (moved, after) if squares[1] < squares[0] else (fitted.point, fine)
+    cost = problem.block_squares(residual)[train].sum() + penalty(point, fitted.knobs)
+    for _ in range(most):
+        step, _ = linear_step(problem, point, residual, fitted.columns, fitted.knobs, 0.0)
+        moved = point.moved(fitted.knobs, step)
+        after = _fine(problem, moved)
+        fell = cost - (problem.block_squares(after)[train].sum() + penalty(moved, fitted.knobs))
+        if not fell > 0.0:
+            break
+        point, residual, cost = moved, after, cost - fell
+        if fell < 1e-3 * cost:
+            break
     return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 
 
@@ -317,7 +337,7 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
     refined = fit(state.problem, state.current.point, state.names, state.joints, most=1)
-    return _refined(state.problem, refined)
+    return _refined(state.problem, refined, MOST_CORRECTIONS)
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:

@@ -179,6 +179,11 @@ class Problem:
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
+        joined = self.uncorrected(points)
+        return joined if self.correction is None else joined + self.correction
+
+    def uncorrected(self, points: Sequence[Point]) -> FloatArray:
+        """Return the residuals of these steps as they are."""
         joints = len(self.machine.joints)
         joined = np.empty((len(points), len(self.replay.log.t), self.channels), dtype=np.float32)
         alike: dict[frozenset[Key], list[int]] = {}  # no replay runs the laws of another
@@ -192,7 +197,7 @@ class Problem:
                 joined[rows, :, joints:] = made.torque_residual
         joined /= self.noise.astype(np.float32)
         joined[:, self.blocks.index < 0] = np.nan
-        return joined if self.correction is None else joined + self.correction
+        return joined
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""

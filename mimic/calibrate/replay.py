@@ -95,6 +95,10 @@ class Replay:
         """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
         self._heat = np.asarray(tau) ** 2
 
+    def set_heat_of(self, other: Replay) -> None:
+        """Keep the torques of another replay of the same log."""
+        self._heat = other._heat
+
     def set_late(self, late: FloatArray | None) -> None:
         """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
         self.late = late
