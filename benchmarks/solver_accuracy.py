@@ -20,17 +20,15 @@ from mimic.robot.description import load_description
 from mimic.settings import MdpSettings
 from mimic.train.environment import StandTrackEnv
 
-WORLDS, STEPS = 48, 30
+WORLDS, STEPS = 32, 30
 FULL = {"solver_iterations": 100, "linesearch_iterations": 50}
 LIMITS: list[dict[str, Any]] = [
+    {"solver_iterations": 3, "linesearch_iterations": 6},
+    {"solver_iterations": 4, "linesearch_iterations": 6},
     {"solver_iterations": 5, "linesearch_iterations": 6},
-    {"solver_iterations": 10, "linesearch_iterations": 4},
+    {"solver_iterations": 5, "linesearch_iterations": 4},
+    {"solver_iterations": 7, "linesearch_iterations": 6},
     {"solver_iterations": 10, "linesearch_iterations": 6},
-    {"solver_iterations": 10, "linesearch_iterations": 20},
-    {"solver_iterations": 14, "linesearch_iterations": 6},
-    {"solver_iterations": 20, "linesearch_iterations": 6},
-    {"solver_iterations": 10, "linesearch_iterations": 6, "sparse": True},
-    {"solver_iterations": 10, "linesearch_iterations": 6, "rows": 96, "contacts": 20},
 ]
 
 
