@@ -197,8 +197,8 @@ class ProbeSettings:
     """Length of the motion [s]."""
     rate: float = 200.0
     """Readings a second [Hz]; one bus carries twelve motors at 200 Hz, with 71 % of its time."""
-    joints: Literal["all", "legs", "each"] = "all"
-    """Joints that move at the same time: all, those of one leg, or one."""
+    joints: Literal["all", "sides", "legs", "each"] = "all"
+    """Joints that move at the same time: all, the six of one side, those of one leg, or one."""
     size: float = 0.5
     """Share of the joints' ranges that is used."""
     kind: Literal["probe", "random"] = "probe"
@@ -207,12 +207,15 @@ class ProbeSettings:
     """[N m/rad]"""
     kd: float = 1.0
     """[N m s/rad]"""
+    approach: float = 3.0
+    """Time in which the gains rise, and again in which the joints come to where the motion begins [s]."""
     seed: int = 0
     """Draws the motion."""
 
     def __post_init__(self) -> None:
-        _check_range("seconds", self.seconds, 10.0, 3600.0, "s")
+        _check_range("seconds", self.seconds, 12.0, 3600.0, "s")
         _check_range("rate", self.rate, 50.0, 250.0, "Hz")
+        _check_range("approach", self.approach, 0.2, 60.0, "s")
         _check_range("size", self.size, 0.05, 1.0)
         _check_range("kp", self.kp, 1.0, 100.0, "N m/rad")
         _check_range("kd", self.kd, 0.1, 5.0, "N m s/rad")

@@ -23,6 +23,7 @@ from mimic.settings import (
     LogSettings,
     MdpSettings,
     PoseSettings,
+    ProbeSettings,
     RetargetSettings,
     RobustnessSettings,
     RunSettings,
@@ -494,6 +495,32 @@ def check(
     from mimic.cli.robot import check_robot
 
     return check_robot(buses, bus or BusSettings(), hung=hung)
+
+
+@robot_app.command
+def probe(
+    buses: str,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path("probe.parquet"),
+    motion: Path | None = None,
+    probe: Annotated[ProbeSettings | None, Flat] = None,
+    bus: Annotated[BusSettings | None, Flat] = None,
+) -> int:
+    """Move the joints of a robot that hangs with its feet free, and log what ``mimic calibrate`` reads.
+
+    Parameters
+    ----------
+    buses
+        Such as can0; see mimic --help.
+    out
+        Parquet or CSV file to write.
+    motion
+        Play the targets of this run folder or log.parquet instead, drawn into the ranges in which nothing can touch.
+    """
+    from mimic.cli.robot import probe_robot
+
+    return probe_robot(buses, out, motion, probe or ProbeSettings(), bus or BusSettings())
 
 
 @app.command

@@ -18,8 +18,8 @@ from mimic.cli.app import BUG, DONE, STOPPED, USER
 from mimic.cli.console import console, matrix, note, progress_bar, table, warn
 from mimic.cli.inputs import Aloud, InputSettings, Motion, load_motion
 from mimic.cli.play import LOG, METRICS, SCENE, metric_rows, run_folder, save_motion, target_rows
-from mimic.errors import MimicError
-from mimic.settings import BusSettings, RunSettings
+from mimic.errors import ConfigError, MimicError
+from mimic.settings import BusSettings, ProbeSettings, RunSettings
 from mimic.types import CommandTrack, RunLog
 
 if TYPE_CHECKING:
@@ -283,6 +283,53 @@ def check_robot(words: str, bus: BusSettings, *, hung: bool) -> int:
     findings.append(guarded(findings, words, bus))
     tell_findings(findings)
     return USER if any(f.verdict == "stop" for f in findings) else DONE
+
+
+def probe_robot(words: str, out: Path, motion: Path | None, settings: ProbeSettings, bus: BusSettings) -> int:
+    """Move a robot that hangs, and write the log that calibration reads."""
+    from mimic.machine_log import write_log
+    from mimic.robot.description import load_description
+    from mimic.run.on_robot import ready
+    from mimic.run.probe import probe, probe_motion, recorded_motion
+    from mimic.run.signals import Signals
+
+    if out.suffix.lower() not in (".parquet", ".csv"):
+        raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
+    description, signals = load_description(), Signals()
+    if motion is None:
+        targets = probe_motion(description, settings)
+    else:
+        log = store.load(motion / LOG if motion.is_dir() else motion, RunLog)
+        targets = recorded_motion(log.t, log.q_des, description, settings)
+    what = (
+        f"It moves {settings.joints} joints for {len(targets) / settings.rate:.0f} s; feet free, nobody within reach."
+    )
+    with ready(
+        words,
+        bus,
+        description,
+        rate_hz=settings.rate,
+        told=tell_findings,
+        go=lambda: wait_for_enter(bus, what),
+        hung=True,
+    ) as plant:
+        note(f"It comes to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps what was measured.")
+        with signals.caught(), _undisturbed():
+            result = probe(plant, targets, settings, signals)
+    path = write_log(result.log, out)
+    rows = {
+        "rows": f"{len(result.log.t)} in {result.log.duration:.1f} s, {result.log.rate:.0f} Hz",
+        "missing": f"{result.missing:.2%} of the readings",
+        "bus load": ", ".join(f"{share:.0%}" for share in plant.load()),
+        "written": str(path),
+        "next": f"mimic calibrate {path}",
+    }
+    table("Probe", rows)
+    if result.ended is not None:
+        warn(f"stopped: {result.ended.text}; {plant.ending}")
+        return STOPPED
+    note(f"done         {plant.ending}")
+    return DONE
 
 
 def salvage_run(folder: Path) -> int:

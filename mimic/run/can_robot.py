@@ -140,8 +140,7 @@ class CanRobot:
             PlantError: If the guardian has taken over.
         """
         link, exchange, dt = self._link, self.exchange, self._description.dt
-        if self._watcher is not None:
-            self._watcher.beat()
+        self.beat()
         exchange.drain()
         asked = link.now()
         compute = asked - self._ended
@@ -152,11 +151,20 @@ class CanRobot:
         late, self._ended = now - self._due, now
         if late > dt:
             self._due = now  # what was missed is not made up for
-        answered = exchange.came > asked
-        self._missed = np.where(answered, 0, self._missed + 1)
-        return Tick(state=self._state(asked, now), sent=sent, health=self._health(compute, late, now))
+        self.count(asked)
+        return Tick(state=self.state(asked, now), sent=sent, health=self.health(compute, late, now))
 
-    def _state(self, since: float, now: float) -> RobotState:
+    def beat(self) -> None:
+        """Tell the guardian that all is well."""
+        if self._watcher is not None:
+            self._watcher.beat()
+
+    def count(self, since: float) -> None:
+        """Count the steps without an answer, once a step, by who answered after a time [s]."""
+        self._missed = np.where(self.exchange.came > since, 0, self._missed + 1)
+
+    def state(self, since: float, now: float) -> RobotState:
+        """Return what came after a time [s], as it is now."""
         q, dq, tau = self.exchange.readings(since)
         reading = self.exchange.imu.reading(now)
         nothing = np.full(3, np.nan)
@@ -171,7 +179,8 @@ class CanRobot:
             v_WB=nothing,
         )
 
-    def _health(self, compute: float, late: float, now: float) -> Health:
+    def health(self, compute: float, late: float, now: float) -> Health:
+        """Return how far the readings can be trusted now."""
         exchange = self.exchange
         newest, imu = exchange.feedback, exchange.imu.reading(now)
         faults = [0 if f is None else int(f.faults) for f in newest]
@@ -201,10 +210,9 @@ class CanRobot:
         if self._closed or not self._on:
             return
         self._closed, self._on = True, False
-        beat = (lambda: None) if self._watcher is None else self._watcher.beat
         try:
-            damp(self.exchange, self._description, beat)
-            left = switch_off(self.exchange, self._description, beat)
+            damp(self.exchange, self._description, self.beat)
+            left = switch_off(self.exchange, self._description, self.beat)
             self.ending = told_off(left)
         except MimicError as reason:
             left, self.ending = list(ALL), f"the motors could not be stopped: {reason}"

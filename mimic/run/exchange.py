@@ -217,6 +217,10 @@ class Exchange:
         )
         return np.array([self._values.get((joint, index), np.nan) for joint in ALL])
 
+    def value(self, joint: int, index: int) -> float:
+        """Return the newest value of a parameter that came; NaN where none did."""
+        return self._values.get((joint, index), float("nan"))
+
     def write(self, index: int, value: float) -> FloatArray:
         """Write a parameter of every motor and return what each reads back (12,)."""
         host = self.wiring.host

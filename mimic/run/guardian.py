@@ -12,6 +12,7 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from enum import Enum, auto
 from pathlib import Path
@@ -179,8 +180,8 @@ def end_safely(words: str, wiring: Wiring, link: Link | None, opened: Callable[.
     """Damp the robot and switch it off, over buses that are opened again where they fail, and return how that went."""
     description = load_description()
     told = "nothing was tried"
-    waited = 0.0
-    while waited < REOPEN_FOR:
+    end = time.monotonic() + REOPEN_FOR
+    while time.monotonic() < end:
         try:
             link = opened(words, bitrate=wiring.bitrate) if link is None else link
             exchange = Exchange(link, wiring)
@@ -194,8 +195,7 @@ def end_safely(words: str, wiring: Wiring, link: Link | None, opened: Callable[.
         if link is not None:
             link.close()
             link = None
-        select.select([], [], [], REOPEN_EVERY)
-        waited += REOPEN_EVERY
+        time.sleep(REOPEN_EVERY)
     return told
 
 

@@ -6,6 +6,7 @@ The rules and their limits are in :mod:`mimic.run.safety_rules`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from mimic.metrics import uprightness
 from mimic.robot.description import RobotDescription
-from mimic.run.safety_rules import LIMITS, RULES, STANDING, Facts, Finding, Limits, Watch
+from mimic.run.safety_rules import LIMITS, RULES, STANDING, Facts, Finding, Limits, Rule, Watch
 from mimic.types import PHASES
 
 
@@ -42,8 +43,23 @@ class Event:
 class Supervisor:
     """Decides after every control step whether a robot runs on, sits down, is damped, or is stopped."""
 
-    def __init__(self, description: RobotDescription, limits: Limits = LIMITS) -> None:
-        self._description, self._limits = description, limits
+    def __init__(
+        self,
+        description: RobotDescription,
+        limits: Limits = LIMITS,
+        *,
+        rules: Sequence[Rule] = RULES,
+        sits: bool = True,
+    ) -> None:
+        """Begin with a robot that runs.
+
+        Args:
+            description: The robot.
+            limits: Where rules draw their lines.
+            rules: Those that count.
+            sits: Whether there is a way of sitting down; otherwise every rule that asks for it damps.
+        """
+        self._description, self._limits, self._rules, self._sits = description, limits, rules, sits
         self._watch = Watch(description, limits)
         self._seen: set[tuple[str, str, int]] = set()
         self._damped_since = self._still_since = float("nan")
@@ -66,7 +82,7 @@ class Supervisor:
             self._watch.hear(facts)
             return self._rest(facts)
         self._watch.see(facts)
-        for rule in RULES:
+        for rule in self._rules:
             for finding in rule.check(facts, self._watch, self._limits):
                 self._weigh(rule.name, finding, facts)
         return self.mode
@@ -82,7 +98,9 @@ class Supervisor:
 
     def _weigh(self, rule: str, finding: Finding, facts: Facts) -> None:
         mode, text = Mode[finding.outcome], finding.text
-        if mode == Mode.SIT_DOWN:
+        if mode == Mode.SIT_DOWN and not self._sits:
+            mode = Mode.DAMP
+        elif mode == Mode.SIT_DOWN:
             reason = self._cannot_sit_down(facts, needs_upright=finding.needs_upright)
             if reason is not None:
                 mode, text = Mode.DAMP, f"{text}; not sitting down, because {reason}"

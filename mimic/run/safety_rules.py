@@ -32,6 +32,8 @@ class Limits:
 
     silent_ticks: int = 3
     """Control steps without an answer: 60 ms. One lost frame is common, three in a row are a broken wire."""
+    silent_seconds: float = 0.055
+    """… and this long [s]: after a late tick some may follow at once, in which nobody had the time to answer."""
     lost_motors: int = 1
     """With one motor lost the other eleven may still bring the robot down; with two nobody has tried."""
     temperature_announced: float = 65.0
@@ -240,10 +242,11 @@ def _lost(joint: int, text: str, watch: Watch) -> Finding:
 
 
 def _motor_silent(facts: Facts, watch: Watch, limits: Limits) -> Iterator[Finding]:
-    silent = np.flatnonzero(facts.health.missed >= limits.silent_ticks)
+    health = facts.health
+    silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
     watch.lost.update(map(int, silent))
     for joint in silent:
-        missed, age = int(facts.health.missed[joint]), float(facts.health.age[joint])
+        missed, age = int(health.missed[joint]), float(health.age[joint])
         yield _lost(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)", watch)
 
 
@@ -447,6 +450,9 @@ RULES = tuple(
     )
 )
 """Every rule that looks at readings, in the order in which they are tried."""
+
+HUNG_RULES = tuple(rule for rule in RULES if not rule.name.startswith(("imu", "tipping", "rolling")))
+"""Those for a robot that hangs and needs no balance."""
 
 ELSEWHERE = {
     "not_finite": "a target or an answer of the policy is not a number: damped in the same tick",

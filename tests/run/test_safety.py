@@ -72,6 +72,7 @@ def drive(description) -> Callable[..., Supervisor]:
                 v_WB=np.full(3, np.nan),
             )
             said = {k: tick.pop(k) for k in ("interrupts", "terminated") if k in tick}
+            tick.setdefault("age", 0.018 + DT * np.asarray(tick.get("missed", HEALTHY.missed)))
             health = dataclasses.replace(HEALTHY, **{"imu_count": number, **tick})
             supervisor.judge(Facts(state=state, health=health, phase=PHASES.index(name), **said))
         return supervisor
@@ -127,6 +128,11 @@ def test_a_motor_that_misses_three_ticks_makes_it_sit_down(joint, drive, descrip
     supervisor = drive([{}, *missing, {"missed": at(joint, 3), "q": unknown}])
     assert outcome(supervisor) == ("motor_silent", Mode.SIT_DOWN)
     assert joint in supervisor.decisive.text
+
+
+def test_three_ticks_that_follow_each_other_at_once_are_not_yet_silence(drive):
+    hurried = {"missed": at("FL_knee", 3), "age": np.full(12, 0.03)}
+    assert drive([hurried] * 2).mode == Mode.RUN
 
 
 def test_two_silent_motors_damp(drive):

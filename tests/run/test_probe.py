@@ -1,0 +1,143 @@
+"""Probing an emulated robot that hangs: what is logged, that calibration takes it, and how it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.checks import check_log
+from mimic.errors import ConfigError, PlantError
+from mimic.machine_log import read_log, write_log
+from mimic.robot.excitation import hung_ranges
+from mimic.robot.machine import hung_robot
+from mimic.robot.wiring import load_wiring
+from mimic.run.can_robot import CanRobot
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulated_link import EmulatedLink
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.motor_messages import Mode
+from mimic.run.probe import GROUPS, probe, probe_motion, recorded_motion
+from mimic.run.signals import Signals
+from mimic.settings import EmulateSettings, ProbeSettings
+from mimic.types import JOINTS
+
+SHORT = ProbeSettings(seconds=12.0, rate=100.0, approach=0.3)
+"""The shortest that calibration takes."""
+
+LESS = 200
+"""Rows that are enough where calibration does not look."""
+
+
+def made(description, *faults: str) -> tuple[EmulatedRobot, CanRobot]:
+    options = EmulateSettings(homed=True, hung=True)
+    robot = EmulatedRobot(description, load_wiring(), options, faults=[parse_fault(f) for f in faults])
+    link = EmulatedLink(robot)
+    link.sleep(0.1)
+    return robot, CanRobot(link, load_wiring(), description)
+
+
+@pytest.mark.parametrize("joints", list(GROUPS))
+def test_targets_stay_where_nothing_can_touch_and_the_others_are_held(joints, description):
+    settings = ProbeSettings(seconds=120.0, rate=50.0, joints=joints)
+    motion = probe_motion(description, settings)
+    low, high, centre = hung_ranges(description)
+    assert motion.shape == (6000, 12)
+    assert np.all(motion >= low - 1e-12)
+    assert np.all(motion <= high + 1e-12)
+    groups = GROUPS[joints]
+    assert sorted(joint for group in groups for joint in group) == list(range(12))
+    part = len(motion) // len(groups)
+    for number, group in enumerate(groups):
+        moved = np.ptp(motion[number * part : (number + 1) * part], axis=0) > 0
+        assert np.flatnonzero(moved).tolist() == sorted(group)
+        held = [j for j in range(12) if j not in group]
+        assert np.all(motion[number * part : (number + 1) * part, held] == centre[held])
+
+
+def test_too_little_time_for_so_many_groups_is_refused(description):
+    with pytest.raises(ConfigError, match="120"):
+        probe_motion(description, ProbeSettings(seconds=60.0, joints="each"))
+
+
+def test_a_recorded_run_is_played_inside_the_ranges_and_begins_anew(description):
+    low, high, _ = hung_ranges(description)
+    t = np.arange(100) * 0.02
+    q = np.random.default_rng(0).uniform(-4, 4, (100, 12))
+    motion = recorded_motion(t, q, description, SHORT)
+    assert motion.shape == (1200, 12)
+    assert np.all((motion >= low) & (motion <= high))
+    assert np.allclose(motion[0], np.clip(q[0], low, high))
+    assert np.allclose(motion[198], motion[0])  # 1.98 s later
+
+
+def test_the_log_is_one_that_calibration_takes(description, tmp_path):
+    robot, plant = made(description)
+    result = probe(plant, probe_motion(description, SHORT), SHORT, Signals())
+    assert result.ended is None
+    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    log = read_log(write_log(result.log, tmp_path / "probe.parquet"))
+    machine = hung_robot(description)
+    log = log.of(machine.joints)
+    limits = np.stack([machine.low, machine.high], -1)
+    facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+    assert len(facts.log.t) == 1200
+    assert log.rate == pytest.approx(100.0, rel=1e-3)
+    assert log.metadata["kp"] == SHORT.kp
+    assert result.missing == 0.0
+    assert np.nanmax(np.abs(log.q - log.q_des)) < 1.0
+    for joint in JOINTS:
+        assert np.all(log.extra[f"t_receive.{joint}"] > log.extra[f"t_send.{joint}"])
+        assert np.all(log.extra[f"temperature.{joint}"] >= 24.0)
+    assert log.extra["voltage"] == pytest.approx(24.0, abs=0.1)
+
+
+def test_readings_that_did_not_come_are_missing_and_not_repeated(description):
+    _, plant = made(description, "frames_lost=0.05@1.4")
+    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    assert 0.0 < result.missing < 0.2
+    assert np.isnan(result.log.q).mean() == pytest.approx(result.missing)
+    assert np.isnan(result.log.extra["t_receive.FL_hip"]).any()
+
+
+def test_ctrl_c_damps_and_keeps_what_was_measured(description):
+    robot, plant = made(description)
+    signals = Signals()
+
+    def press(done: int, total: int) -> None:
+        signals.interrupts = 1 if done >= 100 else 0
+
+    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, signals, progress=press)
+    assert result.ended is not None
+    assert result.ended.rule == "interrupt"
+    assert 100 <= len(result.log.t) <= 103
+    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+
+
+@pytest.mark.parametrize("fault", ["motor_dead:FL_knee@1.4", "motor_fault:RR_hip=8@1.4", "motor_hot:FL_hip=75@1.4"])
+def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
+    robot, plant = made(description, fault)
+    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    assert result.ended is not None
+    assert fault.split(":")[1][:6] in result.ended.text
+    assert 10 < len(result.log.t) < LESS
+    reached = [motor.mode for joint, motor in zip(JOINTS, robot.motors, strict=True) if joint not in fault]
+    assert set(reached) == {Mode.RESET}
+
+
+def test_a_bus_that_fails_keeps_what_was_measured(description):
+    _, plant = made(description, "unplugged@1.4-3")
+    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    assert result.ended is not None
+    assert result.ended.rule == "exception"
+    assert len(result.log.t) > 10
+
+
+def test_what_ends_before_anything_was_measured_is_an_error(description):
+    _, plant = made(description, "motor_dead:FL_knee@0.3")
+    with pytest.raises(PlantError, match="nothing was measured"):
+        probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+
+
+def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
+    _, plant = made(description, "imu_silent@1.4")
+    assert probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals()).ended is None
