@@ -76,6 +76,27 @@ class LanguageSettings:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LiveSettings:
+    """How a camera is followed while it looks."""
+
+    follow: bool = False
+    """Turn and walk as the person turns and walks, slowly; otherwise the robot stays where it is."""
+    lost_hold: float = 0.5
+    """How long a hand that is lost stays where it was, before it eases to neutral [s]."""
+    steady_hz: float = 1.5
+    """Cut-off of the causal filter for a hand at rest [Hz]; lower is calmer and later."""
+    lively: float = 4.0
+    """How much that cut-off rises with the speed of the hand [Hz s/m]."""
+    camera_size: tuple[int, int] = (640, 480)
+    """Width and height asked of the camera [px]."""
+
+    def __post_init__(self) -> None:
+        _check_range("lost-hold", self.lost_hold, 0.0, 10.0, "s")
+        _check_range("steady-hz", self.steady_hz, 0.1, 30.0, "Hz")
+        _check_range("lively", self.lively, 0.0, 100.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RetargetSettings:
     """How landmarks become toe targets."""
 

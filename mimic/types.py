@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,6 +213,43 @@ class CommandTrack(Record):
     """Desired heading relative to the heading at the start [rad]."""
     p_BE: FloatArray = array("side", "xyz")
     """Desired base -> toe, base axes [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LiveTrack(Record):
+    """How a camera was followed, one row for every frame that became a target."""
+
+    t: FloatArray = array()
+    """When the frame was there, since the first command [s]."""
+    latency: FloatArray = array()
+    """From then to the target [s]."""
+    detector: FloatArray = array()
+    """Of it in the detector [s]."""
+    skipped: IntArray = array(dtype=np.int64)
+    """Frames dropped since the row before, because a newer one was there."""
+    seen: BoolArray = array("side", dtype=np.bool_)
+    """Which of the person's hands were seen."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Command:
+    """What the policy is asked for at one control tick."""
+
+    v: FloatArray
+    """Desired base velocity in the heading frame, forward and left (2,) [m/s]."""
+    heading: float
+    """Desired heading relative to the heading at the start [rad]."""
+    p_BE: FloatArray
+    """Desired base -> toe, base axes (2, 3) [m]."""
+
+
+@runtime_checkable
+class LiveCommands(Protocol):
+    """Commands that are made while the robot moves, such as those of a camera."""
+
+    def newest(self) -> Command | None:
+        """Return what is asked for now; None ends the motion. Asked once a control tick; must not wait."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

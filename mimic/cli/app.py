@@ -20,6 +20,7 @@ from mimic.settings import (
     EvaluateSettings,
     LanguageSettings,
     LearnSettings,
+    LiveSettings,
     LogSettings,
     MdpSettings,
     PoseSettings,
@@ -55,6 +56,7 @@ def play(
     /,
     *,
     text: str | None = None,
+    camera: str | None = None,
     sim: Annotated[bool, Parameter(negative="")] = False,
     robot: str | None = None,
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
@@ -63,6 +65,7 @@ def play(
     pose: Annotated[PoseSettings | None, Flat] = None,
     stored: Annotated[StoredSettings | None, Flat] = None,
     language: Annotated[LanguageSettings | None, Flat] = None,
+    live: Annotated[LiveSettings | None, Flat] = None,
     retarget: Annotated[RetargetSettings | None, Flat] = None,
     run: Annotated[RunSettings | None, Flat] = None,
     model: Annotated[EffectsSettings | None, Flat] = None,
@@ -77,6 +80,8 @@ def play(
         track that mimic wrote (.parquet).
     text
         Instead, a sentence such as "step forward, then wave the left hand".
+    camera
+        Instead, follow a camera while it looks: its number or device, or a video that is played in its place.
     sim
         Play it in MuJoCo.
     robot
@@ -96,8 +101,8 @@ def play(
             else "--sim and --robot are two robots; give one of them"
         )
     given: Path | str | None = source if text is None else text
-    if source is not None and text is not None:
-        raise ConfigError("a file and --text are two motions; give one of them")
+    if sum(way is not None for way in (source, text, camera)) > 1:
+        raise ConfigError("a file, --text and --camera are ways in; give one of them")
     inputs = _inputs(pose, stored, retarget, language)
     if robot is not None:
         if video is not None:
@@ -106,8 +111,22 @@ def play(
 
         options = {"out": out, "view": view, "run": run or RunSettings(), "bus": bus or BusSettings()}
         return play_on_robot(given, robot, inputs, **options)
+    if camera is not None:
+        if video is not None:
+            raise ConfigError("--video films a run that is known before; leave it out with --camera")
+        from mimic.cli.live import play_camera
+
+        return play_camera(
+            camera,
+            inputs,
+            live or LiveSettings(),
+            out=out,
+            view=view,
+            run=run or RunSettings(),
+            robot=model or EffectsSettings(),
+        )
     if given is None:
-        raise ConfigError("say what to play: a file, or --text with a sentence")
+        raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
     from mimic.cli.play import play_source
 
     return play_source(

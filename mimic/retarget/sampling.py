@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import find_peaks
@@ -41,8 +43,8 @@ def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, neutral: FloatArra
     bridged = has_before & has_after
     share = np.where(has_before, 0.0, 1.0)
     share[bridged] = since[bridged] / (since[bridged] + until[bridged])
-    bridge = p[last] + _smooth(share)[:, None] * (p[following] - p[last])
-    away = _smooth((np.minimum(since, until) - HOLD) / EASE)[:, None]
+    bridge = p[last] + ease(share)[:, None] * (p[following] - p[last])
+    away = ease((np.minimum(since, until) - HOLD) / EASE)[:, None]
     filled[gaps] = bridge + away * (neutral - bridge)
     return filled
 
@@ -86,6 +88,7 @@ def between(t_rows: FloatArray, p: FloatArray, t: FloatArray) -> FloatArray:
     return PchipInterpolator(t_rows, p, axis=0)(np.clip(t, t_rows[0], t_rows[-1]))
 
 
-def _smooth(share: FloatArray) -> FloatArray:
+def ease(share: Any) -> Any:
+    """Return a share from 0 to 1 that begins and ends without a jerk; works element by element."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)

@@ -23,7 +23,18 @@ from mimic.run.safety import Event, Mode
 from mimic.run.ticking import Run, Safety, Sink
 from mimic.settings import RunSettings
 from mimic.store import plain
-from mimic.types import PHASES, CommandTrack, FloatArray, HealthLog, JointCommand, JointSamples, RobotState, RunLog
+from mimic.types import (
+    PHASES,
+    Command,
+    CommandTrack,
+    FloatArray,
+    HealthLog,
+    JointCommand,
+    JointSamples,
+    LiveCommands,
+    RobotState,
+    RunLog,
+)
 
 LIE, STAND_UP, BLEND, TRACK, HOLD, SIT_DOWN, DAMP = range(len(PHASES))
 
@@ -94,10 +105,40 @@ def desired_at(
     return HOLD, still, track.p_BE[-1], float(track.heading[-1])
 
 
+class _Live:
+    """Commands as they come, with what leads to them and what follows on them."""
+
+    def __init__(self, live: LiveCommands, settings: RunSettings, dt: float) -> None:
+        self._live = live
+        self._stand, self._blend = round(settings.stand_up / dt), round(settings.blend / dt)
+        self._hold = round(settings.hold / dt)
+        self._last: Command | None = None
+
+    def at(
+        self, tick: int, neutral: FloatArray, measured: FloatArray
+    ) -> tuple[int, FloatArray, FloatArray, float] | None:
+        """Return what :func:`desired_at` does; None when the motion and the time to hold its last command are over."""
+        still = np.zeros(2)
+        if tick < self._stand:
+            return STAND_UP, still, neutral, 0.0
+        command = self._live.newest()
+        if command is not None:
+            self._last = command
+            if tick < self._stand + self._blend:
+                share = (tick - self._stand + 1) / self._blend
+                smooth = share * share * (3 - 2 * share)
+                return BLEND, still, measured + smooth * (command.p_BE - measured), command.heading
+            return TRACK, command.v, command.p_BE, command.heading
+        self._hold -= 1
+        if self._hold < 0 or self._last is None:
+            return None
+        return HOLD, still, self._last.p_BE, self._last.heading
+
+
 def run_policy(
     plant: Plant,
     policy: Policy,
-    track: CommandTrack,
+    track: CommandTrack | LiveCommands,
     settings: RunSettings,
     *,
     sit_down: Policy | None = None,
@@ -107,7 +148,7 @@ def run_policy(
 ) -> RunResult:
     """Play commands on a plant through a policy.
 
-    The track must have the plant's control step. With a policy that sits down, every run ends lying: at its end, when
+    A track must have the plant's control step; live commands go on until they end or Ctrl-C does. With a policy that sits down, every run ends lying: at its end, when
     Ctrl-C stops it, when anything but the plant fails, and when the robot is about to fall. Another Ctrl-C ends it at
     once. The plant is left damped, whatever happens.
 
@@ -133,12 +174,10 @@ def run_policy(
     for given, task in ((policy, "stand_track"), (sit_down, "sit_down")):
         if given is not None and given.contract.task != task:
             raise ContractError(f"{given.path} was trained for {given.contract.task}; expected {task}")
-    if not len(track.t):
-        raise ContractError("there are no commands to play; expected at least one row")
-    if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
-        given = float(np.median(np.diff(track.t)))
-        raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
-    ticks = round((settings.stand_up + settings.blend + settings.hold) / dt) + len(track.t)
+    ticks = round((settings.stand_up + settings.blend + settings.hold) / dt)
+    if isinstance(track, CommandTrack):
+        _check_track(track, dt)
+        ticks += len(track.t)
     last = 0 if sit_down is None else round(settings.sit_down / dt)
     told = None if progress is None else partial(_told, progress, ticks + last)
     run = Run(plant, contract, sink, told, safety)
@@ -173,6 +212,14 @@ def run_policy(
     )
 
 
+def _check_track(track: CommandTrack, dt: float) -> None:
+    if not len(track.t):
+        raise ContractError("there are no commands to play; expected at least one row")
+    if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
+        given = float(np.median(np.diff(track.t)))
+        raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
+
+
 def _told(progress: Callable[[int, int], None], ticks: int, done: int) -> None:
     progress(done, max(done, ticks))
 
@@ -189,7 +236,7 @@ class _Ending:
 def _unsupervised(
     run: Run,
     policy: Policy,
-    track: CommandTrack,
+    track: CommandTrack | LiveCommands,
     settings: RunSettings,
     ticks: int,
     sit_down: Policy | None,
@@ -223,7 +270,7 @@ def _unsupervised(
 def _supervised(
     run: Run,
     policy: Policy,
-    track: CommandTrack,
+    track: CommandTrack | LiveCommands,
     settings: RunSettings,
     ticks: int,
     sit_down: Policy | None,
@@ -277,7 +324,12 @@ def _damp(run: Run) -> None:
 
 
 def _follow(
-    run: Run, policy: Policy, track: CommandTrack, settings: RunSettings, ticks: int, lost: Lost
+    run: Run,
+    policy: Policy,
+    track: CommandTrack | LiveCommands,
+    settings: RunSettings,
+    ticks: int,
+    lost: Lost,
 ) -> float | None:
     """Stand up, blend, track and hold; return when that was given up because the robot was ``lost``, if ever [s]."""
     contract, description = policy.contract, run.plant.description
@@ -285,12 +337,20 @@ def _follow(
     heading0 = float(heading_from_quat(run.quat_WB))
     measured = neutral = np.array(contract.neutral_toes).reshape(2, 3)
     phase = STAND_UP
-    endless = run.safety is not None and run.safety.endless
+    live = None if isinstance(track, CommandTrack) else _Live(track, settings, contract.dt)
+    endless = live is not None or (run.safety is not None and run.safety.endless)
     for tick in count() if endless else range(ticks):
         before = phase
         if before != BLEND:
             measured = front_toes(run.q, description)
-        phase, v_des, p_BE_des, turn = desired_at(track, tick, settings, contract.dt, neutral, measured)
+        if isinstance(track, CommandTrack):
+            desired = desired_at(track, tick, settings, contract.dt, neutral, measured)
+        else:
+            assert live is not None
+            desired = live.at(tick, neutral, measured)
+        if desired is None:
+            return None
+        phase, v_des, p_BE_des, turn = desired
         run.tick(policy, builder, phase=phase, v_des=v_des, heading_des=heading0 + turn, p_BE_des=p_BE_des)
         if run.mode > Mode.RUN:
             return None

@@ -67,14 +67,38 @@ def decide_sides(t: FloatArray, landmarks: FloatArray, shots: IntArray) -> BoolA
     total = np.zeros(2)
     came_from = np.zeros((len(rows), 2), dtype=np.int64)
     for k in range(len(gap)):
-        ways = np.array([[stay[k], flip[k]], [flip[k], stay[k]]]) + total[:, None]
-        came_from[k + 1] = ways.argmin(axis=0)
-        total = ways.min(axis=0) + (0.0, price[k])
+        total, came_from[k + 1] = _next(total, stay[k], flip[k], price[k])
     state = int(total.argmin())
     for k in range(len(rows) - 1, -1, -1):
         swapped[rows[k]] = bool(state)
         state = int(came_from[k, state])
     return swapped
+
+
+def _next(total: FloatArray, stay: float, flip: float, price: float) -> tuple[FloatArray, IntArray]:
+    """Return the costs of both states after another row (2,), and the state each came from."""
+    ways = np.array([[stay, flip], [flip, stay]]) + total[:, None]
+    return ways.min(axis=0) + (0.0, price), ways.argmin(axis=0)
+
+
+class LiveSides:
+    """The same decision row by row, from what was seen so far."""
+
+    def __init__(self) -> None:
+        self._before: tuple[float, FloatArray] | None = None
+        self._total = np.zeros(2)
+
+    def decide(self, t: float, landmarks: FloatArray) -> bool:
+        """Return whether left and right of a row (33, 3) [m] at time t [s] must be exchanged."""
+        if self._before is not None:
+            gap = t - self._before[0]
+            trust = float(np.exp(-max(gap - 1 / 30, 0.0) / MEMORY))
+            same, other = side_costs(self._before[1], landmarks)
+            price = SWAPPED_COST * min(gap, MEMORY)
+            self._total, _ = _next(self._total, trust * float(same), trust * (float(other) + FLIP_COST), price)
+            self._total = self._total - self._total.min()
+        self._before = t, np.array(landmarks)
+        return bool(self._total.argmin())
 
 
 def exchange_sides(values: FloatArray, swapped: BoolArray) -> FloatArray:

@@ -34,7 +34,7 @@ def draw_robot(
     position, quat = body_poses(model, qpos)
     t = layout.time_column(shared_time(log))
     for shapes in visual_shapes(model):
-        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", _drawn(shapes), static=True)
+        scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", drawn(shapes), static=True)
     for body in sorted({shapes.body for shapes in visual_shapes(model)}):
         i = model.body(body).id
         poses = rr.Transform3D.columns(translation=position[:, i], quaternion=quat[:, i][:, [1, 2, 3, 0]])
@@ -48,7 +48,7 @@ def draw_robot(
         _asked_for(scene, targets)
 
 
-def _drawn(shapes: Shapes) -> rr.AsComponents:
+def drawn(shapes: Shapes) -> rr.AsComponents:
     """Return the shapes as Rerun draws them."""
     xyzw = shapes.quat[:, [1, 2, 3, 0]]
     colours = np.round(255 * shapes.rgba).astype(np.uint8)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mimic.sources.sides import decide_sides, exchange_sides, other_side, side_costs
+from mimic.sources.sides import LiveSides, decide_sides, exchange_sides, other_side, side_costs
 from mimic.types import LANDMARKS
 
 NO_CUTS = np.array([], dtype=np.int64)
@@ -76,3 +76,20 @@ def test_costs_of_one_row_need_only_the_row_before():
     assert other > 0.2
     same_all, _ = side_costs(np.stack([before, before]), np.stack([now, before]))
     np.testing.assert_allclose(same_all, np.array([float(same), 0.0]))
+
+
+def test_row_by_row_a_lasting_exchange_is_put_right_and_its_end_is_seen():
+    """After five seconds that were right, the detector exchanges sides for two."""
+    t = np.arange(300) / 30
+    truth = (t >= 5) & (t < 7)
+    sides = LiveSides()
+    seen = exchange_sides(person(t), truth)
+    decided = np.array([sides.decide(time, row) for time, row in zip(t, seen, strict=True)])
+    np.testing.assert_array_equal(decided, truth)
+
+
+def test_row_by_row_nothing_is_exchanged_after_a_long_gap():
+    rows, both = person(np.arange(2) / 30), np.ones(1, dtype=bool)
+    sides = LiveSides()
+    assert not sides.decide(0.0, rows[0])
+    assert not sides.decide(5.0, exchange_sides(rows[1:], both)[0])

@@ -1,0 +1,207 @@
+"""The way from landmarks to commands row by row, for a camera: nothing of what comes later is known.
+
+What can be is the batch's own code: axes of the torso, reach of the arms, scale, clamp and joint limits. In place of filters
+without lag stand a One-Euro filter, slow averages and the causal joint limits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.frames import wrap_angle
+from mimic.retarget.follow import Follower
+from mimic.retarget.limits import limit_step
+from mimic.retarget.one_euro import OneEuro
+from mimic.retarget.sampling import EASE, ease
+from mimic.retarget.targets import wanted_toes
+from mimic.retarget.wrists import TURN_CUTOFF_HZ, arm_length, torso_vectors
+from mimic.robot.reach import FRONT, Reach
+from mimic.settings import LiveSettings, RetargetSettings
+from mimic.types import LANDMARKS, SIDES, BoolArray, Command, FloatArray
+
+CALM_HZ = 0.03
+"""Cut-off of the heading when turns are not followed: the median of a clip is not known yet [Hz]."""
+REMEMBERED = 900
+"""Rows from which the reach of the arms is taken; half a minute at 30 frames a second."""
+SHORTEST_ARM = 0.35
+"""Arms count as at least this long, as they may be bent at first [m]."""
+FORGET = 0.5
+"""A gap after which a filter begins anew [s]."""
+
+_SHOULDERS, _WRISTS, _HIPS = (
+    [LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("shoulder", "wrist", "hip")
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Asked:
+    """What a row of the camera asks for."""
+
+    t: float
+    """When the frame was taken, on the clock of the computer [s]."""
+    q: FloatArray
+    """Front joints within reach (6,) [rad]."""
+    seen: BoolArray
+    """Which hands were seen (2,), left and right of the robot."""
+    heading: float
+    """Of the robot against its start [rad]."""
+    v: FloatArray
+    """Velocity forward and left (2,) [m/s]."""
+
+
+class LiveRetarget:
+    """Turns the rows of one person into what they ask of the robot; each needs only the ones before."""
+
+    def __init__(self, reach: Reach, settings: RetargetSettings, live: LiveSettings) -> None:
+        self._reach, self._settings, self._live = reach, settings, live
+        self._filters = [OneEuro(live.steady_hz, live.lively) for _ in SIDES]
+        self._arms = np.zeros((2, 3))
+        self._last_seen = np.full(2, -np.inf)
+        self._reaches: deque[FloatArray] = deque(maxlen=REMEMBERED)
+        self._line: FloatArray | None = None
+        self._line_t = 0.0
+        self._heading0: float | None = None
+        self._follower = Follower()
+        self._q = reach.description.poses["upright"][:FRONT].copy()
+
+    def see(self, t: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float) -> Asked:
+        """Return what a row asks for.
+
+        Args:
+            t: Time of the frame [s].
+            landmarks: Mid-hip -> landmark (33, 3), camera axes [m].
+            image: Place in the image (33, 2), fraction of width and height.
+            valid: Which landmarks count (33,).
+            aspect: Width of the image over its height.
+        """
+        seen = valid[_SHOULDERS] & valid[_WRISTS]
+        heading = self._turned(t, landmarks, valid)
+        arms = landmarks[_WRISTS] - landmarks[_SHOULDERS]
+        for side in np.flatnonzero(seen):
+            if t - self._last_seen[side] > FORGET:
+                self._filters[side].forget()
+            self._arms[side] = self._filters[side](t, arms[side])
+            self._last_seen[side] = t
+        p_SH = torso_vectors(self._arms, heading) / self._arm(seen)
+        asked = seen[::-1] if self._settings.mirror else seen
+        if asked.any():
+            wanted = wanted_toes(p_SH, self._reach, self._settings)
+            wanted = np.where(asked[:, None], wanted, self._reach.toes(self._q))
+            self._q = self._reach.closest(wanted, self._q).q
+        turn, v = self._followed(t, heading, landmarks, image, valid, aspect)
+        return Asked(t=t, q=self._q.copy(), seen=np.array(asked), heading=turn, v=v)
+
+    def _arm(self, seen: BoolArray) -> float:
+        if seen.any():
+            self._reaches.append(np.where(seen[:, None], self._arms, np.nan))
+        if not self._reaches:
+            return SHORTEST_ARM
+        rows = np.array(self._reaches)
+        known: BoolArray = np.array(np.isfinite(rows).all(axis=-1))
+        return max(SHORTEST_ARM, arm_length(rows, known, self._settings.reach_quantile))
+
+    def _turned(self, t: float, landmarks: FloatArray, valid: BoolArray) -> float:
+        """Return the heading of the torso [rad], from the slow average of the right -> left line."""
+        if valid[_SHOULDERS].all():
+            line = landmarks[_SHOULDERS[0]] - landmarks[_SHOULDERS[1]]
+            if valid[_HIPS].all():
+                line = line + landmarks[_HIPS[0]] - landmarks[_HIPS[1]]
+            turning = self._live.follow or self._settings.turns
+            tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if turning else CALM_HZ))
+            share = 1.0 if self._line is None else min(1.0, (t - self._line_t) / tau)
+            self._line = line if self._line is None else self._line + share * (line - self._line)
+            self._line_t = t
+        if self._line is None:
+            return 0.0
+        return float(np.arctan2(self._line[2], self._line[0]))
+
+    def _followed(
+        self, t: float, heading: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float
+    ) -> tuple[float, FloatArray]:
+        """Return heading against the start [rad] and velocity (2,) [m/s] of the robot."""
+        if self._heading0 is None and self._line is not None:
+            self._heading0 = heading
+        turning = self._live.follow or self._settings.turns
+        turn = float(wrap_angle(heading - (self._heading0 or 0.0))) if turning else 0.0
+        v = np.zeros(2)
+        if self._live.follow:
+            most = self._reach.description.raw["commands"]["velocity_max"][0]
+            v[0] = np.clip(self._follower.see(t, heading, landmarks, image, valid, aspect), -most, most)
+        return (-turn if self._settings.mirror else turn), v
+
+
+class LiveTargets:
+    """The newest of what was asked, as smooth commands at the control rate; one thread puts, another one asks.
+
+    A hand that is lost stays for ``lost_hold`` and then eases to neutral; when it is back, it eases to where it is.
+    """
+
+    def __init__(
+        self,
+        reach: Reach,
+        settings: LiveSettings,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        begin: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            reach: The robot; not shared with another thread.
+            settings: How long a lost hand is held.
+            clock: The clock of :attr:`Asked.t`.
+            begin: Called when the first command is asked for.
+        """
+        self._reach, self._hold, self._clock, self._begin = reach, settings.lost_hold, clock, begin
+        self._neutral = reach.description.poses["upright"][:FRONT].copy()
+        self._q, self._dq = self._neutral.copy(), np.zeros(FRONT)
+        self._goal = self._neutral.copy()
+        self._present = np.zeros(2)
+        self._seen_at = np.full(2, -np.inf)
+        self._newest: Asked | None = None
+        self._used: Asked | None = None
+        self._heading, self._begun, self._over = 0.0, False, False
+
+    def put(self, asked: Asked) -> None:
+        """Take what is asked now; what was asked before and not used yet is dropped."""
+        self._newest = asked
+
+    def end(self) -> None:
+        """Say that nothing more will come."""
+        self._over = True
+
+    def newest(self) -> Command | None:
+        """Return the command of this control tick, None when nothing more will come."""
+        if not self._begun:
+            self._begun = True
+            self._begin()
+        if self._over:
+            return None
+        now, dt = self._clock(), self._reach.description.dt
+        asked = self._newest
+        if asked is not None and asked is not self._used:
+            self._used = asked
+            for side in np.flatnonzero(asked.seen):
+                part = slice(3 * side, 3 * side + 3)
+                self._goal[part], self._seen_at[side] = asked.q[part], asked.t
+        rising = now - self._seen_at <= self._hold
+        self._present = np.clip(self._present + np.where(rising, dt, -dt) / EASE, 0.0, 1.0)
+        share = np.repeat(ease(self._present), 3)
+        wanted = self._neutral + share * (self._goal - self._neutral)
+        speed = np.full(FRONT, self._reach.speed_max)
+        self._q, self._dq = limit_step(self._q, self._dq, wanted, dt, speed, self._reach.acceleration_max)
+        self._q = np.clip(self._q, self._reach.q_min, self._reach.q_max)
+        toes = self._reach.toes(self._q)
+        if not self._reach.is_clear(self._q):
+            toes = self._reach.closest(toes, self._q).p_BE
+        v = np.zeros(2)
+        if asked is not None and now - float(self._seen_at.max()) <= self._hold:  # who is not seen does not walk
+            v = asked.v
+            most = float(self._reach.description.raw["commands"]["turn_rate_max"]) * dt
+            self._heading += float(np.clip(wrap_angle(asked.heading - self._heading), -most, most))
+        return Command(v=v, heading=self._heading, p_BE=toes)

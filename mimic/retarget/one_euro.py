@@ -1,0 +1,51 @@
+"""A causal filter that is calm at rest and quick in motion.
+
+Source: Casiez, Roussel and Vogel, "1 Euro Filter", CHI 2012, algorithms 1 and 2; the speed is that of the whole vector.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.types import FloatArray
+
+SPEED_HZ = 1.0
+"""Cut-off for the speed [Hz]; the paper's."""
+
+
+class OneEuro:
+    """Filters one vector at the times it comes."""
+
+    def __init__(self, steady_hz: float, lively: float) -> None:
+        """Prepare.
+
+        Args:
+            steady_hz: Cut-off at rest [Hz].
+            lively: Rise of the cut-off with speed [Hz s/m].
+        """
+        self._steady, self._lively = steady_hz, lively
+        self._t = float("nan")
+        self._x: FloatArray | None = None
+        self._speed = np.zeros(0)
+
+    def __call__(self, t: float, x: FloatArray) -> FloatArray:
+        """Return the filtered vector (n,) [m] at time t [s]; the first one, and one of no later time, as it is."""
+        if self._x is None or not t > self._t:
+            self._t, self._x, self._speed = t, np.array(x), np.zeros_like(x)
+            return self._x
+        dt = t - self._t
+        self._speed = self._speed + _share(SPEED_HZ, dt) * ((x - self._x) / dt - self._speed)
+        cutoff = self._steady + self._lively * float(np.linalg.norm(self._speed))
+        self._x = self._x + _share(cutoff, dt) * (x - self._x)
+        self._t = t
+        return self._x
+
+    def forget(self) -> None:
+        """Begin anew with the next vector."""
+        self._x = None
+
+
+def _share(cutoff_hz: float, dt: float) -> float:
+    """Return the weight of a new value in a first-order low-pass."""
+    tau = 1.0 / (2.0 * np.pi * cutoff_hz)
+    return dt / (dt + tau)

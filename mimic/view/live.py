@@ -1,0 +1,154 @@
+"""What happens now, in a Rerun viewer: the camera with the skeleton, the robot with its toes, the latency.
+
+A thread of its own draws; when it is slower than the robot, what it has not drawn is dropped and counted.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from mimic.frames import rotation_from_quat
+from mimic.robot.description import RobotDescription
+from mimic.robot.leg import front_toes
+from mimic.robot.model import load_model
+from mimic.types import LANDMARKS, SIDES, BoolArray, FloatArray, Tick
+from mimic.view import layout, skeleton
+from mimic.view.draw_floor import draw_floor
+from mimic.view.draw_robot import drawn
+from mimic.view.robot_shapes import body_poses, visual_shapes
+
+EVERY = 2
+"""Control ticks from one picture of the robot to the next."""
+WAITING = 8
+"""Pictures that may wait."""
+
+CALM = 0.03
+"""Share of the way to the robot that the camera goes from picture to picture."""
+
+_LATENCY = "/latency"
+_HEIGHT = 0.43
+"""Of a base that does not know its own [m]."""
+
+
+class LiveView:
+    """A viewer that is fed while the robot moves; use it in a ``with`` block."""
+
+    def __init__(self, description: RobotDescription, *, path: Path | None = None) -> None:
+        """Open a viewer, or write into a file.
+
+        Args:
+            description: The robot.
+            path: Scene file (.rrd) to write; None opens a window.
+        """
+        self._description = description
+        self._model = load_model(description)
+        self._scene = rr.RecordingStream("mimic live")
+        eye, target = layout.camera_at(0.0, distance=1.15, height=0.6, target=0.42)
+        pictures = [
+            rrb.Spatial2DView(origin=layout.VIDEO, name="camera"),
+            rrb.Spatial3DView(
+                origin=layout.EYE,
+                contents=f"{layout.ROBOT}/**",
+                name="robot",
+                background=rrb.Background(color=(226, 231, 237)),
+                line_grid=rrb.LineGrid3D(visible=False),
+                eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+            ),
+        ]
+        plot = rrb.TimeSeriesView(origin=_LATENCY, name="frame to target [ms]")
+        shown = rrb.Blueprint(rrb.Vertical(rrb.Horizontal(*pictures), plot, row_shares=[3, 1]), collapse_panels=True)
+        if path is None:
+            self._scene.spawn(default_blueprint=shown)
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._scene.save(path, default_blueprint=shown)
+        for shapes in visual_shapes(self._model):
+            self._scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", drawn(shapes), static=True)
+        self._bodies = sorted({shapes.body for shapes in visual_shapes(self._model)})
+        self._queue: queue.Queue[tuple[str, tuple[object, ...]] | None] = queue.Queue(WAITING)
+        self.dropped = 0
+        """What came too fast to be drawn."""
+        self._ticks = 0
+        self._path = np.zeros(2)
+        draw_floor(self._scene, f"{layout.ROBOT}/floor", np.zeros((1, 2)), tile=0.25)
+        self._thread = threading.Thread(target=self._draw, name="live view", daemon=True)
+
+    def __enter__(self) -> LiveView:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._queue.put(None)
+        self._thread.join(10.0)
+        self._scene.flush()
+        self._scene.disconnect()
+
+    def tick(self, done: Tick) -> None:
+        """Show the robot after a control tick; never waits."""
+        self._ticks += 1
+        if self._ticks % EVERY == 0:
+            self._put("robot", done.state.t, done.state.q, done.state.quat_WB, done.state.p_WB)
+
+    def frame(self, t: float, jpeg: bytes | None, image: FloatArray, valid: BoolArray, latency: float) -> None:
+        """Show a frame of the camera; never waits.
+
+        Args:
+            t: On the clock of the robot's ticks [s].
+            jpeg: The picture, where there is one.
+            image: Place of the landmarks (33, 2), fraction of width and height.
+            valid: Which of them count (33,).
+            latency: From the frame to its target [s].
+        """
+        self._put("camera", t, jpeg, image, valid, latency)
+
+    def _put(self, kind: str, *values: object) -> None:
+        try:
+            self._queue.put_nowait((kind, values))
+        except queue.Full:
+            self.dropped += 1
+
+    def _draw(self) -> None:
+        while (item := self._queue.get()) is not None:
+            kind, values = item
+            (self._robot if kind == "robot" else self._camera)(*values)  # type: ignore[arg-type]
+
+    def _at(self, t: float) -> None:
+        self._scene.set_time(layout.TIMELINE, duration=t)
+
+    def _robot(self, t: float, q: FloatArray, quat: FloatArray, p: FloatArray) -> None:
+        self._at(t)
+        base = p if np.isfinite(p).all() else np.array([0.0, 0.0, _HEIGHT])
+        position, turn = body_poses(self._model, np.concatenate([base, quat, q])[None])
+        for body in self._bodies:
+            i = self._model.body(body).id
+            pose = rr.Transform3D(translation=position[0, i], quaternion=turn[0, i, [1, 2, 3, 0]].tolist())
+            self._scene.log(f"{layout.ROBOT}/links/{body}", pose)
+        self._path = self._path + CALM * (base[:2] - self._path)
+        self._scene.log(layout.EYE, rr.Transform3D(translation=[*self._path, 0.0]))
+        toes = base + front_toes(q, self._description) @ rotation_from_quat(quat).T
+        for i, side in enumerate(SIDES):
+            ball = rr.Points3D(toes[i : i + 1], radii=0.026, colors=skeleton.COLOURS[side])
+            self._scene.log(f"{layout.ROBOT}/toes/{side}", ball)
+
+    def _camera(self, t: float, jpeg: bytes | None, image: FloatArray, valid: BoolArray, latency: float) -> None:
+        self._at(t)
+        self._scene.log(_LATENCY, rr.Scalars(1e3 * latency))
+        if jpeg is None:
+            return
+        self._scene.log(layout.VIDEO, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        import cv2
+
+        small = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert small is not None
+        points = image * (small.shape[1], small.shape[0])
+        seen = skeleton.visible(points[None], valid[None])
+        for side, pairs in skeleton.bones(LANDMARKS).items():
+            ends = skeleton.segments(points[None], seen, pairs).ends
+            lines = rr.LineStrips2D(ends, colors=skeleton.COLOURS[side], radii=rr.Radius.ui_points(2.5))
+            self._scene.log(f"{layout.VIDEO}/skeleton/{side}", lines)
