@@ -5,7 +5,7 @@ Used by benchmarks/fault_campaign.py and by the tests.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -69,6 +69,10 @@ class Outcome:
     rule: str
     """What first ended the run; empty where it raised before its first tick."""
     text: str
+    mode: str
+    """What that asked for: sit_down or damp."""
+    after: float
+    """How long after the fault had begun [s]."""
     driven: tuple[str, ...]
     """Joints whose motors still have stiffness at the end."""
     running: tuple[str, ...]
@@ -127,20 +131,31 @@ class _Gone:
     def take_over(self) -> None: ...
 
 
-def drawn(seed: int, kind: str | None = None) -> tuple[str, float, EmulatedFault | None]:
+def drawn(seed: int, kind: str | None, at: float | None) -> tuple[str, float, EmulatedFault | None]:
     """Return kind, begin after the motors were switched on [s], and the fault of the robot where it is one."""
     rng = np.random.default_rng([seed, 31])
     kind = str(rng.choice(KINDS_OF_FAULT)) if kind is None else kind
-    start = float(rng.uniform(*WITHIN))
+    within = WITHIN if at is None else (at, at)
+    start = float(rng.uniform(*within))
     if kind in PROGRAM:
         return kind, start, None
-    return kind, start, random_fault(seed, start=WITHIN, after_release=True, kinds=(kind,))
+    fault = random_fault(seed, start=within, after_release=True, kinds=(kind,))
+    if at is not None:
+        fault = replace(fault, until=np.inf)
+    return kind, fault.start, fault
 
 
-def play(seed: int, folder: Path, kind: str | None = None) -> Outcome:
-    """Play a run with the fault of a seed and return how it ended."""
+def play(seed: int, folder: Path, kind: str | None = None, at: float | None = None) -> Outcome:
+    """Play a run with the fault of a seed and return how it ended.
+
+    Args:
+        seed: Draws fault, robot and commands.
+        folder: Run folder.
+        kind: Kind of the fault; by default drawn too.
+        at: When it begins, after the motors were switched on [s], to stay; by default drawn too.
+    """
     description = load_description()
-    kind, start, fault = drawn(seed, kind)
+    kind, start, fault = drawn(seed, kind, at)
     rng = np.random.default_rng([seed, 37])
     own_timeout, buses = bool(rng.random() < 0.5), int(rng.choice([1, 2]))
     wiring = load_wiring(buses=buses)
@@ -211,6 +226,8 @@ def play(seed: int, folder: Path, kind: str | None = None) -> Outcome:
         own_timeout=own_timeout,
         rule="" if ended is None else ended.rule,
         text="" if ended is None else ended.text,
+        mode="" if ended is None else ended.mode.name.lower(),
+        after=float("nan") if ended is None else ended.t - start,
         driven=tuple(n for n, m in zip(JOINTS, robot.motors, strict=True) if m.mode is Mode.RUN and m.drive.kp > 0.0),
         running=running,
         reachable=not (kind in CUTS and fault is not None and np.isinf(fault.until)),

@@ -1,7 +1,8 @@
 """Moving a robot that hangs so that its drives show what they are, and logging it as calibration reads it.
 
 A row is one exchange with all motors: the commands go out at once, and each motor measures when its own arrives. An answer
-that comes too late for its own row but before the next commands still belongs to it; one that is later is missing.
+that comes too late for its own row but before the next commands still belongs to it; one that is later is missing. Motors tell the torque of that instant, not the mean since the row before, which a log's
+``tau`` is; so it stands beside the log, as ``tau_now``.
 """
 
 from __future__ import annotations
@@ -248,13 +249,13 @@ class _Rows:
             extra[f"t_send.{name}"] = t
             extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
             extra[f"temperature.{name}"] = columns["temperature"][:, joint]
+            extra[f"tau_now.{name}"] = columns["tau"][:, joint]
         missing = float(np.isnan(columns["q"]).mean())
         log = MachineLog(
             joints=JOINTS,
             t=t,
             q=columns["q"],
             dq=columns["dq"],
-            tau=columns["tau"],
             q_des=columns["q_des"],
             extra=extra,
             metadata={

@@ -88,6 +88,8 @@ def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     for joint in JOINTS:
         assert np.all(log.extra[f"t_receive.{joint}"] > log.extra[f"t_send.{joint}"])
         assert np.all(log.extra[f"temperature.{joint}"] >= 24.0)
+        assert np.abs(log.extra[f"tau_now.{joint}"]).max() > 0.1
+    assert log.tau is None
     assert log.extra["voltage"] == pytest.approx(24.0, abs=0.1)
 
 
