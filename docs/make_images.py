@@ -24,7 +24,7 @@ MOMENTS = {"boxing": 8.9, "ballet": 8.0, "waving": 4.0}
 """Time in each clip that the picture shows [s]."""
 STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
 """Times of the stand-up that its strip shows [s]."""
-SIT_DOWN = (0.0, 0.16, 0.36, 0.52, 0.64, 0.76, 0.92, 1.5)
+SIT_DOWN = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.8)
 """Times after the beginning of sitting down that its strip shows [s]."""
 
 MOTIONS = {
