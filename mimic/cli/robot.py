@@ -80,11 +80,14 @@ def _told_live(supervisor: Supervisor) -> Iterator[None]:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Keep the garbage collector out of the loop: what lives now is not looked at again until the end."""
+    """Keep other work out of the loop: this thread goes first where it may, and the garbage collector waits."""
+    from mimic.run.priority import LOOP, real_time
+
     gc.collect()
     gc.freeze()
     try:
-        yield
+        with real_time(LOOP):
+            yield
     finally:
         gc.unfreeze()
 
@@ -134,10 +137,10 @@ def play_on_robot(
             supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=source is None
         )
         try:
-            with signals.caught(), _undisturbed(), _told_live(supervisor):
+            with signals.caught(), _told_live(supervisor), _undisturbed():
                 result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, safety=safety)
         finally:
-            recorder.close()
+            recorder.abandon()
         load = plant.load(), expected_load(plant.exchange.wiring, 1.0 / description.dt)
     inputs = {"policy": policy.path, "sit_down": sit_down.path} | ({} if file is None else {"source": file})
     made_by = store.provenance(command=COMMAND.get(), settings={"run": run, "bus": bus}, inputs=inputs)
@@ -147,7 +150,12 @@ def play_on_robot(
     rows = {} if motion.targets is None else target_rows(motion.targets)
     rows |= metric_rows(metrics) | _timing_rows(result, words, *load) | {"run folder": str(folder)}
     table(name, rows)
-    return _last_line(folder, result, plant.ending, endless=source is None)
+    status = _last_line(folder, result, plant.ending, endless=source is None)
+    from mimic.view.viewer import display_available, open_viewer
+
+    if view or (view is None and display_available()):
+        open_viewer(folder / SCENE)
+    return status
 
 
 def _save(folder: Path, result: RunResult, motion: Motion, made_by: Any, *, standing: bool) -> None:

@@ -24,6 +24,7 @@ from mimic.run.brake import damp, switch_off, told_off
 from mimic.run.buses import open_link
 from mimic.run.exchange import ALL, Exchange
 from mimic.run.link import Link
+from mimic.run.priority import GUARDIAN, real_time
 
 BEAT_WITHIN = 0.1
 """[s] Five control steps; the loop itself damps when one step comes so late."""
@@ -238,7 +239,8 @@ def main(arguments: list[str]) -> int:
         _tell(str(reason).encode())
         return 2
     _tell(_READY)
-    ending = _watch(words, wiring, link)
+    with real_time(GUARDIAN):
+        ending = _watch(words, wiring, link)
     if ending:
         _tell(ending.encode())
     link.close()

@@ -53,11 +53,13 @@ class RunRecorder:
             metadata: Of the RunLog, should it have to be salvaged.
         """
         health = {_HEALTH + name: shape for name, shape in _shapes(HealthLog, observation).items()}
+        self._folder, self._begun = folder, False
         self._rows = RowFile(folder / ROWS, _shapes(RunLog, observation) | health, metadata)
         self._events = os.open(folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
 
     def row(self, values: Mapping[str, Any], health: Mapping[str, Any]) -> None:
         """Append a tick."""
+        self._begun = True
         self._rows.add({**values, **{_HEALTH + name: value for name, value in health.items()}})
 
     def event(self, event: Event) -> None:
@@ -76,6 +78,15 @@ class RunRecorder:
         """Close the files and remove the rows, once they are stored in another form."""
         self.close()
         self._rows.path.unlink(missing_ok=True)
+
+    def abandon(self) -> None:
+        """Close the files, and leave nothing behind of a run that never began."""
+        self.close()
+        if not self._begun:
+            self.discard()
+            (self._folder / EVENTS).unlink(missing_ok=True)
+            if not any(self._folder.iterdir()):
+                self._folder.rmdir()
 
 
 def salvage(folder: Path) -> tuple[RunLog, HealthLog]:

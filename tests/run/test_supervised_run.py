@@ -274,6 +274,16 @@ def test_rows_are_gone_once_they_are_discarded(tmp_path, contract):
     assert (tmp_path / EVENTS).exists()
 
 
+def test_a_run_that_never_began_leaves_nothing(tmp_path, contract):
+    RunRecorder(tmp_path / "run", contract.observation_size, {}).abandon()
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_began_is_kept(tmp_path, supervised):
+    supervised()
+    assert (tmp_path / "run" / ROWS).exists()
+
+
 # ---------------------------------------------------------------------- joints that did not answer
 
 
