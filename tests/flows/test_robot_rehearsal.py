@@ -104,55 +104,69 @@ def listening() -> Iterator[Callable[[str], Listener]]:
         listener.link.close()
 
 
-def test_ctrl_c_sits_down_and_leaves_a_whole_log(emulator, listening, tmp_path):
-    words = emulator()
-    listener = listening(words)
-    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
-    listener.until(listener.moving)
+TRIES = 4
+"""A supervisor rightly stops a robot on a computer that is too busy to keep time; such a rehearsal begins anew."""
+
+
+@pytest.fixture
+def moving_robot(emulator, listening, tmp_path) -> Callable[[], tuple[subprocess.Popen, Listener, Path]]:
+    """Return a function that starts a robot that a policy moves: the process that drives it, the bus, the run folder."""
+
+    def begin() -> tuple[subprocess.Popen, Listener, Path]:
+        for number in range(TRIES):
+            words, run = emulator(), tmp_path / f"run{number}"
+            listener = listening(words)
+            process = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(run))
+            listener.until(lambda on=listener, it=process: on.moving() or it.poll() is not None)
+            if process.poll() is None:
+                return process, listener, run
+            told, _ = process.communicate()
+            assert process.returncode == 3, told
+        pytest.skip("this computer is too busy to keep the robot's time")
+
+    return begin
+
+
+def test_ctrl_c_sits_down_and_leaves_a_whole_log(moving_robot):
+    run, listener, folder = moving_robot()
     run.send_signal(signal.SIGINT)
     listener.until(listener.braking)
     listener.until(listener.off)
     told, _ = run.communicate(timeout=PATIENCE)
     assert "Traceback" not in told
     assert "all motors are off" in told.splitlines()[-1] or "all motors are off" in told.splitlines()[-2]
-    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+    assert sorted(path.name for path in folder.iterdir()) == [
         "events.jsonl",
         "health.parquet",
         "log.parquet",
         "metrics.json",
         "scene.rrd",
     ]
-    log = store.load(tmp_path / "run" / "log.parquet", RunLog)
-    health = store.load(tmp_path / "run" / "health.parquet", HealthLog)
+    log = store.load(folder / "log.parquet", RunLog)
+    health = store.load(folder / "health.parquet", HealthLog)
     assert np.array_equal(log.t, health.t)
     assert PHASES[log.phase[-1]] == "damp"
 
 
 def test_a_process_that_is_killed_leaves_a_robot_that_its_guardian_damps_and_a_log_that_can_be_salvaged(
-    emulator, listening, tmp_path
+    moving_robot, tmp_path
 ):
-    words = emulator()
-    listener = listening(words)
-    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
-    listener.until(listener.moving)
+    run, listener, folder = moving_robot()
     run.kill()
     run.communicate(timeout=PATIENCE)
     listener.until(listener.braking)
     listener.until(listener.off)
-    assert not (tmp_path / "run" / "log.parquet").exists()
-    salvaged = mimic(tmp_path, "log", "salvage", str(tmp_path / "run"))
+    assert not (folder / "log.parquet").exists()
+    salvaged = mimic(tmp_path, "log", "salvage", str(folder))
     told, _ = salvaged.communicate(timeout=PATIENCE)
     assert salvaged.returncode == 0, told
-    log = store.load(tmp_path / "run" / "log.parquet", RunLog)
+    log = store.load(folder / "log.parquet", RunLog)
     assert len(log.t) > 10
-    assert not (tmp_path / "run" / "log.rows").exists()
+    assert not (folder / "log.rows").exists()
 
 
-def test_a_request_to_end_damps(emulator, listening, tmp_path):
-    words = emulator()
-    listener = listening(words)
-    run = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(tmp_path / "run"))
-    listener.until(listener.moving)
+def test_a_request_to_end_damps(moving_robot):
+    run, listener, _ = moving_robot()
     run.terminate()
     listener.until(listener.braking)
     listener.until(listener.off)
