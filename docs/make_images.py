@@ -6,6 +6,7 @@ python docs/make_images.py        # needs an off-screen GL and, for the viewer, 
 from __future__ import annotations
 
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,16 @@ import numpy as np
 
 from mimic import store
 from mimic.cli import main as mimic
+from mimic.cli.inputs import InputSettings
+from mimic.cli.live import followed
+from mimic.policy.runtime import load_policy
 from mimic.robot.description import load_description
+from mimic.run.loop import run_policy
+from mimic.run.pacing import PacedPlant
+from mimic.run.simulation import SimulatedPlant
+from mimic.settings import LiveSettings, RunSettings
 from mimic.types import PHASES, RunLog
+from mimic.view.live import LiveView
 from mimic.view.side_by_side import RobotFilm
 from mimic.view.viewer import screenshot
 
@@ -62,11 +71,26 @@ def words(folder: Path, images: Path) -> None:
         small(images / f"{name}.png", width=1600)
 
 
+def live(folder: Path, images: Path) -> None:
+    """Take a picture of the live window while a clip stands in for the camera."""
+    description = load_description()
+    with ExitStack() as stack:
+        window = stack.enter_context(LiveView(description, path=folder / "live.rrd"))
+        run = RunSettings()
+        how = {"view": window, "zero": run.stand_up}
+        targets, _ = stack.enter_context(followed(str(CLIPS / "boxing.mp4"), InputSettings(), LiveSettings(), **how))
+        plant = PacedPlant(SimulatedPlant(description))
+        run_policy(plant, load_policy(None, description), targets, run, sink=window.tick)
+    screenshot(folder / "live.rrd", images / "live.png", time_s=9.0)
+    small(images / "live.png")
+
+
 def main() -> None:
     images = HERE / "images"
     images.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         words(Path(folder), images)
+        live(Path(folder), images)
         for name, moment in MOMENTS.items():
             run = Path(folder) / name
             status = mimic([str(CLIPS / f"{name}.mp4"), "--rate", "0.1", "--sim", "--no-view", "-o", str(run)])

@@ -110,7 +110,7 @@ def play(
         from mimic.cli.robot import play_on_robot
 
         options = {"out": out, "view": view, "run": run or RunSettings(), "bus": bus or BusSettings()}
-        return play_on_robot(given, robot, inputs, **options)
+        return play_on_robot(given, robot, inputs, **options, camera=camera, live=live or LiveSettings())
     if camera is not None:
         if video is not None:
             raise ConfigError("--video films a run that is known before; leave it out with --camera")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 LIVE = "live.parquet"
 """Latency of every frame, beside the files of any run."""
+SWITCH = 1e-3
+"""A thread that clamps gives way to the loop after this [s]."""
 SHOWN = 100
 """Latest frames whose latency is shown."""
 
@@ -90,6 +93,7 @@ def followed(
     *,
     view: LiveView | None = None,
     zero: float = 0.0,
+    modest: bool = False,
 ) -> Iterator[tuple[LiveTargets, Followed]]:
     """Yield commands that follow a camera from now on, and what is recorded of it.
 
@@ -99,6 +103,7 @@ def followed(
         live: How a camera is followed.
         view: Also shows what is seen.
         zero: Time of the robot when the first command is asked for [s]; the clock of ``view``.
+        modest: Whether watching gives way to the loop when the computer is busy.
 
     Raises:
         SourceError: If the camera cannot be opened.
@@ -109,7 +114,7 @@ def followed(
 
     record = Followed()
     retarget = LiveRetarget(Reach(), settings.retarget, live)
-    with watched(camera, settings.pose, live, pictures=view is not None) as watch:
+    with watched(camera, settings.pose, live, pictures=view is not None, modest=modest) as watch:
 
         def begin() -> None:
             record.began = time.monotonic()
@@ -124,9 +129,12 @@ def followed(
             over = threading.Event()
             shown = threading.Thread(target=_tell, args=(record, tell, over), daemon=True)
             shown.start()
+            before = sys.getswitchinterval()
+            sys.setswitchinterval(SWITCH)
             try:
                 yield targets, record
             finally:
+                sys.setswitchinterval(before)
                 over.set()
                 shown.join()
 

@@ -6,7 +6,8 @@ import gc
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +20,11 @@ from mimic.cli.console import console, matrix, note, progress_bar, table, warn
 from mimic.cli.inputs import Aloud, InputSettings, Motion, load_motion
 from mimic.cli.play import LOG, METRICS, SCENE, metric_rows, run_folder, save_motion, target_rows
 from mimic.errors import ConfigError, MimicError
-from mimic.settings import BusSettings, ProbeSettings, RunSettings
-from mimic.types import CommandTrack, RunLog
+from mimic.settings import BusSettings, LiveSettings, ProbeSettings, RunSettings
+from mimic.types import CommandTrack, LiveCommands, RunLog
 
 if TYPE_CHECKING:
+    from mimic.cli.live import Followed
     from mimic.policy.contract import PolicyContract
     from mimic.run.loop import RunResult
     from mimic.run.preflight import Finding
@@ -101,8 +103,10 @@ def play_on_robot(
     view: bool | None,
     run: RunSettings,
     bus: BusSettings,
+    camera: str | None = None,
+    live: LiveSettings | None = None,
 ) -> int:
-    """Let the robot stand up, play a source or stand until Ctrl-C, sit down, and write the run folder."""
+    """Let the robot stand up, play a source, follow a camera or stand until Ctrl-C, sit down, and write the run folder."""
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
     from mimic.run.bus_load import expected_load
@@ -117,39 +121,60 @@ def play_on_robot(
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = Motion(commands=_standing(policy.contract)) if source is None else load_motion(source, settings, Aloud())
+    standing = source is None and camera is None
     file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
+    name = name if camera is None else f"camera {camera}"
     for one in (policy, sit_down):
         for _ in range(WARM_UP):
             one.act(np.zeros(one.contract.observation_size))
-    folder = run_folder(Path("robot") if source is None else source, out)
+    folder = run_folder(source if source is not None else name if camera else Path("robot"), out)
     supervisor, signals = Supervisor(description), Signals()
-    what = "It stands up now." if source is None else f"It stands up now and plays {name}."
-    with ready(
-        words,
-        bus,
-        description,
-        rate_hz=1.0 / description.dt,
-        told=tell_findings,
-        go=lambda: wait_for_enter(bus, f"{what} Ctrl-C sits down, a second one damps at once."),
-    ) as plant:
-        recorder = RunRecorder(folder, policy.contract.observation_size, {"dt": policy.contract.dt})
-        safety = Safety(
-            supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=source is None
+    what = "It stands up now." if standing else f"It stands up now and plays {name}."
+    commands: CommandTrack | LiveCommands = motion.commands
+    record: Followed | None = None
+    with ExitStack() as stack:
+        if camera is not None:  # opened before anything moves
+            from mimic.cli.live import followed
+
+            zero = bus.ramp + run.stand_up
+            commands, record = stack.enter_context(
+                followed(camera, settings, live or LiveSettings(), zero=zero, modest=True)
+            )
+        plant = stack.enter_context(
+            ready(
+                words,
+                bus,
+                description,
+                rate_hz=1.0 / description.dt,
+                told=tell_findings,
+                go=lambda: wait_for_enter(bus, f"{what} Ctrl-C sits down, a second one damps at once."),
+            )
         )
+        recorder = RunRecorder(folder, policy.contract.observation_size, {"dt": policy.contract.dt})
+        safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=standing)
         try:
             with signals.caught(), _told_live(supervisor), _undisturbed():
-                result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, safety=safety)
+                result = run_policy(plant, policy, commands, run, sit_down=sit_down, safety=safety)
         finally:
             recorder.abandon()
         load = plant.load(), expected_load(plant.exchange.wiring, 1.0 / description.dt)
     inputs = {"policy": policy.path, "sit_down": sit_down.path} | ({} if file is None else {"source": file})
-    made_by = store.provenance(command=COMMAND.get(), settings={"run": run, "bus": bus}, inputs=inputs)
+    made_by = store.provenance(command=COMMAND.get(), settings={"run": run, "bus": bus, "live": live}, inputs=inputs)
+    figures: dict[str, str] = {}
+    measured: dict[str, Any] = {}
+    if record is not None:
+        from mimic.cli.live import live_rows, save_followed
+
+        measured = {"live": save_followed(record, result.log, folder, made_by, run)}
+        figures, motion = live_rows(record), replace(motion, pose=record.pose(record.began + run.blend))
     _save(folder, result, motion, made_by, standing=source is None)
     recorder.discard()
-    metrics = _finish(folder, result, motion, made_by, description)
-    rows = {} if motion.targets is None else target_rows(motion.targets)
+    metrics = _finish(folder, result, motion, made_by, description, measured)
+    rows = figures if motion.targets is None else target_rows(motion.targets)
     rows |= metric_rows(metrics) | _timing_rows(result, words, *load) | {"run folder": str(folder)}
     table(name, rows)
+    if record is not None and record.error is not None:
+        warn(str(record.error))
     status = _last_line(folder, result, plant.ending, endless=source is None)
     from mimic.view.viewer import display_available, open_viewer
 
@@ -166,7 +191,9 @@ def _save(folder: Path, result: RunResult, motion: Motion, made_by: Any, *, stan
         save_motion(motion, folder, made_by)
 
 
-def _finish(folder: Path, result: RunResult, motion: Motion, made_by: Any, description: Any) -> dict[str, Any]:
+def _finish(
+    folder: Path, result: RunResult, motion: Motion, made_by: Any, description: Any, more: dict[str, Any]
+) -> dict[str, Any]:
     """Write figures and scene of what was measured, with gaps filled in and the feet on the ground."""
     from mimic.metrics import run_metrics
     from mimic.run.gaps import without_gaps
@@ -176,7 +203,7 @@ def _finish(folder: Path, result: RunResult, motion: Motion, made_by: Any, descr
     metrics = run_metrics(log, description)
     report = {} if motion.targets is None else motion.targets.report
     everything = {**metrics, "interrupted": result.interrupted, "retarget": report, "provenance": made_by}
-    store.save_json(everything | {"events": [store.plain(e) for e in result.events]}, folder / METRICS)
+    store.save_json(everything | more | {"events": [store.plain(e) for e in result.events]}, folder / METRICS)
     shown: dict[str, Any] = {"targets": motion.targets, "pose": motion.pose, "video": motion.video}
     with progress_bar("scene") as progress:
         save_scene(folder / SCENE, made_by=made_by, log=log, description=description, **shown, progress=progress)

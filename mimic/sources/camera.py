@@ -29,6 +29,8 @@ from mimic.types import BoolArray, FloatArray
 
 START = 60.0
 """A camera that shows no frame by then will not [s]."""
+MODEST = 10
+"""Niceness of a process that gives way."""
 PREVIEW_WIDTH, PREVIEW_SECONDS = 320, 0.1
 """Pictures that go along for showing: so wide [px], one in so long [s]."""
 
@@ -96,7 +98,9 @@ class Watch:
 
 
 @contextmanager
-def watched(camera: str, pose: PoseSettings, live: LiveSettings, *, pictures: bool = False) -> Iterator[Watch]:
+def watched(
+    camera: str, pose: PoseSettings, live: LiveSettings, *, pictures: bool = False, modest: bool = False
+) -> Iterator[Watch]:
     """Open a camera by its number or device, or a video file that is played in real time, ready to be watched.
 
     Args:
@@ -104,6 +108,7 @@ def watched(camera: str, pose: PoseSettings, live: LiveSettings, *, pictures: bo
         pose: Least visibility.
         live: Size asked of the camera.
         pictures: Whether small pictures go along.
+        modest: Whether the process gives way to others, such as the loop of a robot.
 
     Raises:
         SourceError: If it cannot be opened, or gives no picture.
@@ -113,7 +118,7 @@ def watched(camera: str, pose: PoseSettings, live: LiveSettings, *, pictures: bo
         raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
     context = get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_watch, args=(camera, device, pose, live, pictures, theirs), daemon=True)
+    process = context.Process(target=_watch, args=(camera, device, pose, live, (pictures, modest), theirs), daemon=True)
     process.start()
     theirs.close()
     try:
@@ -162,9 +167,14 @@ class _Newest:
             return t, bgr, dropped
 
 
-def _watch(camera: str, device: bool, pose: PoseSettings, live: LiveSettings, pictures: bool, pipe: Connection) -> None:
+def _watch(
+    camera: str, device: bool, pose: PoseSettings, live: LiveSettings, how: tuple[bool, bool], pipe: Connection
+) -> None:
     """Watch in a process of its own; the first thing sent is True, or why not."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who watches decides
+    pictures, modest = how
+    if modest:
+        os.nice(MODEST)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     import cv2
 

@@ -217,6 +217,7 @@ BAD = [
     ("--camera 0 --text wave --sim", nothing, "are ways in; give one of them"),
     ("--camera nowhere.mp4 --sim", nothing, "there is no camera and no file 'nowhere.mp4'"),
     ("--camera text.mp4 --sim", text_file("text.mp4"), "no picture comes from text.mp4"),
+    ("--camera 0 targets.parquet --robot can0", nothing, "are ways in; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
     ("--text moonwalk --sim", nothing, "does not know 'moonwalk' (near: walk)"),
     ("--text wave --sim --planner llm", nothing, "--llm-model"),
