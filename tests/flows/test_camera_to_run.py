@@ -44,14 +44,14 @@ def test_it_leaves_the_files_of_a_run_and_the_latency_of_every_frame(run):
 def test_the_robot_tracked_for_as_long_as_the_clip_and_sat_down(run):
     log = store.load(run / "log.parquet", RunLog)
     tracked = (log.phase == PHASES.index("track")).sum() * 0.02
-    assert 1.0 < tracked < 30.0
+    assert 0.2 < tracked < 30.0
     assert log.phase[-1] == PHASES.index("sit_down")
     assert np.isfinite(log.p_BE_des).all()
 
 
 def test_what_was_asked_can_be_played_again(run, tmp_path):
     asked = store.load(run / "commands.parquet", CommandTrack)
-    assert len(asked.t) > 20
+    assert len(asked.t) > 5
     assert store.load(run / "pose.parquet", PoseTrack).valid.any()
     command = [str(run / "commands.parquet"), "--sim", "--no-view", "--hold", "0", "-o", str(tmp_path / "again")]
     assert main(command) == 0
