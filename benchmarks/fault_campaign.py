@@ -152,10 +152,8 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
         "undamped": bool(driven) and (own_timeout or not cut),
         "hung": hung,
         "traceback": "Traceback" in told,
-        "moved": "nothing was moved" not in told,
-        "incomplete": incomplete(run, disturbed if kind == "sigkill" else None)
-        if "nothing was moved" not in told
-        else "",
+        "moved": not robot.body.held,
+        "incomplete": "" if robot.body.held else incomplete(run, disturbed if kind == "sigkill" else None),
         "seconds": time.monotonic() - began,
     }
 
@@ -203,7 +201,7 @@ def main() -> None:
     for name in ("undamped", "hung", "traceback", "incomplete"):
         bad = [r for r in rows if r[name]]
         print(f"{name:12s} {len(bad)}", [(r["seed"], r["transport"], r["fault"]) for r in bad])
-    print(f"{sum(not r.get('moved', True) for r in rows)} were refused by the pre-flight")
+    print(f"{sum(not r.get('moved', True) for r in rows)} were refused before anything moved")
     left = [r for r in rows if r["driven"] and not r["undamped"]]
     print(f"{len(left)} runs whose motors nobody could reach and which have no timeout of their own:")
     print(json.dumps(Counter(r["fault"].split("@")[0].split("=")[0].split(":")[0] for r in left)))

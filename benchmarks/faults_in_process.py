@@ -145,7 +145,7 @@ def drawn(seed: int, kind: str | None, at: float | None) -> tuple[str, float, Em
     return kind, fault.start, fault
 
 
-def play(seed: int, folder: Path, kind: str | None = None, at: float | None = None) -> Outcome:
+def play(seed: int, folder: Path, kind: str | None = None, at: float | None = None, seconds: float = TRACK) -> Outcome:
     """Play a run with the fault of a seed and return how it ended.
 
     Args:
@@ -153,6 +153,7 @@ def play(seed: int, folder: Path, kind: str | None = None, at: float | None = No
         folder: Run folder.
         kind: Kind of the fault; by default drawn too.
         at: When it begins, after the motors were switched on [s], to stay; by default drawn too.
+        seconds: For how long it follows commands [s].
     """
     description = load_description()
     kind, start, fault = drawn(seed, kind, at)
@@ -195,11 +196,11 @@ def play(seed: int, folder: Path, kind: str | None = None, at: float | None = No
             more = kind == "ctrl_c_twice" and link.now() - begin >= start + 0.5
             signals.interrupts = 2 if more else 1
 
-    track = command_script(description, TRACK, rng)
+    track = command_script(description, seconds, rng)
     if kind == "target_nan":
         toes = track.p_BE.copy()
         toes[int(rng.integers(len(toes))), 0, 0] = np.nan
-        track = SimpleNamespace(t=track.t, v=track.v, heading=track.heading, p_BE=toes)  # type: ignore[assignment]
+        track = replace(track, p_BE=toes)
     width = real.contract.observation_size
     recorder = RunRecorder(folder, width, {"dt": description.dt})
     safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=RAMP)

@@ -35,6 +35,9 @@ LOOK_EVERY = 0.02
 REOPEN_FOR, REOPEN_EVERY = 30.0, 0.2
 """How long and how often a failed bus is opened again [s]."""
 
+OPEN_TRIES = 3
+"""How often buses are opened before that counts as impossible."""
+
 READY_WITHIN = 20.0
 """A guardian that is not ready by then will not be [s]; starting takes about one second on a quiet computer."""
 
@@ -200,6 +203,20 @@ def end_safely(words: str, wiring: Wiring, link: Link | None, opened: Callable[.
     return told
 
 
+def opened(words: str, wiring: Wiring) -> Link:
+    """Open the buses, more than once if need be: a busy server may miss the time for its greeting.
+
+    Raises:
+        ConfigError, BusError: If that is not possible.
+    """
+    for _ in range(OPEN_TRIES - 1):
+        try:
+            return open_link(words, bitrate=wiring.bitrate)
+        except BusError:
+            time.sleep(REOPEN_EVERY)
+    return open_link(words, bitrate=wiring.bitrate)
+
+
 def _watch(words: str, wiring: Wiring, link: Link) -> str:
     """Watch until there is nothing to watch any more; return what was done."""
     vigil, pipe, broken = Vigil(), sys.stdin.fileno(), False
@@ -234,7 +251,7 @@ def main(arguments: list[str]) -> int:
     words, path = arguments
     try:
         wiring = load_wiring(Path(path), buses=len(words.split(",")))
-        link = open_link(words, bitrate=wiring.bitrate)
+        link = opened(words, wiring)
     except MimicError as reason:
         _tell(str(reason).encode())
         return 2

@@ -11,10 +11,9 @@ from pathlib import Path
 from mimic.errors import PlantError
 from mimic.robot.description import RobotDescription
 from mimic.robot.wiring import Wiring, load_wiring
-from mimic.run.buses import open_link
 from mimic.run.can_robot import CanRobot
 from mimic.run.exchange import Exchange
-from mimic.run.guardian import Guardian, allows_second_socket
+from mimic.run.guardian import Guardian, allows_second_socket, opened
 from mimic.run.homing import Homing, read_homing, with_homing
 from mimic.run.link import Link
 from mimic.run.preflight import Finding, preflight
@@ -59,7 +58,7 @@ def reached(words: str, settings: BusSettings) -> Iterator[Reached]:
     """
     wiring = wiring_of(words, settings)
     homing = None if settings.homed else read_homing(homing_file(wiring))
-    link = open_link(words, bitrate=wiring.bitrate)
+    link = opened(words, wiring)
     try:
         yield Reached(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
     finally:

@@ -201,17 +201,16 @@ def _pose(q: FloatArray, description: RobotDescription) -> Finding:
 
 def _imu(exchange: Exchange, q: FloatArray, description: RobotDescription, hung: bool) -> list[Finding]:
     imu, link = exchange.imu, exchange.link
-    rate, reading = 0.0, imu.reading(link.now())
+    rate, reading, wanted = 0.0, imu.reading(link.now()), exchange.wiring.imu.rate["quaternion"]
     for _ in range(IMU_TRIES):  # a busy computer may be late itself
         begin = reading.count
         exchange.listen(link.now() + LISTEN)
         reading = imu.reading(link.now())
         rate = (reading.count - begin) / LISTEN
-        if reading.problem is None:
+        if reading.problem is None and abs(rate - wanted) <= RATE_OFF * wanted:
             break
     if reading.problem is not None:
         return [Finding(name="IMU", verdict="stop", text=reading.problem)]
-    wanted = exchange.wiring.imu.rate["quaternion"]
     text = f"{rate:.0f} orientations a second"
     if abs(rate - wanted) > RATE_OFF * wanted:
         text += f", where the wiring says {wanted:g}"
