@@ -1,0 +1,76 @@
+"""Where an effect is looked for, and how blocks are judged without themselves."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.fit import fit, left_out
+from mimic.calibrate.flow import calibrate
+from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.replay import Replay
+from mimic.calibrate.simulate import simulate_log
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import DECLARED
+from mimic.robot.machine import MachineModel, read_machine
+from mimic.settings import CalibrateSettings, LogSettings
+
+PAIR = """<mujoco><worldbody>
+<body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.08" mass="0.3" diaginertia="0.001 0.001 0.0003"/></body>
+<body name="b" pos="0 1 0"><joint name="b" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></worldbody></mujoco>"""
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> MachineModel:
+    path = tmp_path / "pair.xml"
+    path.write_text(PAIR)
+    return read_machine(path, {"kp": 20.0, "kd": 0.8})
+
+
+def log_of(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0) -> MachineLog:
+    """Return 10 s of sines; with ``fast``, in the seventh second only there is also a swing of this size at 4 Hz."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 10.0, 0.02)
+    phase = rng.uniform(0, 2 * np.pi, (3, 2))
+    q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.4, 0.9, 1.7)))
+    swing = np.where((t > 6.0) & (t < 7.0), fast * np.sin(8 * np.pi * t), 0.0)
+    made = simulate_log(pair, t, q_des + swing[:, None], EffectSet(hidden), LogSettings(seed=4))
+    return replace(made, tau=None)
+
+
+def problem_of(pair: MachineModel, log: MachineLog) -> tuple[Problem, Point]:
+    replay = Replay(pair, log, timestep=0.0025)
+    point = Point()
+    for name in DECLARED:
+        point = point.with_effect(name, pair)
+    return Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts)), point
+
+
+def test_an_effect_is_fitted_only_to_joints_that_may_have_it(pair: MachineModel, monkeypatch) -> None:
+    asked, knobs = [], Problem.knobs
+
+    def recorded(self, point, joints, names):
+        asked.append(joints.get("stribeck") if "stribeck" in names else np.array([True, False]))
+        return knobs(self, point, joints, names)
+
+    monkeypatch.setattr(Problem, "knobs", recorded)
+    sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
+    result = calibrate(log_of(pair, sticky), pair, CalibrateSettings(effects=("stribeck",)))
+    assert next(e for e in result.effects if e.name == "stribeck").joints == ("a",)
+    assert all(mask is not None and not mask[1] for mask in asked)
+
+
+def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: MachineModel) -> None:
+    """Without it nothing determines the limit: what a straight line makes of that is worse than any replay."""
+    weak = EffectValues(name="torque_speed", joints=("a", "b"), values={"torque": 2.5, "speed": 9.0, "flat": 0.0})
+    problem, declared = problem_of(pair, log_of(pair, weak, fast=1.0))
+    start = declared.with_effect("torque_speed", pair, {"torque": 3.5, "speed": 12.0, "flat": 0.0})
+    fitted = fit(problem, start, [*DECLARED, "torque_speed"], {}, most=3)
+    squares, _ = left_out(fitted, problem)
+    without = problem.block_squares(fit(problem, declared, DECLARED, {}, most=3).residual)[problem.blocks.train]
+    assert squares.sum() < 0.5 * without.sum()
+    assert np.all(squares < 10.0 * without.max())
