@@ -217,10 +217,14 @@ def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
         problem.coarsen_torque(unsure)
         _correct(problem, fitted.point)
         fitted = fit(problem, fitted.point, names, {}, most=3)
-    problem.correction = None
-    fitted = _refined(problem, fitted, MOST_CORRECTIONS)
-    problem.correction = fitted.residual - problem.uncorrected([fitted.point])[0]
-    return fitted
+    return _settled(problem, fitted)
+
+
+def _settled(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there."""
+    settled = _refined(problem, fitted, MOST_CORRECTIONS)
+    problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
+    return settled
 
 
 def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
@@ -299,7 +303,7 @@ def _grow(state: _Search) -> list[Stage]:
             state.problem.replay.set_late(timing.late)
             state.intervals[timing.name] = timing.interval
         _correct(state.problem, found.best.fitted.point)
-        state.current = pruned(state.problem, found.best, state.names, state.joints)
+        state.current = _settled(state.problem, pruned(state.problem, found.best, state.names, state.joints))
         state.names.append(found.best.name)
         state.joints[found.best.name] = found.best.joints
         stages.append(
@@ -336,8 +340,7 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
 
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
-    refined = fit(state.problem, state.current.point, state.names, state.joints, most=1)
-    return _refined(state.problem, refined, MOST_CORRECTIONS)
+    return _settled(state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1))
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
