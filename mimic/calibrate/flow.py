@@ -31,7 +31,7 @@ Progress = Callable[[str, int], None]
 FINE = 5
 """A fine replay has this many times more steps."""
 
-FINE_SEGMENT = 3.0
+FINE_SEGMENT = 1.0
 """Length of its segments [s]; they are few, so that short ones are faster."""
 
 MOST_CORRECTIONS = 6

@@ -24,6 +24,10 @@ MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
 
+FEW = 400
+"""Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
     """What the model did; arrays (N, T, J), NaN where a segment was still settling."""
@@ -154,7 +158,7 @@ class Replay:
             model.dof_solref[:] = [SOLREF_STEPS * self.dt, 1.0]
             model.dof_solimp[:] = [0.99, 0.999, 0.001, 0.5, 2.0]
             self._batches.clear()
-            self._batches[size] = Batch(model, size, self.threads)
+            self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
     def _run(self, parameters: dict[tuple[str, str], FloatArray], targets: FloatArray) -> Prediction:

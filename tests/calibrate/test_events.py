@@ -32,7 +32,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
 
 def log_of(pair: MachineModel, *hidden: EffectValues) -> MachineLog:
     rng = np.random.default_rng(3)
-    t = np.arange(0.0, 14.0, 0.02)
+    t = np.arange(0.0, 11.0, 0.02)
     phase = rng.uniform(0, 2 * np.pi, (4, 2))
     rates = (0.4, 0.9, 1.7, 3.1)
     q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
