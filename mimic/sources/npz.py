@@ -54,9 +54,15 @@ def _arrays(path: Path) -> dict[str, Any]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return {key: file[key] for key in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        zipfile.BadZipFile,
+    ):  # NumPy's own words advise to load pickles, which is not safe
         raise SourceError(
-            f"{path.name} cannot be read as NPZ ({error}); write it with numpy.savez, without Python objects"
+            f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
+            "Python objects"
         ) from None
 
 
