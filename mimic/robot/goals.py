@@ -6,6 +6,8 @@ clear of each other, of the trunk and of the head.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mimic.robot.description import RobotDescription
@@ -17,6 +19,11 @@ MARGIN = float(np.deg2rad(5.0))
 
 CLEARANCE = 0.03
 """Distance kept between a toe's centre and anything else [m]: its radius 0.019 and a centimetre."""
+
+
+def eased(share: Any) -> Any:
+    """Return how far a smooth motion from rest to rest is, 0 to 1, when this share of its time is over; any array type."""
+    return share * share * (3 - 2 * share)
 
 
 def leg_joints(p_BE: FloatArray, description: RobotDescription) -> tuple[FloatArray, FloatArray]:

@@ -16,6 +16,7 @@ from mimic.metrics import uprightness
 from mimic.policy.contract import ObservationBuilder, PolicyContract
 from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription
+from mimic.robot.goals import eased
 from mimic.robot.leg import front_toes
 from mimic.run.brake import damping_command
 from mimic.run.plant import Plant
@@ -97,7 +98,7 @@ def desired_at(
         return STAND_UP, still, neutral, 0.0  # first stand, then turn
     if tick < stand + blend:
         share = (tick - stand + 1) / blend
-        smooth = share * share * (3 - 2 * share)
+        smooth = eased(share)
         return BLEND, still, measured + smooth * (track.p_BE[0] - measured), float(track.heading[0])
     row = tick - stand - blend
     if row < len(track.t):
@@ -126,7 +127,7 @@ class _Live:
             self._last = command
             if tick < self._stand + self._blend:
                 share = (tick - self._stand + 1) / self._blend
-                smooth = share * share * (3 - 2 * share)
+                smooth = eased(share)
                 return BLEND, still, measured + smooth * (command.p_BE - measured), command.heading
             return TRACK, command.v, command.p_BE, command.heading
         self._hold -= 1
@@ -310,7 +311,7 @@ def _ramp(run: Run, contract: PolicyContract) -> None:
             return
         done = 2.0 * (tick + 1) / ticks
         gain, way = min(done, 1.0), float(np.clip(done - 1.0, 0.0, 1.0))
-        q_des = begin + way * way * (3 - 2 * way) * (lie - begin)
+        q_des = begin + eased(way) * (lie - begin)
         kp, kd = np.full(12, gain * contract.kp), np.full(12, gain * contract.kd)
         run.hold(JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=kp, kd=kd, tau_ff=np.zeros(12)), LIE)
 

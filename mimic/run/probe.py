@@ -16,6 +16,7 @@ from mimic.errors import ConfigError, PlantError
 from mimic.machine_log import MachineLog
 from mimic.robot.description import RobotDescription
 from mimic.robot.excitation import hung_ranges, probe_targets
+from mimic.robot.goals import eased
 from mimic.run.can_robot import CanRobot
 from mimic.run.motor_messages import VBUS, ReadParameter
 from mimic.run.safety import Event, Mode, Supervisor
@@ -148,7 +149,7 @@ def _approach(begin: FloatArray, first: FloatArray, settings: ProbeSettings) -> 
         yield (tick + 1) / ticks, begin
     for tick in range(ticks):
         way = (tick + 1) / ticks
-        yield 1.0, begin + way * way * (3 - 2 * way) * (first - begin)
+        yield 1.0, begin + eased(way) * (first - begin)
 
 
 class _Ended(Exception):

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from mimic.robot.goals import eased
 from mimic.settings import LATE, REGULARISERS, TASKS, MdpSettings
 
 
@@ -84,7 +85,7 @@ RATED_TORQUE = 4.0
 def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
     angle = torch.acos(torch.clamp(f.up, -1.0, 1.0))
-    smooth = f.rising * f.rising * (3 - 2 * f.rising)
+    smooth = eased(f.rising)
     over = f.height - (LYING_HEIGHT + (UPRIGHT_HEIGHT - LYING_HEIGHT) * smooth)
     over = torch.where((f.rising >= 1) & (over > 0), torch.zeros_like(over), over)
     lean = angle - LYING_ANGLE * (1 - smooth)

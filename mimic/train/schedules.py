@@ -9,7 +9,7 @@ import torch
 
 from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import draw_goals
+from mimic.robot.goals import draw_goals, eased
 from mimic.settings import MdpSettings
 
 POOL = 20_000
@@ -65,7 +65,7 @@ class GoalSchedule:
         self._straight.copy_(torch.where(due, straight.float(), self._straight))
         self._time.copy_(torch.where(due, torch.zeros_like(self._time), self._time))
         share = torch.clamp(self._time / self._length, 0, 1)
-        smooth = share * share * (3 - 2 * share)
+        smooth = eased(share)
         share = torch.where(self._straight > 0, share, smooth)[:, None, None]
         path = self._begin + share * (self._end - self._begin)
         self.now.copy_(torch.where(tracking[:, None, None], path, self._neutral.expand_as(path)))

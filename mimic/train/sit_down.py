@@ -10,7 +10,7 @@ import torch
 
 from mimic.frames import up_cosine
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import MARGIN
+from mimic.robot.goals import MARGIN, eased
 from mimic.settings import MdpSettings
 from mimic.train.environment import StandTrackEnv
 from mimic.train.rewards import FAST, Facts
@@ -161,7 +161,7 @@ class SitDownEnv(StandTrackEnv):
     def _descent(self, finite: torch.Tensor, low: torch.Tensor) -> Descent:
         w, dt = self.worlds, self.contract.dt
         progress = torch.clamp(self.episode_length_buf * (dt / self.settings.sit_down.seconds), max=1.0)
-        smooth = progress * progress * (3 - 2 * progress)
+        smooth = eased(progress)
         lying = self.settings.sit_down.height
         height = self._height_at_start + (lying - self._height_at_start) * smooth
         qw, qx, qy, qz = self._quat()
