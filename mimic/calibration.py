@@ -73,13 +73,13 @@ class Remainder:
     state_r2: float
     """Share of it that the state predicts on held-out blocks; at or below 0 none."""
     depends_on: tuple[str, ...]
-    """What it depends on most: position, velocity, torque, time, another joint."""
+    """What it depends on most: position, velocity, torque, time, another joint, the base."""
     peak_hz: float
     """Where its spectrum is highest [Hz]."""
     peak_ratio: float
     """That peak over the median of the spectrum."""
     verdict: str
-    """explained, state-dependent, periodic, events, or broadband."""
+    """explained, state-dependent, moving base, periodic, events, or broadband."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

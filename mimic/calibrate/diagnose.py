@@ -9,6 +9,7 @@ import numpy as np
 
 from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
+from mimic.calibrate.moving_base import BaseMotion, moving_base
 from mimic.calibrate.problem import Point, Problem
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
 from mimic.calibration import Candidate
@@ -221,6 +222,8 @@ class Found:
     """The accepted one."""
     rivals: tuple[str, ...]
     """Effects that this log cannot tell from it."""
+    base: BaseMotion | None = None
+    """A motion of the base, where that is what explains the rest."""
 
 
 def search(
@@ -296,13 +299,44 @@ def search(
         for t, f in zip(strong, fits, strict=True):
             tried[tried.index(t)] = judge(problem, incumbent, before, t.name, refine(f), masks[t.name])
     tried.sort(key=lambda t: -t.gain)
+    base = _base(problem, incumbent, before, tried, tick)
+    if base is not None:
+        tried = [t if t.why else replace(t, why=_of_the_base(base, t)) for t in tried]
     good = [t for t in tried if not t.why]
     tried += late
     if not good:
-        return Found(tried=tuple(tried), best=None, rivals=())
+        return Found(tried=tuple(tried), best=None, rivals=(), base=base)
     best = good[0]
     rivals = tuple(t.name for t in good[1:] if _rivals(problem, best, t))
     return Found(tried=tuple(tried), best=best, rivals=rivals)
+
+
+def _base(
+    problem: Problem, incumbent: Fit, before: FloatArray, tried: Sequence[Tried], tick: Callable[[str], None]
+) -> BaseMotion | None:
+    """Return the motion of the base that explains what forces in the joints seem to, if it does so no worse."""
+    shaken = next((t for t in tried if t.name == "periodic_force"), None)
+    if shaken is None or shaken.joints.sum() < 2 or shaken.gain < LEAST_GAIN or shaken.z < LEAST_Z:
+        return None
+    tick("is it the base that moves")
+    cosine, sine, frequency = (shaken.fitted.point.values[shaken.name, p] for p in ("cosine", "sine", "frequency"))
+    base = moving_base(problem, incumbent, frequency, np.hypot(cosine, sine), shaken.joints)
+    if base is None or (len(np.unique(problem.machine.chain)) == 1 and base.numbers >= 3 * shaken.joints.sum()):
+        return None
+    gain, z = paired(base.squares, before)
+    better, sure = paired(shaken.squares, base.squares)
+    if gain < LEAST_GAIN or z < LEAST_Z or (better >= LEAST_GAIN and sure >= RIVAL_Z):
+        return None
+    return base
+
+
+def _of_the_base(base: BaseMotion, tried: Tried) -> str:
+    """Return why an effect is not accepted beside a motion of the base, or nothing where it explains more."""
+    gain, z = paired(tried.squares, base.squares)
+    if gain >= LEAST_GAIN and z >= RIVAL_Z:
+        return ""
+    at = " and ".join(f"{f:.2f}" for f in base.frequencies)
+    return f"one motion of the base at {at} Hz explains {'as much' if z > -RIVAL_Z else 'more'}, with {base.numbers} numbers"
 
 
 def _late(

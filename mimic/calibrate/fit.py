@@ -71,7 +71,7 @@ def solve(
         index = np.flatnonzero(free)
         h = hessian[np.ix_(index, index)] + np.diag(scale[index])
         g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~free))] @ step[~free]
-        step[index] = _scaled_solution(h, g, 1e-12)
+        step[index] = scaled_solution(h, g, 1e-12)
         out = free & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
         if not out.any():
             break
@@ -80,7 +80,7 @@ def solve(
     return np.clip(at + step, low, high) - at
 
 
-def _scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> FloatArray:
+def scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> FloatArray:
     """Return the solution of normal equations whose unknowns have units of their own, scaled to a diagonal of ones."""
     d = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     return d * np.linalg.lstsq(hessian * d[:, None] * d[None], gradient * d, rcond=rcond)[0]
@@ -268,7 +268,7 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
         if stacked is None:
             break
         rest = (total - s.hessian[b])[np.ix_(index, index)]
-        change = _scaled_solution(rest, s.gradient[b][index], 1e-10)
+        change = scaled_solution(rest, s.gradient[b][index], 1e-10)
         moves[row, index] = -change
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)

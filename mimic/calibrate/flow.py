@@ -11,6 +11,7 @@ import numpy as np
 from mimic.calibrate.checks import belongs as targets_belong
 from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, earns_its_keep, pruned, search
 from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
+from mimic.calibrate.moving_base import BaseMotion
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
@@ -62,6 +63,8 @@ class _Search:
     current: Fit
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Of the numbers that are read off the lateness of the targets."""
+    base: BaseMotion | None = None
+    """A motion of the base, where that is what explains the rest."""
 
     def tick(self, text: str) -> None:
         self.progress(text, self.problem.replay.replays)
@@ -125,6 +128,7 @@ def calibrate(
         target,
         problem.blocks.index,
         np.asarray(machine.drives.neighbour),
+        None if state.base is None else state.base.residual[:, :joints],
     )
     effects = _effect_set(state, final)
     scale = problem.noise[:joints]
@@ -150,7 +154,7 @@ def calibrate(
         unexplained=rest,
         sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
         belongs=belongs,
-        experiments=_experiments(stages),
+        experiments=(*_experiments(stages), *_of_base(state, scale, machine.unit)),
         warnings=(),
         not_identifiable=_weak(final, problem),
         traces=traces,
@@ -295,6 +299,7 @@ def _grow(state: _Search) -> list[Stage]:
             lambda fitted: _refined(state.problem, fitted),
         )
         if found.best is None:
+            state.base = found.base
             if stages:
                 break
             stages.append(_nothing(state, found))
@@ -388,6 +393,15 @@ def _experiments(stages: list[Stage]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(lines))
 
 
+def _of_base(state: _Search, noise: FloatArray, unit: str) -> tuple[str, ...]:
+    if (base := state.base) is None:
+        return ()
+    at = " and ".join(f"{f:.2f}" for f in base.frequencies)
+    squares = state.problem.mean_squares(base.residual, True)[: len(noise)]
+    left = _number(Errors.total(np.sqrt(squares) * noise), unit)
+    return (f"a base that moves at {at} Hz would leave {left}: hold it more stiffly, and log an IMU on it",)
+
+
 def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
     if not joints or len(machine.joints) == 1:
         return ""
@@ -436,6 +450,7 @@ def _left(left: list[Remainder]) -> str:
         what = {
             "state-dependent": f"depends on {' and '.join(r.depends_on) or 'the state'}",
             "periodic": f"periodic near {r.peak_hz:.1f} Hz, whatever the robot does",
+            "moving base": f"shaken near {r.peak_hz:.1f} Hz in the pattern of a base that moves",
             "events": "single events, nothing in between",
             "broadband": "broadband, depends on nothing logged",
         }[r.verdict]

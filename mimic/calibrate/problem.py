@@ -177,13 +177,18 @@ class Problem:
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
-    def residuals(self, points: Sequence[Point]) -> FloatArray:
-        """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
-        joined = self.uncorrected(points)
+    def residuals(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
+        """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up.
+
+        Args:
+            points: Where.
+            pushed: Torques on the joints from outside in each of them, at each physics step (N, steps, J) [N m].
+        """
+        joined = self.uncorrected(points, pushed)
         return joined if self.correction is None else joined + self.correction
 
-    def uncorrected(self, points: Sequence[Point]) -> FloatArray:
-        """Return the residuals of these steps as they are."""
+    def uncorrected(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
+        """Return the residuals of these steps as they are, see :meth:`residuals`."""
         joints = len(self.machine.joints)
         joined = np.empty((len(points), len(self.replay.log.t), self.channels), dtype=np.float32)
         apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
@@ -191,7 +196,8 @@ class Problem:
             apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
         for rows in apart.values():
             values = stack([points[i] for i in rows], self.machine)
-            made = self.replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows))
+            values = values or {("delay", "time"): np.zeros((len(rows), 1))}
+            made = self.replay.run(values, len(rows), pushed=None if pushed is None else pushed[rows])
             joined[rows, :, :joints] = made.residual
             if self.channels > joints:
                 joined[rows, :, joints:] = made.torque_residual

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import signal
@@ -26,6 +27,9 @@ COHERENT = 0.4
 STEADY_R2 = 0.1
 """Share that one sine wave predicts on blocks that were not used, from which on the rest is periodic."""
 
+OF_THE_BASE = 0.5
+"""Share of what noise does not explain that a motion of the base takes, from which on the rest is called that."""
+
 BURST_SHARE, BURST_TIME = 0.5, 0.1
 """So much of the squares in so little of the time are single events."""
 
@@ -40,6 +44,7 @@ def remainders(
     target: FloatArray,
     blocks: IntArray,
     neighbour: IntArray,
+    held: FloatArray | None = None,
 ) -> tuple[Remainder, ...]:
     """Return what is left of each joint.
 
@@ -50,11 +55,17 @@ def remainders(
         target: Targets (T, J).
         blocks: Block of each reading, -1 where it does not count (T,).
         neighbour: Index of the joint next to each (J,).
+        held: What a motion of the base leaves of the residual (T, J), where one explains it.
     """
-    return tuple(
-        _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
-        for j, name in enumerate(joints)
-    )
+    found = []
+    for j, name in enumerate(joints):
+        rest = _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
+        if held is not None and rest.verdict != "explained":
+            left = float(np.nanmean(held[:, j].astype(np.float64) ** 2))
+            if rest.ratio**2 - left > OF_THE_BASE * (rest.ratio**2 - 1.0):
+                rest = replace(rest, verdict="moving base", depends_on=("the base",))
+        found.append(rest)
+    return tuple(found)
 
 
 def _state(j: int, motion: Motion, target: FloatArray, n: int) -> dict[str, FloatArray]:

@@ -7,7 +7,7 @@ under a position servo forgets its start in that time. So one replay of a long l
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -128,13 +128,16 @@ class Replay:
 
     # ------------------------------------------------------------------ running
 
-    def run(self, parameters: Parameters, count: int, targets: FloatArray | None = None) -> Prediction:
+    def run(
+        self, parameters: Parameters, count: int, targets: FloatArray | None = None, pushed: FloatArray | None = None
+    ) -> Prediction:
         """Return the predictions of ``count`` parameter sets.
 
         Args:
             parameters: Values (count, J) or (count, 1).
             count: How many.
             targets: Of each of them at each physics step (count, steps, J), instead of the log's.
+            pushed: Torques on the joints from outside, in each of them at each physics step (count, steps, J) [N m].
         """
         size = max(1, MOST_SIMULATIONS // self.segments)
         parts = []
@@ -143,7 +146,13 @@ class Replay:
             values: dict[tuple[str, str], FloatArray] = {
                 k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
             }
-            parts.append(self._run(values, self._grid[None] if targets is None else targets[rows]))
+            parts.append(
+                self._run(
+                    values,
+                    self._grid[None] if targets is None else targets[rows],
+                    None if pushed is None else pushed[rows],
+                )
+            )
         self.replays += count
         joined = np.concatenate([p.residual for p in parts])
         torque = (
@@ -161,7 +170,9 @@ class Replay:
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
-    def _run(self, parameters: dict[tuple[str, str], FloatArray], targets: FloatArray) -> Prediction:
+    def _run(
+        self, parameters: dict[tuple[str, str], FloatArray], targets: FloatArray, pushed: FloatArray | None
+    ) -> Prediction:
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
@@ -184,7 +195,8 @@ class Replay:
         gone, seen, last = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros(n, dtype=int)
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
-        which = np.repeat(np.arange(sets) % len(targets), segments)
+        own = np.repeat(np.arange(sets), segments)
+        which = own % len(targets)
         if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
             out[:, 0] = self.log.q[0] - before[order[:, 0]]
             if torque is not None:
@@ -194,6 +206,9 @@ class Replay:
             target = self._target(now, shifts, targets, which)
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             inputs = law.step(q, dq, target, (now * self.dt)[:, None], force)
+            if pushed is not None:
+                shaken = pushed[own, np.minimum(now, self.total - 1)]
+                inputs = replace(inputs, applied=inputs.applied + shaken)
             fields.write(inputs)
             if torque is not None:
                 gone += inputs.tau

@@ -27,6 +27,7 @@ LEAST_Z, LEAST_GAIN = 3.0, 0.01
 _VERDICTS = {
     "explained": "explained down to the noise floor",
     "state-dependent": "depends on the state: an effect that the catalogue lacks",
+    "moving base": "shaken in the pattern of a base that moves: hold it more stiffly",
     "periodic": "periodic, whatever the machine does: an external disturbance",
     "broadband": "depends on nothing logged: disturbance or timing",
     "events": "single events: targets that were late or lost, knocks, something that catches",
@@ -282,7 +283,7 @@ def _remainder(c: Calibration) -> str:
         verdict = escape(_VERDICTS.get(r.verdict, r.verdict))
         if r.depends_on:
             verdict += f" <small>(on {escape(' and '.join(r.depends_on))})</small>"
-        if r.verdict == "periodic":
+        if r.verdict in ("periodic", "moving base"):
             verdict += f" <small>(near {number(r.peak_hz)} Hz)</small>"
         kind = "good" if r.verdict == "explained" else ""
         rows.append(
