@@ -28,7 +28,7 @@ from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg import front_toes
 from mimic.robot.model import command_in_effect
-from mimic.settings import MdpSettings
+from mimic.settings import LATE, TASKS, MdpSettings
 from mimic.store import plain
 from mimic.train.disturbances import Disturbances, quat_multiply, quat_rotate
 from mimic.train.feet import Feet, sliding
@@ -157,7 +157,7 @@ class StandTrackEnv(VecEnv):
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
         self._mean_velocity = zeros(2)
-        start = weights_at(0.0, self._rewards, self.settings.regularisation, *self._shares(0.0))
+        start = weights_at(0.0, self._rewards, self.settings.regularisation, self._shares(0.0))
         self._weights = torch.tensor(start, device=device)
         self._terms = [f.name for f in fields(self._rewards)]
         self._log: dict[str, torch.Tensor] = {}
@@ -181,7 +181,7 @@ class StandTrackEnv(VecEnv):
         if self._calls % 240 == 0:
             progress = min(1.0, self._calls / self.settings.ramp_steps)
             ramp = self._grown()
-            now = weights_at(progress, self._rewards, self.settings.regularisation, *self._shares(ramp))
+            now = weights_at(progress, self._rewards, self.settings.regularisation, self._shares(ramp))
             self._weights.copy_(torch.tensor(now))
             self._rule_share.fill_(ramp**2)
             self._ease(ramp)
@@ -326,10 +326,15 @@ class StandTrackEnv(VecEnv):
         """The weights of the task's reward terms."""
         return self.settings.rewards
 
-    def _shares(self, ramp: float) -> tuple[float, float]:
-        """Return the factors on the weights of late terms and of tasks, for the share of the ramp that is done."""
-        late, tasks = self.settings.late_share, self.settings.task_share
-        return late + (1 - late) * ramp, tasks + (1 - tasks) * ramp
+    def _shares(self, ramp: float) -> dict[str, float]:
+        """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
+        s = self.settings
+        gait = min(2 * ramp, 1.0)
+        return {
+            **dict.fromkeys(LATE, s.late_share + (1 - s.late_share) * ramp),
+            **dict.fromkeys(TASKS, s.task_share + (1 - s.task_share) * ramp),
+            "gait": s.gait_share + (1 - s.gait_share) * gait,
+        }
 
     def _draw(self) -> Start:
         """Return a start for every world."""

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from mimic.robot.goals import eased
-from mimic.settings import LATE, REGULARISERS, TASKS, MdpSettings
+from mimic.settings import REGULARISERS, MdpSettings
 
 
 @dataclass
@@ -101,9 +101,12 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     planted = f.contact.float()
     too_high = torch.clamp(f.clearance - wanted - 0.01, min=0.0) / 0.03
     lifted = torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
-    lifted = (0.4 + 0.6 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
+    lifted = (0.25 + 0.75 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     stepping = torch.where(swing > 0, lifted, planted)
-    stepping = torch.where(f.moving[:, None], stepping, torch.maximum(stepping, planted))
+    if not settings.march:
+        stepping = torch.where(f.moving[:, None], stepping, torch.maximum(stepping, planted))
+    # without the widest bell toes that are 20 cm off never came nearer
+    reaching = 0.2 * torch.exp(-toes / 0.2) + 0.4 * torch.exp(-toes / 0.04) + 0.4 * torch.exp(-toes / 0.01)
     mean = f.mean_velocity_error.square().sum(-1)  # the wide bell is felt while the robot does not walk at all
     speed = 0.3 * torch.exp(-mean / 0.15) + 0.35 * torch.exp(-mean / 0.02)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
@@ -117,7 +120,7 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
         "upright": level,
         "velocity": speed * standing,
         "heading": turning * standing,
-        "toes": 0.5 * (torch.exp(-toes / 0.04) + torch.exp(-toes / 0.01)) * standing * f.tracking,
+        "toes": reaching * standing * f.tracking,
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
         "slip": f.slip,
@@ -136,22 +139,16 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
     }
 
 
-def weights_at(progress: float, weights: Any, factor: float, late: float = 1.0, tasks: float = 1.0) -> list[float]:
+def weights_at(progress: float, weights: Any, factor: float, shares: dict[str, float] | None = None) -> list[float]:
     """Return the weight of each term in the order of the settings.
 
     Args:
         progress: Share of the ramp that is done, 0 to 1.
         weights: Weights at its beginning, a settings record with a field for each term.
         factor: What the regularisers' weights are multiplied by at its end.
-        late: What the weights of the late terms are multiplied by now.
-        tasks: And those of the tasks of a standing robot.
+        shares: What weights of other terms are multiplied by now; 1 for terms that are not named.
     """
-    grown = 1 + (factor - 1) * progress
-    factors: dict[str, float] = {
-        **dict.fromkeys(REGULARISERS, grown),
-        **dict.fromkeys(LATE, late),
-        **dict.fromkeys(TASKS, tasks),
-    }
+    factors = (shares or {}) | dict.fromkeys(REGULARISERS, 1 + (factor - 1) * progress)
     return [value * factors.get(name, 1.0) for name, value in asdict(weights).items()]
 
 

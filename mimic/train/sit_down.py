@@ -140,8 +140,8 @@ class SitDownEnv(StandTrackEnv):
     def _rewards(self) -> Any:
         return self.settings.sit_down.rewards
 
-    def _shares(self, ramp: float) -> tuple[float, float]:
-        return 1.0, 1.0
+    def _shares(self, ramp: float) -> dict[str, float]:
+        return {}
 
     def _ease(self, ramp: float) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
