@@ -841,6 +841,8 @@ class CalibrateSettings:
     """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
     threads: int = 0
     """Threads; 0 takes one for each core."""
+    device: str = "cpu"
+    """Where replays run: cpu, or cuda (cuda:1, …) for MuJoCo Warp on a GPU, which needs the extra train."""
     seed: int = 0
     """Seed of the random search."""
 
@@ -848,6 +850,8 @@ class CalibrateSettings:
         _check_range("most-effects", self.most_effects, 0, 20)
         _check_range("samples", self.samples, 1, 10_000_000)
         _check_range("timestep", self.timestep, 0.0, 0.005, "s")
+        if self.device != "cpu" and not self.device.startswith("cuda"):
+            raise ConfigError(f"device is {self.device}; it must be cpu, cuda or, of several GPUs, cuda:0, cuda:1, …")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -19,6 +19,7 @@ from mimic.calibrate.replay import Replay
 from mimic.calibrate.screen import Motion
 from mimic.calibrate.signals import noise_floor
 from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
+from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import CATALOGUE
@@ -166,10 +167,22 @@ def calibrate(
 
 def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     step = settings.timestep or physics_step(log.rate)
-    replay = Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
+    replay = _replay(log, machine, settings, step)
     noise = np.maximum(noise_floor(log.q, log.rate), 1e-9)
     torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
     return Problem(replay, noise, torque, make_blocks(log.t, replay.counts))
+
+
+def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
+    if settings.device == "cpu":
+        return Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
+    try:
+        from mimic.calibrate.worlds import WorldReplay
+    except ModuleNotFoundError as missing:
+        raise MissingExtra(str(missing.name), "train") from None
+    return WorldReplay(
+        machine, log, device=settings.device, timestep=step, threads=settings.threads, torque=settings.torque
+    )
 
 
 def _errors(problem: Problem, residual: FloatArray) -> Errors:
@@ -190,19 +203,9 @@ def _fine(problem: Problem, point: Point) -> FloatArray:
 
 
 def _replayed_finely(problem: Problem, point: Point, steps: int) -> FloatArray:
-    coarse, joints = problem.replay, len(problem.machine.joints)
-    replay = Replay(
-        problem.machine,
-        coarse.log,
-        timestep=coarse.dt / steps,
-        segment=FINE_SEGMENT,
-        threads=coarse.threads,
-        torque=coarse.torque,
-    )
-    replay.set_late(coarse.late)
-    replay.set_heat_of(coarse)
+    joints = len(problem.machine.joints)
+    replay = problem.replay.finer(steps, FINE_SEGMENT)
     fine = Problem(replay, problem.noise[:joints], problem.noise[joints:], problem.blocks)
-    coarse.replays += steps
     return fine.residuals([point])[0]
 
 

@@ -205,6 +205,12 @@ class Problem:
         joined[:, self.blocks.index < 0] = np.nan
         return joined
 
+    def squares(self, points: Sequence[Point]) -> FloatArray:
+        """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
+        joints = len(self.machine.joints)
+        rows = np.isin(self.blocks.index, self.blocks.train)
+        return self.replay.squares(stack(points, self.machine), len(points), rows, self.noise[:joints]).sum(1)
+
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
         there = self.blocks.index >= 0

@@ -20,22 +20,19 @@ RANGES = {
 }
 """Uniform ranges of the samples."""
 
-BATCH = 64
-"""Samples replayed at once."""
-
 
 def random_search(problem: Problem, start: Point, samples: int, seed: int, report: Callable[[str, int], None]) -> Fit:
     """Return the best of so many samples over the fitted blocks, each joint with numbers of its own."""
     rng = np.random.default_rng(seed)
-    best, winner, residual = np.inf, start, problem.residuals([start])[0]
-    for begin in range(0, samples, BATCH):
-        points = [_drawn(start, rng) for _ in range(min(BATCH, samples - begin))]
-        replayed = problem.residuals(points)
-        squares = [problem.block_squares(r)[problem.blocks.train].sum() for r in replayed]
+    best, winner = problem.squares([start])[0], start
+    for begin in range(0, samples, problem.replay.together):
+        points = [_drawn(start, rng) for _ in range(min(problem.replay.together, samples - begin))]
+        squares = problem.squares(points)
         i = int(np.argmin(squares))
         if squares[i] < best:
-            best, winner, residual = squares[i], points[i], replayed[i]
+            best, winner = squares[i], points[i]
         report("random samples", problem.replay.replays)
+    residual = problem.residuals([winner])[0]
     return Fit(point=winner, knobs=(), residual=residual, columns=(), sums=problem.sums(residual, [], []))
 
 

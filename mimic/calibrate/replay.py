@@ -18,7 +18,7 @@ from mimic.machine_log import MachineLog
 from mimic.robot.law import Law, Parameters
 from mimic.robot.machine import SOLREF_STEPS, MachineModel
 from mimic.robot.servo import Servo, static_fields, target_shift
-from mimic.types import FloatArray, IntArray
+from mimic.types import BoolArray, FloatArray, IntArray
 
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
@@ -26,6 +26,25 @@ MOST_SIMULATIONS = 1536
 
 FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """Readings that the segments predict, in order of the step of its segment that each falls into; arrays (R,)."""
+
+    row: IntArray
+    """Of the log."""
+    segment: IntArray
+    step: IntArray
+    """-1 for a reading at the very start of a segment."""
+    part: FloatArray
+    """How far into the step, up to 1 for its end."""
+    since: IntArray
+    """Steps of the segment that were over at the reading before; 0 for its first."""
+
+    def at(self, steps: int) -> IntArray:
+        """Return where the readings of each step begin (steps + 1,)."""
+        return np.searchsorted(self.step, np.arange(steps + 1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,10 +104,27 @@ class Replay:
         self._targets = asked
         self._grid = self._on_grid(asked)
         self._force = None if log.force is None else self._on_grid(log.force)
-        self._plan = self._reading_plan()
+        self.readings = self._readings()
         self.replays = 0
         self._heat: FloatArray | None = None
         self._batches: dict[int, Batch] = {}
+        self._finer: dict[tuple[int, float], Replay] = {}
+
+    def finer(self, times: int, segment: float) -> Replay:
+        """Return this replay in so many times more steps and segments of another length [s]; its replays count here."""
+        self.replays += times
+        if (times, segment) not in self._finer:
+            self._finer[times, segment] = self._again(self.dt / times, segment)
+        fine = self._finer[times, segment]
+        if fine.late is not self.late:
+            fine.set_late(self.late)
+        fine._heat = self._heat
+        return fine
+
+    def _again(self, timestep: float, segment: float) -> Replay:
+        return Replay(
+            self.machine, self.log, timestep=timestep, segment=segment, threads=self.threads, torque=self.torque
+        )
 
     @property
     def segments(self) -> int:
@@ -98,10 +134,6 @@ class Replay:
     def set_heat(self, tau: FloatArray) -> None:
         """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
         self._heat = np.asarray(tau) ** 2
-
-    def set_heat_of(self, other: Replay) -> None:
-        """Keep the torques of another replay of the same log."""
-        self._heat = other._heat
 
     def set_late(self, late: FloatArray | None) -> None:
         """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
@@ -139,8 +171,7 @@ class Replay:
             targets: Of each of them at each physics step (count, steps, J), instead of the log's.
             pushed: Torques on the joints from outside, in each of them at each physics step (count, steps, J) [N m].
         """
-        size = max(1, MOST_SIMULATIONS // self.segments)
-        parts = []
+        size, parts = self.together, []
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
             values: dict[tuple[str, str], FloatArray] = {
@@ -160,12 +191,41 @@ class Replay:
         )
         return Prediction(residual=joined, torque_residual=torque)
 
+    def squares(self, parameters: Parameters, count: int, rows: BoolArray, noise: FloatArray) -> FloatArray:
+        """Return the sum of squares (count, J) of the position residuals over some rows (T,), in noise floors (J,).
+
+        Infinite where a simulation blew up.
+        """
+        size, found = self.together, []
+        for begin in range(0, count, size):
+            some = slice(begin, min(begin + size, count))
+            values: dict[tuple[str, str], FloatArray] = {
+                k: np.asarray(v, dtype=np.float64)[some] for k, v in parameters.items()
+            }
+            found.append(self._squares(values, rows & self.counts, noise))
+        self.replays += count
+        return np.concatenate(found)
+
+    @property
+    def together(self) -> int:
+        """How many parameter sets are best replayed at once."""
+        return max(1, MOST_SIMULATIONS // self.segments)
+
+    def _squares(self, parameters: dict[tuple[str, str], FloatArray], rows: BoolArray, noise: FloatArray) -> FloatArray:
+        residual = self._run(parameters, self._grid[None], None).residual[:, rows] / noise
+        return np.sum(np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2, axis=1)
+
+    def _model(self) -> mujoco.MjModel:
+        """Return the model with the steps of this replay."""
+        model = self.machine.model
+        model.opt.timestep = self.dt
+        model.dof_solref[:] = [SOLREF_STEPS * self.dt, 1.0]
+        model.dof_solimp[:] = [0.99, 0.999, 0.001, 0.5, 2.0]
+        return model
+
     def _batch(self, size: int) -> Batch:
         if size not in self._batches:
-            model = self.machine.model
-            model.opt.timestep = self.dt
-            model.dof_solref[:] = [SOLREF_STEPS * self.dt, 1.0]
-            model.dof_solimp[:] = [0.99, 0.999, 0.001, 0.5, 2.0]
+            model = self._model()
             self._batches.clear()
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
@@ -185,22 +245,23 @@ class Replay:
         q, dq = batch.bind("qpos"), batch.bind("qvel")
         start_q, start_dq = self._starts(begin)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        law.reset(start_q, start_dq, None if self._heat is None else self._heat_at(begin, law))
+        law.reset(start_q, start_dq, self._heat_at(parameters))
         q[:], dq[:] = law.unread(start_q), start_dq
         late = target_shift(p, self.dt)
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque else None
-        gone, seen, last = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros(n, dtype=int)
+        gone, seen = np.zeros((n, joints)), np.zeros((n, joints))
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
         own = np.repeat(np.arange(sets), segments)
         which = own % len(targets)
-        if self.counts[0] and self._rows[0] == 0 and self._part[0] < 1e-6:
-            out[:, 0] = self.log.q[0] - before[order[:, 0]]
+        plan, at = self.readings, self.readings.at(self.length)
+        for i in range(at[0]):
+            out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[order[:, plan.segment[i]]]
             if torque is not None:
-                torque[:, 0] = 0.0
+                torque[:, plan.row[i]] = 0.0
         for k in range(self.length):
             now = begin + k
             target = self._target(now, shifts, targets, which)
@@ -215,31 +276,39 @@ class Replay:
             batch.step()
             law.settle(dq)
             reading = law.reading(q)
-            for segment, row, part in self._plan.get(k, ()):
-                sims = order[:, segment]
-                value = before[sims] * (1 - part) + reading[sims] * part if part < 1 else reading[sims]
-                out[:, row] = self.log.q[row] - value
+            mine = slice(at[k], at[k + 1])
+            if mine.start < mine.stop:
+                rows, sims, part = plan.row[mine], order[:, plan.segment[mine]], plan.part[mine, None]
+                value = reading[sims]
+                if (part < 1).any():
+                    value = before[sims] * (1 - part) + value * part
+                out[:, rows] = self.log.q[rows] - value
                 if torque is not None and self.log.tau is not None:
-                    fresh = last[sims[0]] > 0
-                    mean = (gone[sims] - seen[sims]) / max(k + 1 - last[sims[0]], 1) if fresh else inputs.tau[sims]
-                    torque[:, row] = self.log.tau[row] - mean
-                    seen[sims], last[sims] = gone[sims], k + 1
+                    since = plan.since[mine, None]
+                    mean = (gone[sims] - seen[sims]) / (k + 1 - since)
+                    torque[:, rows] = self.log.tau[rows] - np.where(since > 0, mean, inputs.tau[sims])
+                    seen[sims] = gone[sims]
             before = np.array(reading)
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)
 
-    def _reading_plan(self) -> dict[int, list[tuple[int, int, float]]]:
-        """Return for each step the readings that fall into it: segment, row, and how far into the step."""
-        plan: dict[int, list[tuple[int, int, float]]] = {}
-        for row in np.flatnonzero(self.counts):
-            step, part = int(self._rows[row]), float(self._part[row])
-            if part < 1e-6:  # at the end of the step before
-                step, part = step - 1, 1.0
-            segment = int(np.clip(np.searchsorted(self._edges, step + 1e-9, side="right") - 1, 0, self.segments - 1))
-            k = step - int(self._begin[segment])
-            if 0 <= k < self.length:
-                plan.setdefault(k, []).append((segment, int(row), part))
-        return plan
+    def _readings(self) -> Readings:
+        row = np.flatnonzero(self.counts)
+        step, part = self._rows[row], self._part[row]
+        whole = part < 1e-6  # at the end of the step before
+        step, part = np.where(whole, step - 1, step), np.where(whole, 1.0, part)
+        segment = np.clip(np.searchsorted(self._edges, step + 1e-9, side="right") - 1, 0, self.segments - 1)
+        step = step - self._begin[segment]
+        inside = (step >= 0) & (step < self.length) | (row == 0) & (step == -1)
+        row, segment, step, part = (x[inside] for x in (row, segment, step, part))
+        since, last, over = np.zeros(len(row), dtype=int), np.zeros((2, self.segments), dtype=int), step + 1
+        for i in range(len(row)):  # readings within one step share the one before
+            known = last[:, segment[i]]
+            if over[i] > known[1]:
+                known[:] = known[1], over[i]
+            since[i] = known[0]
+        order = np.argsort(step, kind="stable")
+        return Readings(row=row[order], segment=segment[order], step=step[order], part=part[order], since=since[order])
 
     def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
         t = self.log.t - self.log.t[0]
@@ -248,16 +317,23 @@ class Replay:
         ahead = np.stack([np.interp(at + 0.02, t, column) for column in self.log.q.T], -1)
         return q, (ahead - q) / 0.02
 
-    def _heat_at(self, begin: IntArray, law: Law) -> FloatArray:
-        assert self._heat is not None
-        time = np.asarray(law.get("kt_heat", "time")) + np.zeros((len(begin), self._heat.shape[1]))
+    def _heat_at(self, p: Parameters) -> FloatArray | None:
+        """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).
+
+        None where no set has an effect of heat, or none is known.
+        """
+        if self._heat is None or ("kt_heat", "time") not in p:
+            return None
+        time = np.asarray(p["kt_heat", "time"])[:, None]
         dt = float(np.median(np.diff(self.log.t)))
-        rows = np.clip(np.searchsorted(self.log.t - self.log.t[0], begin * self.dt), 0, len(self.log.t))
-        heat = np.zeros_like(time)
-        for i, row in enumerate(rows):
-            age = np.arange(row)[::-1, None] * dt
-            heat[i] = (self._heat[:row] * np.exp(-age / time[i]) * (dt / time[i])).sum(0) if row else 0.0
-        return heat
+        rows = np.clip(np.searchsorted(self.log.t - self.log.t[0], self._begin * self.dt), 0, len(self.log.t))
+        heat = np.zeros((len(time), len(rows), self._heat.shape[1]))
+        for i in range(1, len(rows)):
+            own = self._heat[rows[i - 1] : rows[i]]
+            age = np.arange(len(own))[::-1, None] * dt
+            heat[:, i] = heat[:, i - 1] * np.exp(-len(own) * dt / time[:, 0])
+            heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
+        return heat.reshape(-1, heat.shape[2])
 
     def _target(self, now: IntArray, shifts: tuple[Any, Any], targets: FloatArray, which: IntArray) -> FloatArray:
         """Return what acts at steps now (n,) of the rows ``which`` (n,) of targets (V, steps, J), that much shifted."""

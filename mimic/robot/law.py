@@ -106,7 +106,7 @@ class Law:
     # ------------------------------------------------------------------ set-up
 
     def _full(self, value: float) -> Any:
-        return self.xp.stack([self._d.kp * 0.0 + value] * self._shape[0])
+        return self.xp.broadcast_to(self._d.kp * 0.0 + value, self._shape)
 
     def get(self, name: str, parameter: str) -> Any:
         """Return a parameter, or its neutral value where no simulation has the effect."""

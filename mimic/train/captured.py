@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from mimic.errors import ConfigError
-from mimic.train.graphs import Replayed
+from mimic.robot.graphs import Replayed
 from mimic.train.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)

@@ -26,13 +26,13 @@ from mimic.policy.contract import (
 )
 from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
+from mimic.robot.graphs import capture_mode
 from mimic.robot.leg import front_toes
 from mimic.robot.model import command_in_effect
 from mimic.settings import LATE, TASKS, MdpSettings
 from mimic.store import plain
 from mimic.train.disturbances import Disturbances, quat_multiply, quat_rotate
 from mimic.train.feet import Feet, sliding
-from mimic.train.graphs import capture_mode
 from mimic.train.rewards import Facts, reward_terms, total, weights_at
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -24,12 +23,12 @@ import torch
 import warp as wp
 
 from mimic.robot.description import RobotDescription
+from mimic.robot.graphs import Replayed, ReplayedWarp
 from mimic.robot.machine import SOLREF_STEPS
 from mimic.robot.model import carry, draw_variation, load_model, vary_model
 from mimic.robot.servo import Servo, read_standing
 from mimic.settings import MdpSettings
 from mimic.train.disturbances import quat_rotate
-from mimic.train.graphs import Replayed
 from mimic.train.motors import WorldMotors
 from mimic.types import LEGS
 
@@ -118,8 +117,9 @@ class Worlds:
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
-        self._graph = None
-        self._pieces: dict[Callable[..., None], Any] = {}
+        self._whole = ReplayedWarp(self._run, device)
+        self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
+        self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
         self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
 
     def _randomise(
@@ -249,24 +249,15 @@ class Worlds:
         if self.motors is not None:
             self._step_driven()
             return
-        if not str(self.device).startswith("cuda"):
-            with wp.ScopedDevice(self.device):
-                self._run()
-            return
-        if self._graph is None:
-            self._capture()
-            return
-        stream = wp.stream_from_torch(torch.cuda.current_stream())
-        with wp.ScopedStream(stream):
-            wp.capture_launch(self._graph, stream=stream)
+        self._whole()
 
     def _step_driven(self) -> None:
         """Let the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's."""
         for drive in self._between[:-1]:
             drive()
-            self._physics(mjw.step)
+            self._physics()
         self._between[-1]()
-        self._physics(mjw.kinematics)
+        self._kinematics()
 
     def _drive(self, substep: int) -> None:
         """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
@@ -276,40 +267,3 @@ class Worlds:
             self.motors.settle(dq)
         if substep < self.decimation:
             self.motors.drive(q, dq, self.substep_ctrl[substep], substep)
-
-    def _physics(self, part: Callable[..., None]) -> None:
-        if not str(self.device).startswith("cuda"):
-            with wp.ScopedDevice(self.device):
-                part(self.model, self.data)
-            return
-        stream = wp.stream_from_torch(torch.cuda.current_stream())
-        if part not in self._pieces:
-            self._pieces[part] = self._captured(part)
-            return
-        with wp.ScopedStream(stream):
-            wp.capture_launch(self._pieces[part], stream=stream)
-
-    def _captured(self, part: Callable[..., None]) -> Any:
-        """Run a part of the physics once, and return its graph."""
-        side = torch.cuda.Stream()
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
-            stream = wp.stream_from_torch(side)
-            with wp.ScopedStream(stream):
-                part(self.model, self.data)
-                with wp.ScopedCapture(stream=stream) as capture:
-                    part(self.model, self.data)
-        torch.cuda.current_stream().wait_stream(side)
-        return capture.graph
-
-    def _capture(self) -> None:
-        side = torch.cuda.Stream()  # PyTorch's default stream cannot be captured
-        side.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(side):
-            stream = wp.stream_from_torch(side)
-            with wp.ScopedStream(stream):
-                self._run()  # compiles and loads every kernel before the capture
-                with wp.ScopedCapture(stream=stream) as capture:
-                    self._run()
-        self._graph = capture.graph
-        torch.cuda.current_stream().wait_stream(side)

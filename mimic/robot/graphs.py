@@ -1,4 +1,4 @@
-"""PyTorch code as captured CUDA graphs."""
+"""PyTorch and Warp code as captured CUDA graphs. Needs the extra ``train``: only what steps worlds imports it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+import warp as wp
 
 
 def capture_mode() -> str:
@@ -48,3 +49,37 @@ class Replayed:
             result = self._function()
         torch.cuda.current_stream().wait_stream(side)
         return result
+
+
+class ReplayedWarp:
+    """Launches of Warp's on arrays that stay where they are: on a GPU captured at the first call, on PyTorch's stream."""
+
+    def __init__(self, function: Callable[[], None], device: str) -> None:
+        self._function, self._device = function, device
+        self._graph: Any = None
+
+    def __call__(self) -> None:
+        """Run the function once."""
+        if not str(self._device).startswith("cuda"):
+            with wp.ScopedDevice(self._device):
+                self._function()
+            return
+        if self._graph is None:
+            self._graph = self._captured()
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream())
+        with wp.ScopedStream(stream):
+            wp.capture_launch(self._graph, stream=stream)
+
+    def _captured(self) -> Any:
+        """Run the function once, and return its graph."""
+        side = torch.cuda.Stream()  # PyTorch's default stream cannot be captured
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            stream = wp.stream_from_torch(side)
+            with wp.ScopedStream(stream):
+                self._function()  # compiles and loads every kernel before the capture
+                with wp.ScopedCapture(stream=stream) as capture:
+                    self._function()
+        torch.cuda.current_stream().wait_stream(side)
+        return capture.graph

@@ -1,0 +1,331 @@
+"""Replays in MuJoCo Warp: every segment of every parameter set is a world, all stepped together on a GPU.
+
+The law of the drives is that of the other replays, in PyTorch and in double precision; the physics is in single
+precision, which moves a position by micrometres. Nothing leaves the device between the first step and the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from mujoco.batch import Batch
+
+from mimic.calibrate.replay import Prediction, Replay
+from mimic.errors import ConfigError
+from mimic.machine_log import MachineLog
+from mimic.robot.graphs import Replayed, ReplayedWarp
+from mimic.robot.law import Drives, Law, Parameters
+from mimic.robot.machine import MachineModel
+from mimic.robot.servo import Servo, static_fields, target_shift
+from mimic.types import BoolArray, FloatArray
+
+Values = dict[tuple[str, str], FloatArray]
+
+STATIC = (
+    "dof_damping",
+    "dof_armature",
+    "dof_invweight0",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_subtreemass",
+)
+"""Model fields that differ between parameter sets, and stay during a replay."""
+
+DRIVEN = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+"""Those that the law writes at every step."""
+
+MOST_WORLDS = 65536
+"""Worlds stepped together: beyond that, a GPU gains nothing by more."""
+
+MEMORY = 0.25
+"""Share of the free memory of a GPU that the positions of a replay may take."""
+
+SEGMENT, FINE_SEGMENT = 1.5, 0.4
+"""Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with its worlds."""
+
+HOST = 256
+"""Parameter sets whose masses are worked out together."""
+
+RESIDUALS = 64
+"""Parameter sets whose residuals are worked out together."""
+
+
+class _Simulations:
+    """So many worlds of a machine, and what is written into them."""
+
+    def __init__(self, model: mujoco.MjModel, count: int, device: str) -> None:
+        data = mujoco.MjData(model)
+        with wp.ScopedDevice(device):
+            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys((*STATIC, *DRIVEN), count))
+            self.model.opt.warn_overflow = 0
+            self.data = mjw.put_data(model, data, nworld=count, nconmax=1, njmax=2 * model.nv)
+            self.q, self.dq = wp.to_torch(self.data.qpos), wp.to_torch(self.data.qvel)
+            self.servo = Servo(
+                ctrl=wp.to_torch(self.data.ctrl),
+                applied=wp.to_torch(self.data.qfrc_applied),
+                gain=wp.to_torch(self.model.actuator_gainprm),
+                bias=wp.to_torch(self.model.actuator_biasprm),
+                limits=wp.to_torch(self.model.actuator_forcerange),
+                friction=wp.to_torch(self.model.dof_frictionloss),
+            )
+            self._warmstart = wp.to_torch(self.data.qacc_warmstart)
+            self._static = {name: wp.to_torch(getattr(self.model, name)) for name in STATIC}
+            self._gravity = torch.zeros(count, 3, device=device)
+            self.model.opt.gravity = wp.from_torch(self._gravity, dtype=wp.vec3)
+        self.step = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
+
+    def begin(self, fields: Mapping[str, FloatArray], segments: int, q: torch.Tensor, dq: torch.Tensor) -> None:
+        """Write the fields of each parameter set (N, ...) to its worlds, and put all into their first positions."""
+        for name, values in fields.items():
+            there = self._gravity if name == "opt.gravity" else self._static[name]
+            rows = torch.as_tensor(values, dtype=there.dtype, device=there.device).repeat_interleave(segments, 0)
+            there.copy_(rows.reshape(there.shape))
+        self.q.copy_(q)
+        self.dq.copy_(dq)
+        self._warmstart.zero_()
+
+
+class WorldReplay(Replay):
+    """Replays of one log in one model, on the worlds of a device."""
+
+    def __init__(
+        self,
+        machine: MachineModel,
+        log: MachineLog,
+        *,
+        device: str = "cuda",
+        timestep: float = 0.001,
+        segment: float = SEGMENT,
+        threads: int = 0,
+        torque: bool = False,
+    ) -> None:
+        """Cut the log into segments (see :class:`~mimic.calibrate.replay.Replay`).
+
+        Args:
+            machine: The model, with the gains of the log.
+            log: Readings of the machine's joints, in its order.
+            device: ``cuda``, ``cuda:1``, …; ``cpu`` steps worlds on the processor, slowly, for tests.
+            timestep: Physics step [s].
+            segment: Length of a segment [s].
+            threads: For what is worked out on the processor; 0 takes one for each core.
+            torque: Also predict the torque.
+
+        Raises:
+            ConfigError: If there is no such device.
+        """
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+        super().__init__(machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque)
+        wp.config.log_level = wp.LOG_ERROR
+        wp.init()
+        self._device = device
+        self._together = self._room()
+        d = machine.drives
+        names = ("kp", "kd", "torque", "flat", "speed", "friction", "armature")
+        rows = {name: self._tensor(getattr(d, name)) for name in names}
+        self._drives = Drives(**rows, neighbour=self._tensor(d.neighbour, torch.int64))
+        self._simulations: dict[int, _Simulations] = {}
+        self._hosts: dict[int, Batch] = {}
+        r = self.readings
+        self._at = tuple(self._tensor(x, torch.int64) for x in (r.segment, r.step, r.since))
+        self._share = self._tensor(r.part)[:, None, None]
+        self._measured = self._tensor(log.q[r.row])[:, None]
+        self._uploaded: tuple[FloatArray, torch.Tensor] | None = None
+
+    def _again(self, timestep: float, segment: float) -> Replay:
+        return WorldReplay(
+            self.machine,
+            self.log,
+            device=self._device,
+            timestep=timestep,
+            segment=min(segment, FINE_SEGMENT),
+            threads=self.threads,
+            torque=self.torque,
+        )
+
+    def _tensor(self, values: object, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values), dtype=dtype, device=self._device)
+
+    @property
+    def together(self) -> int:
+        """How many parameter sets are best replayed at once: a power of two."""
+        return self._together
+
+    def _room(self) -> int:
+        most = MOST_WORLDS // self.segments
+        if self._device.startswith("cuda"):
+            row = 4 * (self.length + 1) * len(self.machine.joints) * self.segments * (6 if self.torque else 2)
+            most = min(most, int(MEMORY * torch.cuda.mem_get_info(self._device)[0]) // row)
+        return 1 << max(most.bit_length() - 1, 0)
+
+    # ------------------------------------------------------------------ running
+
+    def _run(self, parameters: Values, targets: FloatArray) -> Prediction:
+        sets = _count(parameters)
+        path, torques = self._simulate(parameters, targets, self.torque)
+        made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
+        torque = np.full_like(made, np.nan) if torques is not None else None
+        for begin in range(0, sets, RESIDUALS):
+            some = slice(begin, min(begin + RESIDUALS, sets))
+            self._put(made[some], self._residual(path[:, some]))
+            if torque is not None and torques is not None:
+                self._put(torque[some], self._torque_residual(torques[:, some]))
+        return Prediction(residual=made, torque_residual=torque)
+
+    def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
+        sets = _count(parameters)
+        path, _ = self._simulate(parameters, self._grid[None], False)
+        weight = self._tensor(rows[self.readings.row])[:, None, None] / self._tensor(noise) ** 2
+        found = []
+        for begin in range(0, sets, RESIDUALS):
+            residual = self._residual(path[:, begin : min(begin + RESIDUALS, sets)])
+            found.append((residual**2 * weight).sum(0))
+        squares = torch.cat(found).cpu().numpy()
+        return np.where(np.isfinite(squares), squares, np.inf)
+
+    def _put(self, out: FloatArray, residual: torch.Tensor) -> None:
+        """Write residuals (R, N, J) to the rows of the log (N, T, J), NaN where the simulation blew up."""
+        values = residual.to(torch.float32).transpose(0, 1).cpu().numpy()
+        out[:, self.readings.row] = np.where(np.isfinite(values), values, np.nan)
+
+    def _residual(self, path: torch.Tensor) -> torch.Tensor:
+        """Return measured - predicted position of each reading (R, N, J), from positions (steps + 1, N, segments, J)."""
+        segment, step, _ = self._at
+        before, after = path[step.clamp(min=0), :, segment], path[step + 1, :, segment]
+        return self._measured - (before * (1 - self._share) + after * self._share)
+
+    def _torque_residual(self, torques: torch.Tensor) -> torch.Tensor:
+        """Return measured - predicted torque of each reading (R, N, J), from torques (steps, N, segments, J)."""
+        assert self.log.tau is not None
+        segment, step, since = self._at
+        total = torch.cumsum(torques, 0, dtype=torch.float64)
+        begun = torch.where((since > 0)[:, None, None], total[(since - 1).clamp(min=0), :, segment], 0.0)
+        mean = (total[step.clamp(min=0), :, segment] - begun) / (step + 1 - since).clamp(min=1)[:, None, None]
+        mean = torch.where((since > 0)[:, None, None], mean, torques[step.clamp(min=0), :, segment].double())
+        residual = self._tensor(self.log.tau[self.readings.row])[:, None] - mean
+        return torch.where((step >= 0)[:, None, None], residual, 0.0)
+
+    def _simulate(
+        self, parameters: Values, targets: FloatArray, torque: bool
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets."""
+        segments, joints, sets = self.segments, len(self.machine.joints), _count(parameters)
+        padded = 1 << (sets - 1).bit_length()  # few sizes, so that few are captured
+        index = np.minimum(np.arange(padded), sets - 1)
+        p = {key: value[index] for key, value in parameters.items()}
+        n = padded * segments
+        law = Law(
+            self._drives,
+            {key: self._tensor(value).repeat_interleave(segments, 0) for key, value in p.items()},
+            self.dt,
+            (n, joints),
+            torch,
+        )
+        if n not in self._simulations:
+            self._simulations[n] = _Simulations(self._model(), n, self._device)
+        worlds = self._simulations[n]
+        q, dq = (self._tensor(np.tile(x, (padded, 1))) for x in self._starts(self._begin))
+        heat = self._heat_at(p)
+        law.reset(q, dq, None if heat is None else self._tensor(heat))
+        worlds.begin(self._fields(p), segments, law.unread(q), dq)
+        path = torch.zeros(self.length + 1, n, joints, device=self._device)
+        torques = torch.zeros(self.length, n, joints, device=self._device) if torque else None
+        path[0] = law.reading(worlds.q)
+        which = self._tensor(np.repeat(index % len(targets), segments), torch.int64)[:, None]
+        self._go(law, worlds, targets, which, target_shift(p, self.dt), path, torques)
+        shape = (padded, segments, joints)
+        return path.view(-1, *shape), None if torques is None else torques.view(-1, *shape)
+
+    def _go(
+        self,
+        law: Law,
+        worlds: _Simulations,
+        targets: FloatArray,
+        which: torch.Tensor,
+        shift: FloatArray,
+        path: torch.Tensor,
+        torques: torch.Tensor | None,
+    ) -> None:
+        """Let law and physics take turns; on a GPU each is a captured graph."""
+        grid, steps = self._on_device(targets), targets.shape[1]
+        forces = None if self._force is None else self._tensor(self._force)
+        begin = self._tensor(np.tile(self._begin, len(which) // self.segments), torch.int64)
+        late = self._tensor(shift).expand(len(which) // self.segments, -1).repeat_interleave(self.segments, 0)
+        whole = torch.floor(late)
+        part, whole = late - whole, whole.to(torch.int64)
+        column = torch.arange(targets.shape[2], device=self._device)[None]
+        k = torch.zeros(1, dtype=torch.int64, device=self._device)
+        kept = dict(law.states)  # where captured steps read them
+
+        def keep() -> None:
+            for name, buffer in kept.items():
+                if law.states[name] is not buffer:
+                    law.states[name] = buffer.copy_(law.states[name])
+
+        def drive() -> None:
+            now = begin + k
+            row = (now[:, None] - whole).clamp(0, steps - 1)
+            newer, older = grid[which, row, column], grid[which, (row - 1).clamp(min=0), column]
+            force = None if forces is None else forces[now.clamp(max=len(forces) - 1)]
+            time = now[:, None].double() * self.dt
+            inputs = law.step(worlds.q, worlds.dq, newer + part * (older - newer), time, force)
+            worlds.servo.write(inputs)
+            if torques is not None:
+                torques.index_copy_(0, k, inputs.tau[None].to(torques.dtype))
+            keep()
+
+        def finish() -> None:
+            law.settle(worlds.dq)
+            keep()
+            k.add_(1)
+            path.index_copy_(0, k, law.reading(worlds.q)[None].to(path.dtype))
+
+        def between() -> None:
+            finish()
+            drive()
+
+        turn = Replayed(between, self._device)
+        drive()
+        for _ in range(self.length - 1):
+            worlds.step()
+            turn()
+        worlds.step()
+        finish()
+
+    def _on_device(self, targets: FloatArray) -> torch.Tensor:
+        """Return targets (V, steps, J) as a tensor; those of the log are kept."""
+        if targets.base is not self._grid:
+            return self._tensor(targets)
+        if self._uploaded is None or self._uploaded[0] is not self._grid:
+            self._uploaded = (self._grid, self._tensor(targets))
+        return self._uploaded[1]
+
+    def _fields(self, p: Parameters) -> dict[str, FloatArray]:
+        """Return the model fields of each parameter set (N, ...), worked out by MuJoCo on the processor."""
+        count, names = _count(p), (*STATIC, "opt.gravity")
+        size = min(count, HOST)
+        if size not in self._hosts:
+            self._hosts[size] = Batch(self._model(), size, self.threads)
+        batch, found = self._hosts[size], {name: [] for name in names}
+        for begin in range(0, count, size):  # both are powers of two
+            some = {key: value[begin : begin + size] for key, value in p.items()}
+            law = Law(self.machine.drives, some, self.dt, (size, len(self.machine.joints)), np)
+            static_fields(batch, self.machine, law, some)
+            for name in names:
+                values = batch.expanded(name)
+                if values is None:
+                    values = np.repeat(np.asarray(getattr(self.machine.model, name))[None], size, 0)
+                found[name].append(np.array(values))
+        return {name: np.concatenate(values) for name, values in found.items()}
+
+
+def _count(parameters: Parameters) -> int:
+    return len(next(iter(parameters.values())))
