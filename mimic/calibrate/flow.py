@@ -193,20 +193,7 @@ def _errors(problem: Problem, residual: FloatArray) -> Errors:
 
 
 def _fine(problem: Problem, point: Point) -> FloatArray:
-    """Return whitened residuals (T, C) as steps without length would leave them.
-
-    From replays with FINE and 2 FINE times more steps: what is left of their error goes with the step where the motors
-    are at their limits, and with its square elsewhere (Richardson).
-    """
-    once, twice = (_replayed_finely(problem, point, FINE * more) for more in (1, 2))
-    return 2.0 * twice - once
-
-
-def _replayed_finely(problem: Problem, point: Point, steps: int) -> FloatArray:
-    joints = len(problem.machine.joints)
-    replay = problem.replay.finer(steps, FINE_SEGMENT)
-    fine = Problem(replay, problem.noise[:joints], problem.noise[joints:], problem.blocks)
-    return fine.residuals([point])[0]
+    return problem.in_fine_steps(point, FINE, FINE_SEGMENT)
 
 
 def _correct(problem: Problem, point: Point) -> None:

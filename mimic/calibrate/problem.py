@@ -6,6 +6,7 @@ changed in one replay, and the column of each leg is read from that leg's own jo
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +18,9 @@ from mimic.robot.effects import CATALOGUE, Parameter, scale_of
 from mimic.robot.machine import MachineModel
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray, IntArray
+
+REMEMBERED = 4
+"""Replays in fine steps that are kept: they are dear, and some points are asked for again."""
 
 Key = tuple[str, str]
 """(effect, parameter)"""
@@ -72,6 +76,12 @@ class Point:
             at = max(knob.joint, 0)
             values[knob.key][at] = np.clip(values[knob.key][at] + delta, *knob.bounds)
         return Point(values)
+
+    def is_at(self, other: Point) -> bool:
+        """Return whether another point has the same values."""
+        if self.values.keys() != other.values.keys():
+            return False
+        return all(np.array_equal(row, other.values[key]) for key, row in self.values.items())
 
     def read(self, knobs: Sequence[Knob]) -> FloatArray:
         """Return the values of the knobs."""
@@ -174,6 +184,7 @@ class Problem:
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
         self._scales = _scales(replay)
+        self._fine: deque[tuple[Point, tuple[FloatArray | None, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
@@ -189,20 +200,48 @@ class Problem:
 
     def uncorrected(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
         """Return the residuals of these steps as they are, see :meth:`residuals`."""
+        return self._whitened(self._replayed(self.replay, points, pushed))
+
+    def in_fine_steps(self, point: Point, times: int, segment: float) -> FloatArray:
+        """Return whitened residuals (T, C) as steps without length would leave them.
+
+        From replays with so many and twice as many times more steps: what is left of their error goes with the step
+        where the motors are at their limits, and with its square elsewhere (Richardson).
+
+        Args:
+            point: Where.
+            times: How many times more steps.
+            segment: Length of their segments [s].
+        """
+        now = (self.replay.late, self.replay.heat)
+        for known, then, made in self._fine:
+            if then[0] is now[0] and then[1] is now[1] and known.is_at(point):
+                return self._whitened(made.copy())
+        once, twice = (self._replayed(self.replay.finer(times * more, segment), [point])[0] for more in (1, 2))
+        made = 2.0 * twice - once
+        self._fine.append((point, now, made))
+        return self._whitened(made.copy())
+
+    def _whitened(self, residual: FloatArray) -> FloatArray:
+        """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
+        residual /= self.noise.astype(np.float32)
+        residual[..., self.blocks.index < 0, :] = np.nan
+        return residual
+
+    def _replayed(self, replay: Replay, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
+        """Return the residuals of points in units of the log (N, T, C)."""
         joints = len(self.machine.joints)
-        joined = np.empty((len(points), len(self.replay.log.t), self.channels), dtype=np.float32)
+        joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
         apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
         for i, point in enumerate(points):
             apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
         for rows in apart.values():
             values = stack([points[i] for i in rows], self.machine)
             values = values or {("delay", "time"): np.zeros((len(rows), 1))}
-            made = self.replay.run(values, len(rows), pushed=None if pushed is None else pushed[rows])
+            made = replay.run(values, len(rows), pushed=None if pushed is None else pushed[rows])
             joined[rows, :, :joints] = made.residual
             if self.channels > joints:
                 joined[rows, :, joints:] = made.torque_residual
-        joined /= self.noise.astype(np.float32)
-        joined[:, self.blocks.index < 0] = np.nan
         return joined
 
     def squares(self, points: Sequence[Point]) -> FloatArray:

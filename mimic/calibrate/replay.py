@@ -106,7 +106,8 @@ class Replay:
         self._force = None if log.force is None else self._on_grid(log.force)
         self.readings = self._readings()
         self.replays = 0
-        self._heat: FloatArray | None = None
+        self.heat: FloatArray | None = None
+        """Square torque at each reading (T, J), where it is known."""
         self._batches: dict[int, Batch] = {}
         self._finer: dict[tuple[int, float], Replay] = {}
 
@@ -118,7 +119,7 @@ class Replay:
         fine = self._finer[times, segment]
         if fine.late is not self.late:
             fine.set_late(self.late)
-        fine._heat = self._heat
+        fine.heat = self.heat
         return fine
 
     def _again(self, timestep: float, segment: float) -> Replay:
@@ -133,7 +134,7 @@ class Replay:
 
     def set_heat(self, tau: FloatArray) -> None:
         """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
-        self._heat = np.asarray(tau) ** 2
+        self.heat = np.asarray(tau) ** 2
 
     def set_late(self, late: FloatArray | None) -> None:
         """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
@@ -322,14 +323,14 @@ class Replay:
 
         None where no set has an effect of heat, or none is known.
         """
-        if self._heat is None or ("kt_heat", "time") not in p:
+        if self.heat is None or ("kt_heat", "time") not in p:
             return None
         time = np.asarray(p["kt_heat", "time"])[:, None]
         dt = float(np.median(np.diff(self.log.t)))
         rows = np.clip(np.searchsorted(self.log.t - self.log.t[0], self._begin * self.dt), 0, len(self.log.t))
-        heat = np.zeros((len(time), len(rows), self._heat.shape[1]))
+        heat = np.zeros((len(time), len(rows), self.heat.shape[1]))
         for i in range(1, len(rows)):
-            own = self._heat[rows[i - 1] : rows[i]]
+            own = self.heat[rows[i - 1] : rows[i]]
             age = np.arange(len(own))[::-1, None] * dt
             heat[:, i] = heat[:, i - 1] * np.exp(-len(own) * dt / time[:, 0])
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)

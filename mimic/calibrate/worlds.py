@@ -7,6 +7,7 @@ precision, which moves a position by micrometres. Nothing leaves the device betw
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 
 import mujoco
@@ -93,6 +94,22 @@ class _Simulations:
         self._warmstart.zero_()
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Outside:
+    """What comes from outside during a replay, at each physics step."""
+
+    targets: torch.Tensor
+    """(V, steps, J)"""
+    target_of: torch.Tensor
+    """Which targets each world has (n,)."""
+    forces: torch.Tensor | None
+    """Put in by all drives (steps, J)."""
+    pushes: torch.Tensor | None
+    """On the joints (N, steps, J)."""
+    push_of: torch.Tensor
+    """Which of them each world has (n,)."""
+
+
 class WorldReplay(Replay):
     """Replays of one log in one model, on the worlds of a device."""
 
@@ -168,9 +185,9 @@ class WorldReplay(Replay):
 
     # ------------------------------------------------------------------ running
 
-    def _run(self, parameters: Values, targets: FloatArray) -> Prediction:
+    def _run(self, parameters: Values, targets: FloatArray, pushed: FloatArray | None) -> Prediction:
         sets = _count(parameters)
-        path, torques = self._simulate(parameters, targets, self.torque)
+        path, torques = self._simulate(parameters, targets, pushed, self.torque)
         made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
         torque = np.full_like(made, np.nan) if torques is not None else None
         for begin in range(0, sets, RESIDUALS):
@@ -182,7 +199,7 @@ class WorldReplay(Replay):
 
     def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
         sets = _count(parameters)
-        path, _ = self._simulate(parameters, self._grid[None], False)
+        path, _ = self._simulate(parameters, self._grid[None], None, False)
         weight = self._tensor(rows[self.readings.row])[:, None, None] / self._tensor(noise) ** 2
         found = []
         for begin in range(0, sets, RESIDUALS):
@@ -214,7 +231,7 @@ class WorldReplay(Replay):
         return torch.where((step >= 0)[:, None, None], residual, 0.0)
 
     def _simulate(
-        self, parameters: Values, targets: FloatArray, torque: bool
+        self, parameters: Values, targets: FloatArray, pushed: FloatArray | None, torque: bool
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets."""
         segments, joints, sets = self.segments, len(self.machine.joints), _count(parameters)
@@ -239,8 +256,15 @@ class WorldReplay(Replay):
         path = torch.zeros(self.length + 1, n, joints, device=self._device)
         torques = torch.zeros(self.length, n, joints, device=self._device) if torque else None
         path[0] = law.reading(worlds.q)
-        which = self._tensor(np.repeat(index % len(targets), segments), torch.int64)[:, None]
-        self._go(law, worlds, targets, which, target_shift(p, self.dt), path, torques)
+        forces = None if self._force is None else self._tensor(self._force)
+        outside = _Outside(
+            targets=self._on_device(targets),
+            target_of=self._tensor(np.repeat(index % len(targets), segments), torch.int64),
+            forces=forces,
+            pushes=None if pushed is None else self._tensor(pushed),
+            push_of=self._tensor(np.repeat(index, segments), torch.int64),
+        )
+        self._go(law, worlds, outside, target_shift(p, self.dt), path, torques)
         shape = (padded, segments, joints)
         return path.view(-1, *shape), None if torques is None else torques.view(-1, *shape)
 
@@ -248,20 +272,18 @@ class WorldReplay(Replay):
         self,
         law: Law,
         worlds: _Simulations,
-        targets: FloatArray,
-        which: torch.Tensor,
+        outside: _Outside,
         shift: FloatArray,
         path: torch.Tensor,
         torques: torch.Tensor | None,
     ) -> None:
         """Let law and physics take turns; on a GPU each is a captured graph."""
-        grid, steps = self._on_device(targets), targets.shape[1]
-        forces = None if self._force is None else self._tensor(self._force)
+        grid, steps, which = outside.targets, outside.targets.shape[1], outside.target_of[:, None]
         begin = self._tensor(np.tile(self._begin, len(which) // self.segments), torch.int64)
         late = self._tensor(shift).expand(len(which) // self.segments, -1).repeat_interleave(self.segments, 0)
         whole = torch.floor(late)
         part, whole = late - whole, whole.to(torch.int64)
-        column = torch.arange(targets.shape[2], device=self._device)[None]
+        column = torch.arange(grid.shape[2], device=self._device)[None]
         k = torch.zeros(1, dtype=torch.int64, device=self._device)
         kept = dict(law.states)  # where captured steps read them
 
@@ -274,9 +296,12 @@ class WorldReplay(Replay):
             now = begin + k
             row = (now[:, None] - whole).clamp(0, steps - 1)
             newer, older = grid[which, row, column], grid[which, (row - 1).clamp(min=0), column]
-            force = None if forces is None else forces[now.clamp(max=len(forces) - 1)]
+            force = None if outside.forces is None else outside.forces[now.clamp(max=self.total - 1)]
             time = now[:, None].double() * self.dt
             inputs = law.step(worlds.q, worlds.dq, newer + part * (older - newer), time, force)
+            if outside.pushes is not None:
+                pushed = outside.pushes[outside.push_of, now.clamp(max=self.total - 1)]
+                inputs = replace(inputs, applied=inputs.applied + pushed)
             worlds.servo.write(inputs)
             if torques is not None:
                 torques.index_copy_(0, k, inputs.tau[None].to(torques.dtype))

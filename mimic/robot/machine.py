@@ -125,7 +125,10 @@ def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
 def _machine(
     spec: Any, *, kp: FloatArray, kd: FloatArray, torque: FloatArray, flat: FloatArray, speed: FloatArray
 ) -> MachineModel:
-    for group in (spec.keys, spec.sensors, spec.equalities, spec.tendons):
+    shapes = ()
+    if all(body.explicitinertial for body in spec.bodies if body.name != "world"):  # they weigh and touch nothing
+        shapes = (spec.pairs, spec.excludes, spec.geoms)
+    for group in (spec.keys, spec.sensors, spec.equalities, spec.tendons, *shapes):
         for item in list(group):
             spec.delete(item)
     names = [joint.name for joint in spec.joints]
@@ -136,7 +139,7 @@ def _machine(
         body.simple = 0  # effects move its centre of mass
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND)
     joints = tuple(model.joint(j).name for j in range(model.njnt))
     body = np.array(model.jnt_bodyid)
     chain, place = _chains(model, body)
