@@ -101,6 +101,16 @@ def test_worlds_go_the_way_of_the_replay_on_the_processor(arm: MachineModel, log
     assert np.nanmin([np.nanstd(one.residual[0] - r) for r in one.residual[1:]]) > 20 * SINGLE  # they do differ
 
 
+def test_each_set_may_be_pushed_from_outside(arm: MachineModel, log: MachineLog) -> None:
+    made = []
+    for replay in both(arm, log, torque=False):
+        pushed = np.zeros((2, replay.total, 2))
+        pushed[1, 800:, 1] = 0.1
+        made.append(replay.run(stack([declared(arm)] * 2, arm), 2, pushed=pushed).residual)
+    assert np.nanmax(np.abs(made[0] - made[1])) < SINGLE
+    assert np.nanmax(np.abs(made[0][0] - made[0][1])) > 1e-3
+
+
 def test_each_set_may_have_targets_of_its_own(arm: MachineModel, log: MachineLog) -> None:
     made = []
     for replay in both(arm, log, torque=False):
