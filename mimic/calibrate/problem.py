@@ -214,13 +214,15 @@ class Problem:
             segment: Length of their segments [s].
         """
         now = (self.replay.late, self.replay.heat)
-        for known, then, made in self._fine:
-            if then[0] is now[0] and then[1] is now[1] and known.is_at(point):
-                return self._whitened(made.copy())
-        once, twice = (self._replayed(self.replay.finer(times * more, segment), [point])[0] for more in (1, 2))
-        made = 2.0 * twice - once
-        self._fine.append((point, now, made))
-        return self._whitened(made.copy())
+        same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
+        made = next(same, None)
+        if made is None:
+            made = np.concatenate(
+                [self._replayed(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
+            )
+            self._fine.append((point, now, made))
+        once, twice = self._whitened(made.copy())
+        return 2.0 * twice - once
 
     def _whitened(self, residual: FloatArray) -> FloatArray:
         """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
