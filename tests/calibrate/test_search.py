@@ -74,3 +74,17 @@ def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: 
     without = problem.block_squares(fit(problem, declared, DECLARED, {}, most=3).residual)[problem.blocks.train]
     assert squares.sum() < 0.5 * without.sum()
     assert np.all(squares < 10.0 * without.max())
+
+
+def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
+    problem, point = problem_of(pair, log_of(pair))
+    once = problem.in_fine_steps(point, 2, 1.0)
+    made = problem.replay.replays
+    again = problem.in_fine_steps(point.moved([], np.zeros(0)), 2, 1.0)
+    assert np.array_equal(again, once, equal_nan=True)
+    assert problem.replay.replays == made
+    other = problem.in_fine_steps(point.with_effect("coulomb", pair, {"level": 0.1}), 2, 1.0)
+    assert problem.replay.replays > made
+    assert np.nanmax(np.abs(other - once)) > 1.0
+    problem.replay.set_late(np.full(len(problem.replay.sent), 0.01))
+    assert np.nanmax(np.abs(problem.in_fine_steps(point, 2, 1.0) - once)) > 1.0

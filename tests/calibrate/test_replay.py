@@ -1,0 +1,66 @@
+"""What a replay reads off the simulation, and where its segments begin."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.replay import Replay
+from mimic.calibrate.simulate import simulate_log
+from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.machine import read_machine
+from mimic.settings import LogSettings
+
+PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.1"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>
+<actuator><position joint="hinge" kp="30" kv="1.5"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("timestep", [0.0025, 0.0021, 0.0017])
+def test_readings_between_two_steps_are_predicted_at_their_own_time(tmp_path: Path, timestep: float) -> None:
+    """At 4 rad/s, a reading taken for one a step later would be off by 8 mrad."""
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    machine = read_machine(tmp_path / "robot.xml")
+    t = np.arange(0.0, 12.0, 0.02)
+    target = 0.8 * np.sin(5.0 * t)[:, None]
+    log = simulate_log(machine, t, target, EffectSet(), LogSettings(noise=0.0, resolution=0.0))
+    residual = (
+        Replay(machine, log, timestep=timestep, threads=1).run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
+    )
+    assert np.nanmax(np.abs(residual)) < 5e-4
+
+
+def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    machine = read_machine(tmp_path / "robot.xml")
+    t = np.arange(0.0, 12.0, 0.02)
+    hot = {("kt_heat", "loss"): np.array([[0.3]]), ("kt_heat", "time"): np.array([[6.0]])}
+    heat = EffectSet(
+        (EffectValues(name="kt_heat", joints=("hinge",), values={"loss": np.array([0.3]), "time": np.array([6.0])}),)
+    )
+    log = simulate_log(
+        machine, t, 0.8 * np.sin(9.0 * t)[:, None], heat, LogSettings(noise=0.0, torque_noise=0.0, resolution=0.0)
+    )
+    cut = Replay(machine, log, timestep=0.0025, segment=3.0, threads=1)
+    cold = np.nanstd(cut.run(hot, 1).residual)
+    cut.set_heat(log.tau)
+    warm = np.nanstd(cut.run(hot, 1).residual)
+    whole = np.nanstd(Replay(machine, log, timestep=0.0025, segment=60.0, threads=1).run(hot, 1).residual)
+    assert warm < 1.3 * whole
+    assert cold > 3 * whole
+
+
+def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    machine = read_machine(tmp_path / "robot.xml")
+    t = np.arange(0.0, 3.0, 0.02)
+    log = simulate_log(machine, t, 0.4 * np.sin(5.0 * t)[:, None], EffectSet(), LogSettings(noise=0.0))
+    twice = np.sort(np.concatenate([log.t, log.t[1:] - 0.001]))
+    q, target = (np.interp(twice, log.t, x[:, 0])[:, None] for x in (log.q, log.q_des))
+    close = MachineLog(joints=log.joints, t=twice, q=q, q_des=target, tau=np.zeros_like(q))
+    made = Replay(machine, close, timestep=0.0025, threads=1, torque=True).run({("delay", "time"): np.zeros((1, 1))}, 1)
+    torque = made.torque_residual[0, :, 0]
+    late = torque[np.searchsorted(twice, 1.0) :]
+    assert np.array_equal(late[1:-1:2], late[2::2])
+    assert np.all(late != 0.0)
