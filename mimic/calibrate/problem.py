@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import signal
 
 from mimic.calibrate.replay import Replay
+from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE, Parameter, scale_of
 from mimic.robot.machine import MachineModel
 from mimic.robot.servo import neutral
@@ -187,6 +189,13 @@ class Problem:
         self._fine: deque[tuple[Point, tuple[FloatArray | None, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
+
+    @cached_property
+    def period(self) -> float | None:
+        """Time after which the motion that was asked for repeats [s]; None where it does not."""
+        log = self.replay.log
+        asked = log.q_des if log.q_des is not None else log.force
+        return None if asked is None else period(log.t, asked)
 
     def residuals(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up.

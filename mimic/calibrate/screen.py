@@ -14,7 +14,6 @@ import numpy as np
 
 from mimic.calibrate.fit import Fit, linear_step
 from mimic.calibrate.problem import Knob, Point, Problem
-from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
@@ -27,6 +26,9 @@ FINEST_ORDER = 0.5
 
 MOST_PERIODS = 40
 """Most periods of cogging in the range of motion."""
+
+BINS = 20
+"""Places that the residual is averaged over, in the shortest period of cogging."""
 
 LEAST_PERIODS = 1.5
 """Fewest; a longer wave is a spring, or whatever else depends on position."""
@@ -123,14 +125,18 @@ def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) ->
     r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
     orders = np.arange(least_order(q), 2 * np.pi * MOST_PERIODS / max(np.ptp(q), 1e-9), FINEST_ORDER / np.ptp(q))
     calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
+    if not calm.any():
+        return float(orders[0])
     r, q = r[calm], q[calm]
-    r = r - r.mean()
-    power = np.zeros(len(orders))
-    for i, n in enumerate(orders):
-        a = np.stack([np.cos(n * q), np.sin(n * q)], -1)
-        a = a - a.mean(0)
-        x, *_ = np.linalg.lstsq(a, r, rcond=None)
-        power[i] = float(np.sum((a @ x) ** 2))
+    bins = ((q - q.min()) * (BINS * MOST_PERIODS / max(np.ptp(q), 1e-9))).astype(int)
+    count = np.bincount(bins)
+    there = count > 0
+    total = np.bincount(bins, r - r.mean())[there]
+    place, count = np.bincount(bins, q)[there] / count[there], count[there]
+    a, b = (wave(orders[:, None] * place) for wave in (np.cos, np.sin))
+    a, b = (wave - (wave @ count / len(q))[:, None] for wave in (a, b))
+    aa, bb, ab, ar, br = (a * a) @ count, (b * b) @ count, (a * b) @ count, a @ total, b @ total
+    power = (bb * ar**2 - 2 * ab * ar * br + aa * br**2) / np.maximum(aa * bb - ab**2, 1e-9)
     return float(orders[int(np.argmax(power))])
 
 
@@ -155,13 +161,11 @@ def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
 
     What depends on the state repeats with the motion, so that nothing external can be told from it there.
     """
-    log = problem.replay.log
-    asked = log.q_des if log.q_des is not None else log.force
-    every = None if asked is None else period(log.t, asked)
+    every = problem.period
     if every is None:
         return np.zeros(np.shape(frequency), dtype=bool)
     turns = np.asarray(frequency) * every
-    return np.abs(turns - np.round(turns)) < 0.6 * every / log.duration
+    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration
 
 
 def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:

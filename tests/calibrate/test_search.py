@@ -10,6 +10,7 @@ from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.replay import Replay
+from mimic.calibrate.screen import Motion, starts_of
 from mimic.calibrate.simulate import simulate_log
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -88,3 +89,13 @@ def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
     assert np.nanmax(np.abs(other - once)) > 1.0
     problem.replay.set_late(np.full(len(problem.replay.sent), 0.01))
     assert np.nanmax(np.abs(problem.in_fine_steps(point, 2, 1.0) - once)) > 1.0
+
+
+def test_cogging_is_looked_for_at_its_order(pair: MachineModel) -> None:
+    ripple = {"cosine": np.array([0.03, 0.05]), "sine": np.array([0.04, -0.02]), "order": np.array([37.0, 61.0])}
+    log = log_of(pair, EffectValues(name="cogging", joints=pair.joints, values=ripple))
+    problem, point = problem_of(pair, log)
+    fitted = fit(problem, point, DECLARED, {}, most=1)
+    motion = Motion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
+    order = starts_of("cogging", fitted, problem, motion)[0].values["cogging", "order"]
+    assert order == pytest.approx(ripple["order"], abs=1.0 / np.ptp(log.q, axis=0).min())
