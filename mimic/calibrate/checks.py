@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mimic.calibrate import problems
+from mimic.calibrate import problems, unread
 from mimic.calibrate.problems import FOLLOWS
 from mimic.calibrate.signals import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 from mimic.errors import CalibrationError
 from mimic.machine_log import CHANNELS, MachineLog
 from mimic.types import BoolArray, FloatArray
+
+MOST_LOST = 0.2
+"""Greatest share of rows that may be left out."""
 
 SHORTEST = 10.0
 """Shortest log that is accepted [s]."""
@@ -153,7 +156,7 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
     if empty:
         log = replace(log, **dict.fromkeys(empty))
-    ok = np.isfinite(log.t)
+    ok, told = np.isfinite(log.t), np.zeros(len(log.t), dtype=bool)
     for name in CHANNELS:
         value = getattr(log, name)
         if value is None:
@@ -164,13 +167,23 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
             raise CalibrationError(
                 f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; leave the joint out, or log it"
             )
-        ok &= finite.all(axis=1)
-    lost = 1.0 - float(ok.mean())
-    if lost > 0.2:
+        told |= ~finite.all(axis=1)
+        if name in ("q_des", "force"):
+            ok &= finite.all(axis=1)
+    lost = float((told | ~ok).mean())
+    if lost > MOST_LOST:
         raise CalibrationError(f"{lost:.0%} of the rows hold something that is not a number; expected readings")
     if lost > 0:
-        warnings.append(f"{int((~ok).sum())} rows ({lost:.1%}) hold something that is not a number; left out")
+        warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) hold something that is not a number; left out")
         log = log.part(ok)
+    gone = unread.missing(log)
+    odd = unread.at_odd_times(log, MOST_LOST) & ~gone
+    if odd.any():
+        warnings.append(
+            f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
+        )
+    if (unseen := gone | odd).any():
+        log = unread.filled(log, unseen)
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])

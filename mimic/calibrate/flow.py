@@ -17,7 +17,8 @@ from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.screen import Motion
-from mimic.calibrate.signals import noise_floor
+from mimic.calibrate.signals import noise_floor, resolution
+from mimic.calibrate.unread import read
 from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
 from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
@@ -169,8 +170,9 @@ def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings
     step = settings.timestep or physics_step(log.rate)
     replay = _replay(log, machine, settings, step)
     noise = np.maximum(noise_floor(log.q, log.rate), 1e-9)
+    noise = np.maximum(noise, [resolution(c) / np.sqrt(12.0) for c in log.q[read(log)].T])  # what is filled in has none
     torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
-    return Problem(replay, noise, torque, make_blocks(log.t, replay.counts))
+    return Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
 
 
 def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:

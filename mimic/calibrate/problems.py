@@ -13,6 +13,8 @@ from mimic.types import BoolArray, FloatArray
 
 GAP = 1.5
 """Two readings further apart than this many usual distances have others missing between them."""
+ANSWERED = 0.1
+"""A joint that does not read otherwise so long after its target moved does not answer [s]."""
 FOLLOWS, STRANGER = 0.9, 0.5
 """Correlation of a joint with a target that it certainly follows, and certainly does not."""
 
@@ -157,7 +159,8 @@ def stuck(log: MachineLog) -> Iterator[str]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             seconds = log.t[stop] - log.t[start]
-            if seconds < 0.25 or np.ptp(wanted[start : stop + 1]) < 0.1 * np.ptp(wanted):
+            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - ANSWERED]
+            if seconds < 0.25 or np.ptp(asked_of_it) < 0.1 * np.ptp(wanted):
                 continue
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where:

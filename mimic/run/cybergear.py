@@ -66,6 +66,11 @@ _ROUNDING = 1e-6
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
 
+def half_a_word(most: float) -> float:
+    """Return half of the step in which a quantity from -most to most is told: what truncating takes off, in the mean."""
+    return most / _SPAN
+
+
 def to_word(value: float, low: float, high: float) -> int:
     """Return the word of a quantity, saturated and truncated.
 

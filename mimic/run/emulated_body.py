@@ -98,6 +98,8 @@ class EmulatedBody:
         self._numbers = np.zeros((6, 12))
         self._target = np.array(self.data.qpos[-12:])
         self._changed = True
+        self._mixed = np.zeros(12, dtype=bool)
+        """Motors that were told something else during the last step."""
         self._tau = np.zeros(12)
         thermal = d.raw["motor"]["thermal"]
         self._share = np.array([[thermal["winding_share"]], [1.0 - thermal["winding_share"]]])
@@ -152,7 +154,7 @@ class EmulatedBody:
 
     def _step(self, h: float) -> None:
         data, now = self.data, self.time
-        self._take_commands(now + h / 2)
+        self._take_commands(now, now + h)
         if self._changed:
             kp, kd, _, dq, tau, limit = self._numbers
             self._law.set_gains(kp, kd)
@@ -176,15 +178,26 @@ class EmulatedBody:
                 f"the emulated robot is no longer finite at {self.time:.2f} s; this is a bug, please report it"
             )
 
-    def _take_commands(self, until: float) -> None:
+    def _take_commands(self, begin: float, end: float) -> None:
+        """Let what the motors are told until the end of a step act in it, for as long as it acts in it."""
         for joint, coming in enumerate(self._coming):
-            while coming and coming[0][0] <= until:
-                drive = coming.popleft()[1]
+            if not self._mixed[joint] and not (coming and coming[0][0] < end):
+                continue
+            at, mean = begin, np.zeros(6)
+            while coming and coming[0][0] < end:
+                t, drive = coming.popleft()
                 if np.isfinite(drive.pace) and not (self._drives[joint].kp and np.isfinite(self._drives[joint].pace)):
                     self._target[joint] = self.data.qpos[-12 + joint]
+                was = self._drives[joint]
+                if (drive.kp, drive.kd, drive.limit) == (was.kp, was.kd, was.limit):
+                    mean += (max(t, begin) - at) * _numbers(was)
+                    at = max(t, begin)
+                else:  # a mean of gains is none of them
+                    at, mean = begin, np.zeros(6)
                 self._drives[joint] = drive
-                self._numbers[:, joint] = drive.kp, drive.kd, drive.q, drive.dq, drive.tau, drive.limit
-                self._changed = True
+            self._mixed[joint] = at > begin
+            self._numbers[:, joint] = (mean + (end - at) * _numbers(self._drives[joint])) / (end - begin)
+            self._changed = True
 
     # ------------------------------------------------------------------ what is measured
 
@@ -205,6 +218,10 @@ class EmulatedBody:
         if self.model.nq == 12:
             return self._quat, np.zeros(3)
         return self.data.qpos[3:7].copy(), self.data.qvel[3:6].copy()
+
+
+def _numbers(drive: Drive) -> FloatArray:
+    return np.array([drive.kp, drive.kd, drive.q, drive.dq, drive.tau, drive.limit])
 
 
 def _tilt(roll: float, pitch: float) -> FloatArray:

@@ -35,6 +35,9 @@ VOLTAGE = 24.0
 LOOK_EVERY = 0.01
 """How often motors look at temperature, voltage and the time since they heard a host [s]."""
 
+HUNG_TIMESTEP = 0.0005
+"""Longest step of the physics of a robot that hangs [s]: it is there to be measured, and motors read between the steps."""
+
 POWER_UP = 0.05
 """Motors have told their ids within this after the power came [s]."""
 
@@ -75,7 +78,7 @@ class EmulatedRobot:
             settings: How it is; by default lying, its zeros lost.
             effects: What its drives, links and encoders have besides.
             faults: What goes wrong and when; more by :meth:`inject`.
-            timestep: Of the physics [s].
+            timestep: Of the physics [s]; no more than HUNG_TIMESTEP for a robot that hangs.
             visuals: Keep the shapes that are only looked at.
 
         Raises:
@@ -87,7 +90,7 @@ class EmulatedRobot:
             description,
             effects=effects,
             hung=s.hung,
-            timestep=timestep,
+            timestep=min(timestep, HUNG_TIMESTEP) if s.hung else timestep,
             placement=s.placement,
             seed=s.seed,
             visuals=visuals,

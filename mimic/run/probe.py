@@ -1,8 +1,9 @@
 """Moving a robot that hangs so that its drives show what they are, and logging it as calibration reads it.
 
 A row is one exchange with all motors: the commands go out at once, and each motor measures when its own arrives. An answer
-that comes too late for its own row but before the next commands still belongs to it; one that is later is missing. Motors tell the torque of that instant, not the mean since the row before, which a log's
-``tau`` is; so it stands beside the log, as ``tau_now``.
+that comes too late for its own row but before the next commands still belongs to it; one that is later is missing. Motors
+tell the torque of that instant, not the mean since the row before, which a log's ``tau`` is; so it stands beside the log, as
+``tau_now``. A position is told as a word that was rounded down; the log has the middle of what the word stands for.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from mimic.robot.description import RobotDescription
 from mimic.robot.excitation import hung_ranges, probe_targets
 from mimic.robot.goals import eased
 from mimic.run.can_robot import CanRobot
+from mimic.run.cybergear import half_a_word
 from mimic.run.motor_messages import VBUS, ReadParameter
 from mimic.run.safety import Event, Mode, Supervisor
 from mimic.run.safety_rules import HUNG_RULES, LIMITS, Facts
@@ -252,10 +254,12 @@ class _Rows:
             extra[f"temperature.{name}"] = columns["temperature"][:, joint]
             extra[f"tau_now.{name}"] = columns["tau"][:, joint]
         missing = float(np.isnan(columns["q"]).mean())
+        wiring = self._robot.exchange.wiring
+        middle = wiring.sign * half_a_word(wiring.position_range)
         log = MachineLog(
             joints=JOINTS,
             t=t,
-            q=columns["q"],
+            q=columns["q"] + middle,
             dq=columns["dq"],
             q_des=columns["q_des"],
             extra=extra,

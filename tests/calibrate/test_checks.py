@@ -11,6 +11,7 @@ import pytest
 
 from mimic.calibrate.checks import belongs, check_log
 from mimic.calibrate.signals import period
+from mimic.calibrate.unread import read
 from mimic.errors import CalibrationError
 from mimic.machine_log import MachineLog, read_log, write_log
 from mimic.types import FloatArray
@@ -160,10 +161,29 @@ def test_some_nan_rows_are_left_out_and_many_refused(log: MachineLog) -> None:
         return replace(log, q=q)
 
     facts = check_log(broken(slice(200, 204)))
-    assert len(facts.log.t) == len(log.t) - 4
+    assert facts.log.q_des is not None
+    assert np.array_equal(facts.log.q_des, log.q_des), "what was asked acted all the same"
+    assert np.flatnonzero(~read(facts.log)).tolist() == [200, 201, 202, 203]
+    assert np.isfinite(facts.log.q).all()
     assert "4 rows (0.1%) hold something that is not a number" in facts.warnings[0]
     with pytest.raises(CalibrationError, match=r"q\.knee is not a number in 67% of the rows"):
         check_log(broken(slice(0, 4000)))
+
+
+def test_rows_without_a_target_are_left_out(log: MachineLog) -> None:
+    facts = check_log(changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 300, np.nan, x)))
+    assert len(facts.log.t) == len(log.t) - 1
+
+
+def test_answers_of_another_time_are_left_out_but_not_their_targets(log: MachineLog) -> None:
+    rng = np.random.default_rng(0)
+    came = log.t + 0.003 + 1e-4 * rng.standard_normal(len(log.t))
+    came[500] += 0.004  # waited for
+    came[700] -= 0.0025  # the answer to the row before
+    facts = check_log(replace(log, extra={"t_receive.knee": came}))
+    assert np.flatnonzero(~read(facts.log)).tolist() == [500, 700]
+    assert np.array_equal(facts.log.t, log.t)
+    assert any("answered at another time than the others; left out" in w for w in facts.warnings)
 
 
 def test_a_channel_of_nan_is_as_good_as_none(log: MachineLog) -> None:
@@ -180,6 +200,20 @@ def test_frozen_and_clipped_readings_are_told_apart(log: MachineLog) -> None:
     assert "from t = 10.00 s" in warning
     clipped = check_log(changed(log, "q", "hip", lambda x: np.minimum(x, 0.1)))
     only(clipped.warnings, "q.hip stays at its highest value, 0.1")
+
+
+def test_a_joint_that_rests_until_it_is_asked_to_move_is_not_frozen(log: MachineLog) -> None:
+    def rest(x: np.ndarray) -> np.ndarray:
+        x[2000:2080] = x[2081] - 0.3 * np.ptp(x)
+        return x
+
+    resting = changed(changed(log, "q_des", "knee", rest), "q", "knee", rest)
+    q = resting.q.copy()
+    q[2080:2084, 1] = q[2079, 1]
+    assert resting.q_des is not None
+    assert np.abs(resting.q_des[2080] - resting.q_des[2079])[1] > 0.1 * np.ptp(resting.q_des[:, 1])
+    facts = check_log(replace(resting, q=q))
+    assert not any("q.knee is frozen" in w for w in facts.warnings)
 
 
 def test_a_dead_encoder(log: MachineLog) -> None:

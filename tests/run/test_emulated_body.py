@@ -139,6 +139,17 @@ def test_a_delay_is_that_of_the_effect(description):
         assert made.joint(KNEE, made.time)[2] == pytest.approx(1.0)
 
 
+def test_a_command_that_comes_within_a_step_acts_for_what_is_left_of_it(description):
+    made = body(description, hung=True)
+    made.advance(0.1)
+    made.drive(KNEE, Drive(tau=1.0), 0.101)
+    made.drive(KNEE, Drive(tau=3.0), 0.102)
+    made.advance(0.1025)
+    assert made.joint(KNEE, made.time)[2] == pytest.approx((1.0 * 0.0 + 1.0 * 1.0 + 0.5 * 3.0) / 2.5)
+    made.advance(0.105)
+    assert made.joint(KNEE, made.time)[2] == pytest.approx(3.0)
+
+
 def test_hidden_friction_slows_a_falling_leg(description):
     speeds = []
     for level in (0.05, 0.4):

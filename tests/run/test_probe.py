@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from mimic.calibrate.checks import check_log
+from mimic.calibrate.flow import calibrate
 from mimic.errors import ConfigError, PlantError
 from mimic.machine_log import read_log, write_log
 from mimic.robot.excitation import hung_ranges
-from mimic.robot.machine import hung_robot
+from mimic.robot.machine import hung_robot, with_gains
 from mimic.robot.wiring import load_wiring
 from mimic.run.can_robot import CanRobot
 from mimic.run.emulated_faults import parse_fault
@@ -18,7 +19,7 @@ from mimic.run.emulator import EmulatedRobot
 from mimic.run.motor_messages import Mode
 from mimic.run.probe import GROUPS, probe, probe_motion, recorded_motion
 from mimic.run.signals import Signals
-from mimic.settings import EmulateSettings, ProbeSettings
+from mimic.settings import CalibrateSettings, EmulateSettings, ProbeSettings
 from mimic.types import JOINTS
 
 SHORT = ProbeSettings(seconds=12.0, rate=100.0, approach=0.3)
@@ -143,3 +144,20 @@ def test_what_ends_before_anything_was_measured_is_an_error(description):
 def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
     _, plant = made(description, "imu_silent@1.4")
     assert probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals()).ended is None
+
+
+def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(description):
+    """The emulated motors act at any time within a step, tell rounded words, and answer late now and then."""
+    _, robot = made(description, "frames_late=0.004@+5-5.1")
+    settings = ProbeSettings(seconds=14.0, rate=100.0, approach=0.3)
+    probed = probe(robot, probe_motion(description, settings), settings, Signals())
+    machine = with_gains(hung_robot(description), probed.log.metadata)
+    facts = check_log(probed.log, np.stack([machine.low, machine.high], -1))
+    tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"))
+    result = calibrate(facts.log, machine, tried)
+    assert [s.added for s in result.stages if s.added not in ("", "declared")] == []
+    assert np.sqrt(np.mean(result.stages[-1].errors.held_out ** 2)) < 2e-4
+    values = {e.name: e.values for e in result.effects}
+    assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.1)
+    hips = values["link_mass"]["factor"].reshape(4, 3)[:, 1:]
+    assert hips == pytest.approx(np.ones((4, 2)), abs=0.06)
