@@ -1,5 +1,6 @@
 """A whole calibration on a small arm: truth is found, nothing is invented."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -9,6 +10,7 @@ import pytest
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.simulate import simulate_log
 from mimic.calibration import Calibration
+from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.machine import MachineModel, read_machine
@@ -144,6 +146,13 @@ def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) 
     assert np.sqrt(np.mean(random.stages[0].errors.held_out ** 2)) > 1.5 * np.sqrt(
         np.mean(ours.stages[0].errors.held_out ** 2)
     )
+
+
+def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
+    monkeypatch.delitem(sys.modules, "mimic.calibrate.worlds", raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
+    with pytest.raises(MissingExtra, match=r"mujoco_warp.*pip install 'mimic\[train\]'"):
+        calibrate(log_of(arm), arm, CalibrateSettings(device="cuda"))
 
 
 def test_the_same_log_gives_the_same_answer(arm: MachineModel) -> None:
