@@ -1,50 +1,32 @@
 """Replays in MuJoCo Warp: every segment of every parameter set is a world, all stepped together on a GPU.
 
 The law of the drives is that of the other replays, in PyTorch and in double precision; the physics is in single
-precision, which moves a position by micrometres. Nothing leaves the device between the first step and the last.
+precision, which moves a position by less than a microradian. Nothing leaves the device between the first step and the last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
-import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
 from mujoco.batch import Batch
 
 from mimic.calibrate.replay import Prediction, Replay
+from mimic.calibrate.world_batch import STATIC, WorldBatch
 from mimic.errors import ConfigError
 from mimic.machine_log import MachineLog
-from mimic.robot.graphs import Replayed, ReplayedWarp
+from mimic.robot.graphs import Replayed
 from mimic.robot.law import Drives, Law, Parameters
 from mimic.robot.machine import MachineModel
-from mimic.robot.servo import Servo, static_fields, target_shift
+from mimic.robot.servo import static_fields, target_shift
 from mimic.types import BoolArray, FloatArray
 
 Values = dict[tuple[str, str], FloatArray]
 
-STATIC = (
-    "dof_damping",
-    "dof_armature",
-    "dof_invweight0",
-    "body_mass",
-    "body_inertia",
-    "body_ipos",
-    "body_iquat",
-    "body_subtreemass",
-)
-"""Model fields that differ between parameter sets, and stay during a replay."""
-
-DRIVEN = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
-"""Those that the law writes at every step."""
-
 MOST_WORLDS = 65536
-"""Worlds stepped together: beyond that, a GPU gains nothing by more."""
+"""Worlds stepped together."""
 
 MEMORY = 0.25
 """Share of the free memory of a GPU that the positions of a replay may take."""
@@ -57,41 +39,6 @@ HOST = 256
 
 RESIDUALS = 64
 """Parameter sets whose residuals are worked out together."""
-
-
-class _Simulations:
-    """So many worlds of a machine, and what is written into them."""
-
-    def __init__(self, model: mujoco.MjModel, count: int, device: str) -> None:
-        data = mujoco.MjData(model)
-        with wp.ScopedDevice(device):
-            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys((*STATIC, *DRIVEN), count))
-            self.model.opt.warn_overflow = 0
-            self.data = mjw.put_data(model, data, nworld=count, nconmax=1, njmax=2 * model.nv)
-            self.q, self.dq = wp.to_torch(self.data.qpos), wp.to_torch(self.data.qvel)
-            self.servo = Servo(
-                ctrl=wp.to_torch(self.data.ctrl),
-                applied=wp.to_torch(self.data.qfrc_applied),
-                gain=wp.to_torch(self.model.actuator_gainprm),
-                bias=wp.to_torch(self.model.actuator_biasprm),
-                limits=wp.to_torch(self.model.actuator_forcerange),
-                friction=wp.to_torch(self.model.dof_frictionloss),
-            )
-            self._warmstart = wp.to_torch(self.data.qacc_warmstart)
-            self._static = {name: wp.to_torch(getattr(self.model, name)) for name in STATIC}
-            self._gravity = torch.zeros(count, 3, device=device)
-            self.model.opt.gravity = wp.from_torch(self._gravity, dtype=wp.vec3)
-        self.step = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-
-    def begin(self, fields: Mapping[str, FloatArray], segments: int, q: torch.Tensor, dq: torch.Tensor) -> None:
-        """Write the fields of each parameter set (N, ...) to its worlds, and put all into their first positions."""
-        for name, values in fields.items():
-            there = self._gravity if name == "opt.gravity" else self._static[name]
-            rows = torch.as_tensor(values, dtype=there.dtype, device=there.device).repeat_interleave(segments, 0)
-            there.copy_(rows.reshape(there.shape))
-        self.q.copy_(q)
-        self.dq.copy_(dq)
-        self._warmstart.zero_()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +96,7 @@ class WorldReplay(Replay):
         names = ("kp", "kd", "torque", "flat", "speed", "friction", "armature")
         rows = {name: self._tensor(getattr(d, name)) for name in names}
         self._drives = Drives(**rows, neighbour=self._tensor(d.neighbour, torch.int64))
-        self._simulations: dict[int, _Simulations] = {}
+        self._worlds: dict[int, WorldBatch] = {}
         self._hosts: dict[int, Batch] = {}
         r = self.readings
         self._at = tuple(self._tensor(x, torch.int64) for x in (r.segment, r.step, r.since))
@@ -246,9 +193,9 @@ class WorldReplay(Replay):
             (n, joints),
             torch,
         )
-        if n not in self._simulations:
-            self._simulations[n] = _Simulations(self._model(), n, self._device)
-        worlds = self._simulations[n]
+        if n not in self._worlds:
+            self._worlds[n] = WorldBatch(self._model(), n, self._device)
+        worlds = self._worlds[n]
         q, dq = (self._tensor(np.tile(x, (padded, 1))) for x in self._starts(self._begin))
         heat = self._heat_at(p)
         law.reset(q, dq, None if heat is None else self._tensor(heat))
@@ -271,7 +218,7 @@ class WorldReplay(Replay):
     def _go(
         self,
         law: Law,
-        worlds: _Simulations,
+        worlds: WorldBatch,
         outside: _Outside,
         shift: FloatArray,
         path: torch.Tensor,
