@@ -157,7 +157,7 @@ def calibrate(
         sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
         belongs=belongs,
         experiments=(*_experiments(stages), *_of_base(state, scale, machine.unit)),
-        warnings=(),
+        warnings=_on_bounds(final, problem),
         not_identifiable=_weak(final, problem),
         traces=traces,
         replays=problem.replay.replays,
@@ -375,6 +375,23 @@ def _weak(final: Fit, problem: Problem) -> tuple[str, ...]:
         if parts:
             lines.append(" with ".join(parts))
     return tuple(dict.fromkeys(lines))
+
+
+def _on_bounds(final: Fit, problem: Problem) -> tuple[str, ...]:
+    """Say which declared numbers stopped at a bound that the log would have them cross."""
+    _, gradient = final.sums.over(problem.blocks.train)
+    found: dict[tuple[str, str, float], list[str]] = {}
+    for knob, downhill in zip(final.knobs, gradient, strict=True):
+        value = final.point.values[knob.key][max(knob.joint, 0)]
+        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
+            if CATALOGUE[knob.key[0]].declared and abs(value - bound) < 1e-9 and sign * downhill > 0:
+                where = [] if knob.joint < 0 else [problem.machine.joints[knob.joint]]
+                found.setdefault((*knob.key, bound), []).extend(where)
+    return tuple(
+        f"{name}.{parameter}{' of ' + ', '.join(joints) if joints else ''} stopped at its bound {bound:g}: the model is wrong"
+        " there in another way too, and what is named there is not sure"
+        for (name, parameter, bound), joints in found.items()
+    )
 
 
 def _experiments(stages: list[Stage]) -> tuple[str, ...]:

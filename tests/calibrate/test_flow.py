@@ -148,6 +148,16 @@ def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) 
     )
 
 
+def test_declared_numbers_that_stop_at_a_bound_are_told(arm: MachineModel) -> None:
+    """A drive that brakes less than its gains say asks for less than no friction."""
+    log = log_of(arm)
+    stiffer = replace(log, metadata={**log.metadata, "kd": {"shoulder": 1.2, "elbow": 0.8}})
+    told = calibrate(stiffer, arm, CalibrateSettings(most_effects=0)).warnings
+    assert any("viscous.coefficient of shoulder stopped at its bound 0" in line for line in told)
+    assert not any("viscous" in line and "elbow" in line for line in told)
+    assert clean_result(arm).warnings == ()
+
+
 def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "mimic.calibrate.worlds", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
