@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mimic.calibrate.arrival import eased
 from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.calibrate.moving_base import BaseMotion, moving_base
@@ -44,7 +45,7 @@ FAR_Z = 6.0
 AGREEMENT = (0.75, 1.35)
 """What the chains must share of the lateness that each shows of single targets, when targets are late."""
 
-PASSES = 6
+PASSES = 12
 """Most rounds of finding which targets were late, and fitting all numbers."""
 
 STRONG = 4
@@ -367,16 +368,7 @@ def _late(
         fitted = replace(incumbent, point=timing.point)
         improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
         if not why and not found:
-            for _ in range(PASSES):
-                replay.set_late(timing.late)
-                left = problem.mean_squares(fitted.residual, False).sum()
-                fitted = fit(problem, timing.point, names, joints, most=1)
-                if problem.mean_squares(fitted.residual, False).sum() > 0.97 * left:
-                    break
-                again = timings(problem, fitted, [timing.name])
-                if not again:
-                    break
-                timing = replace(again[0], squares=timing.squares, agreement=timing.agreement)
+            timing, fitted = arrivals(problem, timing, names, joints)
             replay.set_late(had)
             fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
             improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
@@ -394,6 +386,33 @@ def _late(
             )
         )
     return tuple(found)
+
+
+def arrivals(
+    problem: Problem, timing: Timing, names: Sequence[str], joints: dict[str, BoolArray], most: int = PASSES
+) -> tuple[Timing, Fit]:
+    """Return which targets were late, and the numbers, improved in turn as long as that pays; the replay has them then."""
+    replay, found = problem.replay, []
+    for _ in range(most):
+        replay.set_late(timing.late)
+        fitted = fit(problem, timing.point, names, joints, most=1)
+        left = float(problem.mean_squares(fitted.residual, False).sum())
+        if found and left > 0.99 * found[-1][2]:
+            break
+        found.append((timing, fitted, left))
+        again = timings(problem, fitted, [timing.name])
+        if not again:
+            break
+        had = timing.late + _delay(fitted.point) - _delay(again[0].point)
+        late = eased(problem, again[0].point, had, again[0].late)
+        timing = replace(again[0], late=late, squares=timing.squares, agreement=timing.agreement)
+    timing, fitted, _ = found[-1]
+    replay.set_late(timing.late)
+    return timing, fitted
+
+
+def _delay(point: Point) -> float:
+    return float(point.values.get(("delay", "time"), np.zeros(1))[0])
 
 
 def _astray(problem: Problem, t: Tried, tried: Sequence[Tried]) -> bool:

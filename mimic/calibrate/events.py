@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from mimic.calibrate.fit import Fit
-from mimic.calibrate.problem import Point, Problem, stack
+from mimic.calibrate.arrival import with_lateness
+from mimic.calibrate.fit import Fit, prior
+from mimic.calibrate.problem import Point, Problem
 from mimic.types import BoolArray, FloatArray, IntArray
 
 FORGOTTEN = 0.5
@@ -36,6 +37,9 @@ CERTAIN = 0.25
 ALIKE = 0.5
 """Correlation of the lateness of neighbouring targets from which on it is no jitter: something slow."""
 
+SEEN = 0.1
+"""Share of a period for which a target must act to be seen."""
+
 WIDEST = 5.0
 """Most periods by which targets are taken to be late."""
 
@@ -54,6 +58,8 @@ class Timing:
     """How much later than the point's delay each target acts, as all chains show it (K,) [s]."""
     point: Point
     """With the effect, and the delay that goes with ``late``."""
+    unsure: float
+    """Half of the 95 % interval of the delay that follows from the interval of the value [s]."""
     agreement: float
     """Share of what single chains show of the lateness of single targets that the others show too; 1 where all is true."""
     squares: FloatArray
@@ -114,13 +120,42 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
                 name=name,
                 value=size,
                 interval=(interval[0] * period, interval[1] * period) if jitter else interval,
-                late=period * np.clip(late + shift, 0.0, value if jitter else 1.0),
+                late=period * np.clip(late + shift, 0.0, interval[1] if jitter else 1.0),
                 point=point,
+                unsure=period * _spread_of_means(*interval) if jitter else 0.0,
                 agreement=agreement,
                 squares=problem.block_squares(residual)[problem.blocks.train],
             )
         )
     return found
+
+
+def widening(problem: Problem, fitted: Fit, variance: float) -> FloatArray:
+    """Return by what factor numbers are less sure than a fit with known times of the targets says (P,).
+
+    Args:
+        problem: Log and model; the replay has the targets late.
+        fitted: The fit.
+        variance: Of the lateness of single targets [s^2].
+    """
+    count = len(fitted.knobs)
+    responses = _responses(problem, fitted, True)
+    if responses is None or not count:
+        return np.ones(count)
+    everywhere = np.ones(problem.channels, dtype=bool)
+    columns = np.where(problem.blocks.index[:, None] >= 0, np.nan_to_num(np.stack(fitted.columns)), 0.0)
+    bands, _ = _normal(problem, responses, columns[0].astype(np.float64), everywhere)
+    bands[-1] += _period(problem) ** 2 / max(variance, 1e-12)
+    shared = np.zeros((count, bands.shape[1]))
+    for rows, targets, of in _spans(problem, len(responses)):
+        a = responses[of, rows].astype(np.float64).reshape(len(targets), -1)
+        shared[:, targets] += columns[:, rows].reshape(count, -1) @ a.T
+    flat = columns.reshape(count, -1).astype(np.float64)
+    known = flat @ flat.T + np.diag(prior(fitted.knobs))
+    unknown = known - shared @ linalg.solveh_banded(bands, shared.T)
+    scale = 1.0 / np.sqrt(np.diag(known))
+    ones = [np.diag(np.linalg.pinv(h * scale[:, None] * scale, 1e-10)) for h in (known, unknown)]
+    return np.sqrt(np.maximum(ones[1] / np.maximum(ones[0], 1e-12), 1.0))
 
 
 def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence[_Lateness]) -> float:
@@ -182,22 +217,15 @@ def _responses(problem: Problem, incumbent: Fit, near: bool) -> FloatArray | Non
     offsets = int(np.ceil(FORGOTTEN / _period(problem)))
     if rows < LEAST_ROWS or offsets > MOST_OFFSETS:
         return None
-    joints = len(problem.machine.joints)
     own = replay.late if near and replay.late is not None else np.full(len(replay.sent), _usual_late(problem))
     share = NEAR if near else 1.0
-    grids = [replay.delayed(own)]
+    lates = [own]
     for offset in range(offsets):
         late = own.copy()
         late[offset::offsets] += share * _period(problem)
-        grids.append(replay.delayed(late))
-    parameters = stack([incumbent.point] * len(grids), problem.machine)
-    made = replay.run(parameters, len(grids), np.stack(grids))
-    parts = [made.residual]
-    if made.torque_residual is not None and problem.channels > joints:
-        parts.append(made.torque_residual)
-    whitened = np.concatenate(parts, -1) / problem.noise.astype(np.float32)
-    whitened[:, problem.blocks.index < 0] = 0.0
-    return np.nan_to_num(whitened[0] - whitened[1:]) / np.float32(share)
+        lates.append(late)
+    replayed = with_lateness(problem, incumbent.point, lates)
+    return (replayed[0] - replayed[1:]) / np.float32(share)
 
 
 def _spans(problem: Problem, offsets: int) -> Iterator[tuple[slice, IntArray, IntArray]]:
@@ -327,10 +355,18 @@ def _jitter(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
 
 
 def _in_order(width: float) -> FloatArray:
-    """Return latenesses, in periods, of targets that are late by a uniform time and wait for those before them."""
+    """Return latenesses, in periods, of targets that are late by a uniform time and wait for those before them.
+
+    Of those that the next leaves some time to act: the others are not seen.
+    """
     drawn = np.random.default_rng(0).uniform(0.0, width, 4000)
     sent = np.arange(4000.0)
-    return np.maximum.accumulate(sent + drawn) - sent
+    arrival = np.maximum.accumulate(sent + drawn)
+    return (arrival - sent)[np.append(np.diff(arrival), np.inf) > SEEN]
+
+
+def _spread_of_means(low: float, high: float) -> float:
+    return float(np.mean(_in_order(high)) - np.mean(_in_order(low))) / 2
 
 
 def _width(variance: float) -> float:

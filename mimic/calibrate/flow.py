@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mimic.calibrate.checks import belongs as targets_belong
-from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, earns_its_keep, pruned, search
+from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, earns_its_keep, pruned, search
+from mimic.calibrate.events import Timing, widening
 from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
-from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.problem import Key, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
@@ -40,6 +41,9 @@ FINE_SEGMENT = 1.0
 MOST_CORRECTIONS = 6
 """Most steps of a fit from fine replays."""
 
+AGAIN = 3
+"""Rounds of finding when each target acted, once fine steps correct the coarse ones."""
+
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
@@ -65,6 +69,8 @@ class _Search:
     current: Fit
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Of the numbers that are read off the lateness of the targets."""
+    unsure: dict[Key, float] = field(default_factory=dict)
+    """Half of the 95 % interval of numbers that goes with these."""
     base: BaseMotion | None = None
     """A motion of the base, where that is what explains the rest."""
 
@@ -296,11 +302,11 @@ def _grow(state: _Search) -> list[Stage]:
                 break
             stages.append(_nothing(state, found))
             break
-        if (timing := found.best.timing) is not None:
-            state.problem.replay.set_late(timing.late)
-            state.intervals[timing.name] = timing.interval
-        _correct(state.problem, found.best.fitted.point)
-        state.current = _settled(state.problem, pruned(state.problem, found.best, state.names, state.joints))
+        best = found.best
+        if best.timing is not None:
+            best = _on_time(state, best, best.timing)
+        _correct(state.problem, best.fitted.point)
+        state.current = _settled(state.problem, pruned(state.problem, best, state.names, state.joints))
         state.names.append(found.best.name)
         state.joints[found.best.name] = found.best.joints
         stages.append(
@@ -312,6 +318,18 @@ def _grow(state: _Search) -> list[Stage]:
             )
         )
     return _kept(state, stages)
+
+
+def _on_time(state: _Search, best: Tried, timing: Timing) -> Tried:
+    """Let each target act when it did, as fine steps show it, and return the effect with the numbers that go with that."""
+    state.problem.replay.set_late(timing.late)
+    _correct(state.problem, best.fitted.point)
+    state.tick("when each target acted")
+    timing = replace(timing, point=best.fitted.point)
+    timing, fitted = arrivals(state.problem, timing, state.names, state.joints, AGAIN)
+    state.intervals[timing.name] = timing.interval
+    state.unsure["delay", "time"] = timing.unsure
+    return replace(best, fitted=fitted, timing=timing)
 
 
 def _nothing(state: _Search, found: Found) -> Stage:
@@ -342,6 +360,8 @@ def _polished(state: _Search) -> Fit:
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
     deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
+    if (late := state.problem.replay.late) is not None:
+        deviation = deviation * widening(state.problem, final, float(np.var(late)))
     spread = {(k.key, k.joint): d for k, d in zip(final.knobs, deviation, strict=True)}
     effects = []
     for name in state.names:
@@ -358,6 +378,7 @@ def _effect_set(state: _Search, final: Fit) -> EffectSet:
                 intervals[p.name] = np.array([state.intervals[name]])
             elif not p.fixed:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
+                half = np.hypot(half, state.unsure.get((name, p.name), 0.0))
                 low, high = values[p.name] - half, values[p.name] + half
                 intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
         joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mimic.calibrate.arrival import eased
 from mimic.calibrate.flow import calibrate
+from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.simulate import simulate_log
 from mimic.calibration import Calibration
@@ -87,3 +89,19 @@ def test_a_target_that_is_a_period_late_is_never_seen(pair: MachineModel) -> Non
     none = {("delay", "time"): np.zeros((1, 1))}
     replay.set_late(late)
     assert np.allclose(replay.run(none, 1).residual, without.run(none, 1).residual, equal_nan=True, atol=1e-7)
+
+
+def test_a_step_of_the_lateness_is_followed_where_it_suits_the_readings(pair: MachineModel) -> None:
+    log = log_of(pair)
+    replay = Replay(pair, log, timestep=0.0025)
+    noise = np.full(2, 4e-4)
+    problem = Problem(replay, noise, None, make_blocks(log.t, replay.counts))
+    point = Point().with_effect("delay", pair, {"time": 0.011})
+    late = np.zeros(len(replay.sent))
+    late[150:200], late[350:400] = 0.01, 0.03  # nothing was late
+    late[250:300] = -0.008
+    back = eased(problem, point, np.zeros(len(late)), late)
+    assert np.mean(np.abs(back)) < 0.1 * np.mean(np.abs(late))
+    right = eased(problem, point, late, np.where(np.arange(len(late)) < 320, 0.0, 2 * late))
+    assert np.mean(np.abs(right[:320])) < 0.1 * np.mean(np.abs(late[:320])), "the step is taken where it helps"
+    assert np.mean(np.abs(right[350:400] - 0.03)) < 0.005, "and not where it does harm"
