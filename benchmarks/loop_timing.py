@@ -3,7 +3,8 @@
 python benchmarks/loop_timing.py [seconds] [socketcand|slcan]
 
 `mimic --robot` stands until Ctrl-C; the figures are those of its own health.parquet, from standing up to sitting down. The
-machine's load is printed with them: on a shared machine they say how it is when others compute too.
+machine's load is printed with them: on a shared machine they say how it is when others compute too. A third process does
+nothing but sleep and look at the clock; a tick that is late while that one stood still too was held up by the machine.
 """
 
 from __future__ import annotations
@@ -34,6 +35,17 @@ sys.exit(main(sys.argv[1:]))
 """
 """The emulated robot keeps its time before other work where the system allows it: a real one does too."""
 
+WATCH = """
+import sys, time
+last = time.monotonic()
+while True:
+    time.sleep(0.002)
+    now = time.monotonic()
+    if now - last > 0.01:
+        print(last, now, flush=True)
+    last = now
+"""
+
 
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
@@ -46,6 +58,7 @@ def main() -> None:
         words = emulator.stdout.readline().removeprefix("ready").strip()
     with tempfile.TemporaryDirectory() as name:
         run = Path(name) / "run"
+        watcher = subprocess.Popen([sys.executable, "-c", WATCH], stdout=subprocess.PIPE, text=True)
         command = [sys.executable, "-m", "mimic", "--robot", words, "--homed", "--yes", "-o", str(run)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         loads = []
@@ -55,8 +68,10 @@ def main() -> None:
             loads.append(os.getloadavg()[0])
         process.send_signal(signal.SIGINT)
         told, _ = process.communicate()
-        emulator.terminate()
+        for other in (emulator, watcher):
+            other.terminate()
         emulator.communicate()
+        stood_still = [tuple(map(float, line.split())) for line in watcher.communicate()[0].splitlines()]
         print(told.strip().splitlines()[-1])
         print(
             next(
@@ -70,6 +85,7 @@ def main() -> None:
     rows = (log.phase >= PHASES.index("stand_up")) & (log.phase <= PHASES.index("sit_down"))
     rows[0] = False
     compute, late, missed = 1e3 * health.compute[rows], 1e3 * health.late[rows], health.missed[rows]
+    held_up = np.stack([log.t_host[rows], health.late[rows]], -1)[late > 2]
     period = 1e3 * np.diff(log.t[rows])
     print(
         f"{rows.sum()} ticks in {np.ptp(log.t[rows]):.0f} s over {transport}; load {np.mean(loads):.1f} on {os.cpu_count()} cores"
@@ -79,6 +95,12 @@ def main() -> None:
         print(f"{what:8s} p50 {p50:6.2f}  p99 {p99:6.2f}  max {np.nanmax(values):6.2f} ms")
     print(
         f"late by more than 2 ms: {np.sum(late > 2)}, 10 ms: {np.sum(late > 10)}, a whole tick (20 ms): {np.sum(late > 20)}"
+    )
+    excused = np.array([any(a <= at and at - wait <= b for a, b in stood_still) for at, wait in held_up], dtype=bool)
+    longest = max((b - a for a, b in stood_still), default=0.0)
+    print(
+        f"the machine stood still for more than 10 ms {len(stood_still)} times, {1e3 * longest:.1f} ms at most; "
+        f"late by more than 2 ms at other times: {int((~excused).sum())}"
     )
     print(f"answers missing: {int((missed > 0).sum())} of {missed.size}")
     print(f"bus load by the arithmetic {expected_load(load_wiring(), 50.0)[0]:.1%}")

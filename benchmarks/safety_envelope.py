@@ -71,12 +71,16 @@ def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
     mismatch = np.concatenate([[0.0], turning_mismatch(quat, omega, description.dt)])
     stands = np.isin(phase, ("blend", "track", "hold"))
     upright = uprightness(quat, description)
+    apart = np.abs(toes[:, 2] - toes[:, 3])
     for name, rows in (("stand_up", phase == "stand_up"), ("upright", stands), ("sit_down", phase == "sit_down")):
         found[name] = {
             "side_tilt_max": float(np.abs(R[rows, 2, 1]).max()),
             "back_min": float(R[rows, 2, 2].min()),
             "upright_min": float(upright[rows].min()),
-            "hind_toes_apart_max": float(np.abs(toes[rows, 2] - toes[rows, 3]).max()),
+            "hind_toes_apart_max": float(apart[rows].max()),
+            "hind_toes_apart_three_ticks": float(
+                np.minimum.reduce([apart[rows][k : k - 2 or None] for k in range(3)]).max()
+            ),
             "lowest_toe_front": float((toes[rows][:, :2].min(1) - toes[rows][:, 2:].min(1)).min()),
             "mismatch_max": float(mismatch[rows].max()),
             "longest_repeat": longest_repeat(quat[rows], omega[rows]),

@@ -329,11 +329,9 @@ class StandTrackEnv(VecEnv):
     def _shares(self, ramp: float) -> dict[str, float]:
         """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
         s = self.settings
-        gait = min(2 * ramp, 1.0)
         return {
             **dict.fromkeys(LATE, s.late_share + (1 - s.late_share) * ramp),
             **dict.fromkeys(TASKS, s.task_share + (1 - s.task_share) * ramp),
-            "gait": s.gait_share + (1 - s.gait_share) * gait,
         }
 
     def _draw(self) -> Start:
