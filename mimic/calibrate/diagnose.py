@@ -403,8 +403,10 @@ def arrivals(
         again = timings(problem, fitted, [timing.name])
         if not again:
             break
-        had = timing.late + _delay(fitted.point) - _delay(again[0].point)
-        late = eased(problem, again[0].point, had, again[0].late)
+        late = again[0].late
+        if timing.name == "delay_jitter":  # a target is lost or not
+            had = timing.late + _delay(fitted.point) - _delay(again[0].point)
+            late = eased(problem, again[0].point, had, late)
         timing = replace(again[0], late=late, squares=timing.squares, agreement=timing.agreement)
     timing, fitted, _ = found[-1]
     replay.set_late(timing.late)

@@ -360,7 +360,7 @@ def _polished(state: _Search) -> Fit:
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
     deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
-    if (late := state.problem.replay.late) is not None:
+    if (late := state.problem.replay.late) is not None and "delay_jitter" in state.names:
         deviation = deviation * widening(state.problem, final, float(np.var(late)))
     spread = {(k.key, k.joint): d for k, d in zip(final.knobs, deviation, strict=True)}
     effects = []
