@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.calibrate.arrival import eased
 from mimic.calibrate.events import Timing, timings
-from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out
+from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, prior
 from mimic.calibrate.moving_base import BaseMotion, moving_base
 from mimic.calibrate.problem import Point, Problem
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
@@ -32,6 +32,12 @@ LEAST_SHARE = 0.15
 
 LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
+
+LEAST_MISSED = 0.1
+"""What an effect at a joint must take of the error of its chain, in noise floors; less is a crumb."""
+
+LEAST_BESIDE = 0.1
+"""The same as a share of what it takes at the joint of the chain where it takes most."""
 
 RIVAL_Z = 2.0
 """A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
@@ -122,7 +128,7 @@ MATERIAL = 0.025
 """Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
 
 
-def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:
+def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:
     """Return the joints where an effect's main number differs from none by more than LEAST_PARAMETER deviations (P,)."""
     spec = CATALOGUE[name]
     there = np.zeros(len(problem.machine.joints), dtype=bool)
@@ -137,7 +143,33 @@ def present(fitted: Fit, problem: Problem, name: str, joints: BoolArray, deviati
         none = float(neutral(*knob.key, problem.machine)[max(knob.joint, 0)])
         if abs(value - none) > LEAST_PARAMETER * deviation[i]:
             there[slice(None) if knob.joint < 0 else knob.joint] = True
-    return there & joints if spec.scope == "joint" else there
+    if spec.scope != "joint":
+        return there
+    missed, chain = _missed(fitted, problem, name), problem.machine.chain
+    strongest = np.array([missed[chain == c].max() for c in chain])
+    return there & joints & (missed > np.maximum(LEAST_MISSED, LEAST_BESIDE * strongest))
+
+
+def _missed(fitted: Fit, problem: Problem, name: str) -> FloatArray:
+    """Return what is left more of a chain without an effect at one of its joints (J,), in noise floors, for a linear model.
+
+    The other numbers make up for it as they can.
+    """
+    train = problem.blocks.train
+    hessian = fitted.sums.over(train)[0] + np.diag(prior(fitted.knobs))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    inverse = np.linalg.pinv(hessian * scale[:, None] * scale, 1e-12) * scale[:, None] * scale
+    readings = max(int(np.isin(problem.blocks.index, train).sum()), 1)
+    rows = np.zeros(len(problem.machine.joints))
+    sized = [p.name for p in CATALOGUE[name].parameters if not p.fixed and not p.shape]
+    for joint in range(len(rows)):
+        own = [i for i, k in enumerate(fitted.knobs) if k.key[0] == name and k.joint == joint and k.key[1] in sized]
+        if own:
+            keys = [fitted.knobs[i].key for i in own]
+            away = np.array([fitted.point.values[k][joint] - neutral(*k, problem.machine)[joint] for k in keys])
+            more = float(away @ np.linalg.lstsq(inverse[np.ix_(own, own)], away, rcond=None)[0])
+            rows[joint] = np.sqrt(max(more, 0.0) / readings)
+    return rows
 
 
 def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitted: Fit, joints: BoolArray) -> Tried:
@@ -154,7 +186,7 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
     after, moves = left_out(fitted, problem)
     fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
     improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
-    there = present(fitted, problem, name, joints, deviations(fitted, problem, moves)) & _better(problem, before, after)
+    there = present(problem, fitted, name, joints, deviations(fitted, problem, moves)) & _better(problem, before, after)
     if name == "cogging":
         least = [least_order(q) for q in problem.replay.log.q.T]
         there &= fitted.point.values["cogging", "order"] >= least

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mimic.calibrate.checks import belongs as targets_belong
-from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, earns_its_keep, pruned, search
+from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, earns_its_keep, present, pruned, search
 from mimic.calibrate.events import Timing, widening
 from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
@@ -306,9 +306,9 @@ def _grow(state: _Search) -> list[Stage]:
         if best.timing is not None:
             best = _on_time(state, best, best.timing)
         _correct(state.problem, best.fitted.point)
-        state.current = _settled(state.problem, pruned(state.problem, best, state.names, state.joints))
-        state.names.append(found.best.name)
-        state.joints[found.best.name] = found.best.joints
+        best, state.current = _where_it_is(state, best)
+        state.names.append(best.name)
+        state.joints[best.name] = best.joints
         stages.append(
             Stage(
                 added=found.best.name,
@@ -318,6 +318,18 @@ def _grow(state: _Search) -> list[Stage]:
             )
         )
     return _kept(state, stages)
+
+
+def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
+    """Return the accepted effect on the joints where fine steps still show it, and the fit with it there."""
+    problem = state.problem
+    settled = _settled(problem, pruned(problem, best, state.names, state.joints))
+    deviation = deviations(settled, problem, left_out(settled, problem)[1])
+    there = present(problem, settled, best.name, best.joints, deviation)
+    if not there.any() or (there == best.joints).all():
+        return best, settled
+    fewer = replace(best, fitted=settled, joints=there)
+    return fewer, _settled(problem, pruned(problem, fewer, state.names, state.joints))
 
 
 def _on_time(state: _Search, best: Tried, timing: Timing) -> Tried:
