@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ _KEY = b"mimic_log"
 
 CHANNELS = ("q", "dq", "tau", "q_des", "force")
 """What a log can hold for each joint."""
+
+HELD = "held"
+"""Note of a log in which joints that were held still were not read in every row: {"rows": n, "within": step}."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +144,40 @@ def read_log(path: Path) -> MachineLog:
     if strays:
         raise CalibrationError(f"{path} has {strays[0]}, but no q.{strays[0].split('.', 1)[1]} that it belongs to")
     extra = {name: column for name, column in columns.items() if name not in taken}
-    return MachineLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found)
+    return _carried(MachineLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+
+
+def _carried(log: MachineLog) -> MachineLog:
+    """Return the log with readings of joints that were held carried on, where its notes say that they were read in turn.
+
+    Only between two readings no more rows apart and no further from each other than the note says, with the target as it
+    was; all else that is missing stays so.
+
+    Raises:
+        CalibrationError: If the note is something else.
+    """
+    note = log.metadata.get(HELD)
+    if note is None:
+        return log
+    rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
+    if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
+        raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
+    carried = {name: np.array(getattr(log, name)) for name in ("q", "dq", "tau") if getattr(log, name) is not None}
+    number = np.arange(len(log.t))
+    for j in range(len(log.joints)):
+        q = log.q[:, j]
+        known = np.isfinite(q)
+        before = np.maximum.accumulate(np.where(known, number, -1))
+        after = np.minimum.accumulate(np.where(known, number, len(q))[::-1])[::-1]
+        gap = np.flatnonzero(~known & (before >= 0) & (after < len(q)))
+        last, following = before[gap], after[gap]
+        still = (following - last <= rows) & (np.abs(q[following] - q[last]) <= within)
+        if log.q_des is not None:
+            changes = np.concatenate([[0], np.cumsum(np.diff(log.q_des[:, j]) != 0)])
+            still &= changes[following - 1] == changes[last]
+        for column in carried.values():
+            column[gap[still], j] = column[last[still], j]
+    return replace(log, **carried)
 
 
 def write_log(log: MachineLog, path: Path) -> Path:

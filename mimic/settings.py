@@ -217,9 +217,10 @@ class ProbeSettings:
     seconds: float = 120.0
     """Length of the motion [s]."""
     rate: float = 200.0
-    """Readings a second [Hz]; one bus carries twelve motors at 200 Hz, with 71 % of its time."""
+    """Readings a second [Hz]; one bus carries twelve motors at 200 Hz, with 70 % of its time."""
     joints: Literal["all", "sides", "legs", "each"] = "all"
-    """Joints that move at the same time: all, the six of one side, those of one leg, or one."""
+    """Joints that move at the same time: all, the six of one side, those of one leg, or one; legs that are held are asked
+    less often, which takes load off the bus."""
     size: float = 0.5
     """Share of the joints' ranges that is used."""
     kind: Literal["probe", "random"] = "probe"

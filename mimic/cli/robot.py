@@ -217,11 +217,15 @@ def _timing_rows(result: RunResult, words: str, load: Any, expected: Any) -> dic
     lost = int(np.count_nonzero(health.missed))
     return {
         "buses": words,
-        "bus load": ", ".join(f"{a:.1%} (by the arithmetic {b:.1%})" for a, b in zip(load, expected, strict=True)),
+        "bus load": _load_row(load, expected),
         "computing": f"{np.nanmedian(compute):.1f} ms a tick, {np.nanquantile(compute, 0.99):.1f} ms at the 99th percentile",
         "late ticks": f"{np.count_nonzero(late > 2.0)} by more than 2 ms, {np.count_nonzero(late > 10.0)} by more than 10 ms",
         "answers lost": f"{lost} of {np.count_nonzero(np.isfinite(health.missed))}",
     }
+
+
+def _load_row(load: Any, expected: Any) -> str:
+    return ", ".join(f"{a:.1%} (by the arithmetic {b:.1%})" for a, b in zip(load, expected, strict=True))
 
 
 def _last_line(folder: Path, result: RunResult, ending: str, *, endless: bool) -> int:
@@ -325,7 +329,8 @@ def probe_robot(words: str, out: Path, motion: Path | None, settings: ProbeSetti
     from mimic.machine_log import write_log
     from mimic.robot.description import load_description
     from mimic.run.on_robot import ready
-    from mimic.run.probe import probe, probe_motion, recorded_motion
+    from mimic.run.probe import probe
+    from mimic.run.probe_motion import asked_rates, probe_motion, recorded_motion
     from mimic.run.signals import Signals
 
     if out.suffix.lower() not in (".parquet", ".csv"):
@@ -343,7 +348,7 @@ def probe_robot(words: str, out: Path, motion: Path | None, settings: ProbeSetti
         words,
         bus,
         description,
-        rate_hz=settings.rate,
+        rate_hz=asked_rates(targets, settings, description),
         told=tell_findings,
         go=lambda: wait_for_enter(bus, what),
         hung=True,
@@ -354,8 +359,8 @@ def probe_robot(words: str, out: Path, motion: Path | None, settings: ProbeSetti
     path = write_log(result.log, out)
     rows = {
         "rows": f"{len(result.log.t)} in {result.log.duration:.1f} s, {result.log.rate:.0f} Hz",
-        "missing": f"{result.missing:.2%} of the readings",
-        "bus load": ", ".join(f"{share:.0%}" for share in plant.load()),
+        "missing": f"{result.missing:.2%} of the readings asked for",
+        "bus load": _load_row(result.load, result.expected),
         "written": str(path),
         "next": f"mimic calibrate {path}",
     }

@@ -27,9 +27,9 @@ MOST = 0.9
 """Share of a bus above which its frames pile up when they are stuffed more than on average."""
 
 
-def expected_load(wiring: Wiring, rate_hz: float) -> FloatArray:
-    """Return the share of each bus's time (buses,) at this many commands a second to each motor."""
-    motors = np.bincount(wiring.bus, minlength=wiring.buses)
-    bits = motors * (COMMAND + FEEDBACK) * rate_hz
+def expected_load(wiring: Wiring, rate_hz: float | FloatArray) -> FloatArray:
+    """Return the share of each bus's time (buses,) at this many commands a second to each motor, or to these motors (12,)."""
+    rates = np.broadcast_to(rate_hz, wiring.bus.shape)
+    bits = np.bincount(wiring.bus, weights=rates, minlength=wiring.buses) * (COMMAND + FEEDBACK)
     bits[wiring.imu.bus] += sum(IMU_MESSAGE[name] * rate for name, rate in wiring.imu.rate.items())
     return bits / wiring.bitrate

@@ -163,8 +163,8 @@ class CanRobot:
         """Count the steps without an answer, once a step, by who answered after a time [s]."""
         self._missed = np.where(self.exchange.came > since, 0, self._missed + 1)
 
-    def state(self, since: float, now: float) -> RobotState:
-        """Return what came after a time [s], as it is now."""
+    def state(self, since: float | FloatArray, now: float) -> RobotState:
+        """Return what came after a time [s], or after one for each joint (12,), as it is now."""
         q, dq, tau = self.exchange.readings(since)
         reading = self.exchange.imu.reading(now)
         nothing = np.full(3, np.nan)

@@ -239,11 +239,11 @@ class Exchange:
             told = ", ".join(f"{JOINTS[j]} reads {got[j]:g}" for j in wrong)
             raise PlantError(f"{name} was set to {value:g}, but {told}; expected all twelve motors to take it")
 
-    def readings(self, since: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return q, dq and tau (12,) of the feedback that came after a time; NaN where none did."""
-        rows = np.full((3, len(JOINTS)), np.nan)
+    def readings(self, since: float | FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return q, dq and tau (12,) of the feedback that came after a time, or after these (12,); NaN where none did."""
+        rows, newer = np.full((3, len(JOINTS)), np.nan), self.came > since
         for joint, feedback in enumerate(self.feedback):
-            if feedback is not None and self.came[joint] > since:
+            if feedback is not None and newer[joint]:
                 rows[:, joint] = feedback.q, feedback.dq, feedback.tau
         w = self.wiring
         return w.q_of(rows[0]), w.sign * rows[1], w.sign * rows[2]

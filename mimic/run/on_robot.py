@@ -18,6 +18,7 @@ from mimic.run.homing import Homing, read_homing, with_homing
 from mimic.run.link import Link
 from mimic.run.preflight import Finding, preflight
 from mimic.settings import BusSettings
+from mimic.types import FloatArray
 
 Told = Callable[[list[Finding]], None]
 
@@ -104,7 +105,7 @@ def ready(
     settings: BusSettings,
     description: RobotDescription,
     *,
-    rate_hz: float,
+    rate_hz: float | FloatArray,
     told: Told,
     go: Callable[[], None],
     hung: bool = False,
@@ -115,7 +116,7 @@ def ready(
         words: Its buses.
         settings: How it is driven.
         description: The robot.
-        rate_hz: Commands a second.
+        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
         told: Is told what pre-flight found, also where that stands against moving.
         go: Returns when a person wants it to move; may raise.
         hung: It hangs instead of lying.

@@ -56,7 +56,7 @@ def preflight(
     exchange: Exchange,
     description: RobotDescription,
     *,
-    rate_hz: float,
+    rate_hz: float | FloatArray,
     homing: Homing | None,
     trust_zeros: bool,
     hung: bool = False,
@@ -66,7 +66,7 @@ def preflight(
     Args:
         exchange: With its motors and IMU.
         description: The robot.
-        rate_hz: Commands a second to each motor.
+        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
         homing: What is known of its zeros.
         trust_zeros: Take the zeros as they are.
         hung: It hangs instead of lying.
@@ -88,13 +88,17 @@ def preflight(
     return [*found, _timeout(exchange)]
 
 
-def _load(exchange: Exchange, rate_hz: float) -> Finding:
-    load = expected_load(exchange.wiring, rate_hz)
+def _load(exchange: Exchange, rate_hz: float | FloatArray) -> Finding:
+    parts = np.atleast_2d(np.broadcast_to(rate_hz, (*np.shape(rate_hz)[:-1], len(JOINTS))))
+    load = np.max([expected_load(exchange.wiring, rates) for rates in parts], axis=0)
     told = ", ".join(f"{share:.0%}" for share in load)
+    rates = f"{parts.max():g} Hz"
+    if parts.min() < parts.max():
+        rates = f"{rates} for legs that move and {parts.min():g} Hz for the others"
     if load.max() > MOST:
-        text = f"{rate_hz:g} Hz would take {told} of the bus; at most {MOST:.0%} fit. Use more buses or a lower rate"
+        text = f"{rates} would take {told} of the bus; at most {MOST:.0%} fit. Use more buses or a lower rate"
         return Finding(name="bus load", verdict="stop", text=text)
-    return Finding(name="bus load", verdict="ok", text=f"{told} at {rate_hz:g} Hz, by the arithmetic")
+    return Finding(name="bus load", verdict="ok", text=f"{told} at {rates}, by the arithmetic")
 
 
 def _motors(exchange: Exchange) -> Finding:

@@ -1,8 +1,8 @@
 """Moving a robot that hangs so that its drives show what they are, and logging it as calibration reads it.
 
-A row is one exchange with all motors: the commands go out at once, and each motor measures when its own arrives. An answer
-that comes too late for its own row but before the next commands still belongs to it; one that is later is missing. Motors
-tell the torque of that instant, not the mean since the row before, which a log's ``tau`` is; so it stands beside the log, as
+A row is one exchange with the motors of legs that move, and with some of the others in turn: the commands go out at once, and
+each motor measures when its own arrives. An answer that comes too late for its own row but before the next commands still
+belongs to it; one that is later is missing, as is that of a motor that was not asked. Motors tell the torque of that instant, not the mean since the row before, which a log's ``tau`` is; so it stands beside the log, as
 ``tau_now``. A position is told as a word that was rounded down; the log has the middle of what the word stands for.
 """
 
@@ -10,33 +10,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mimic.errors import ConfigError, PlantError
-from mimic.machine_log import MachineLog
-from mimic.robot.description import RobotDescription
-from mimic.robot.excitation import hung_ranges, probe_targets
+from mimic.errors import PlantError
+from mimic.machine_log import HELD, MachineLog
 from mimic.robot.goals import eased
+from mimic.robot.wiring import Wiring
+from mimic.run.bus_load import expected_load
 from mimic.run.can_robot import CanRobot
 from mimic.run.cybergear import half_a_word
+from mimic.run.exchange import ALL
 from mimic.run.motor_messages import VBUS, ReadParameter
+from mimic.run.probe_motion import Motion, turns
 from mimic.run.safety import Event, Mode, Supervisor
 from mimic.run.safety_rules import HUNG_RULES, LIMITS, Facts
 from mimic.run.signals import Signals
 from mimic.settings import ProbeSettings
-from mimic.types import JOINTS, FloatArray, JointCommand
+from mimic.types import JOINTS, BoolArray, FloatArray, JointCommand
 
 VOLTAGE_EVERY = 0.5
 """How often a motor is asked for the supply's voltage [s]."""
 
-GROUPS = {
-    "all": (tuple(range(12)),),
-    "sides": ((0, 1, 2, 6, 7, 8), (3, 4, 5, 9, 10, 11)),
-    "legs": tuple(tuple(range(3 * leg, 3 * leg + 3)) for leg in range(4)),
-    "each": tuple((joint,) for joint in range(12)),
-}
-"""Joints that move at the same time, one group after another; the others are held at the centre."""
+SILENT_TURNS = 3
+"""A reading of a joint that is held may be carried on over so many turns at most; the supervisor ends a longer silence."""
+
+STILL_WORDS = 2.0
+"""... if the readings around differ by no more than so many words of a position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,58 +48,16 @@ class Probe:
     ended: Event | None
     """What ended it early, if anything did."""
     missing: float
-    """Share of readings that did not come."""
-
-
-def probe_motion(description: RobotDescription, settings: ProbeSettings) -> FloatArray:
-    """Return targets (T, 12) [rad] inside the ranges in which nothing can touch, group after group.
-
-    Raises:
-        ConfigError: If the time is too short for so many groups.
-    """
-    low, high, centre = hung_ranges(description)
-    groups = GROUPS[settings.joints]
-    share = settings.seconds / len(groups)
-    if share < 10.0:
-        raise ConfigError(
-            f"{settings.seconds:g} s are {share:.1f} s for each of {len(groups)} groups; give at least {10 * len(groups)}"
-        )
-    parts = []
-    for number, group in enumerate(groups):
-        moved = probe_targets(
-            low,
-            high,
-            centre,
-            seconds=share,
-            rate_hz=settings.rate,
-            seed=settings.seed + number,
-            kind=settings.kind,
-            size=settings.size,
-        ).q_des
-        part = np.tile(centre, (len(moved), 1))
-        part[:, group] = moved[:, group]
-        parts.append(part)
-    return np.concatenate(parts)
-
-
-def recorded_motion(t: FloatArray, q: FloatArray, description: RobotDescription, settings: ProbeSettings) -> FloatArray:
-    """Return the targets of a recorded run (T, 12) [rad] at the rate of probing, inside the hung robot's ranges.
-
-    Args:
-        t: Times of the targets, increasing [s].
-        q: Targets (ticks, 12) [rad].
-        description: The robot.
-        settings: Rate and length; a shorter recording begins anew.
-    """
-    low, high, _ = hung_ranges(description)
-    span = float(t[-1] - t[0])
-    at = t[0] + np.arange(round(settings.seconds * settings.rate)) / settings.rate % span
-    return np.clip(np.stack([np.interp(at, t, column) for column in q.T], -1), low, high)
+    """Share of the readings asked for that did not come."""
+    load: FloatArray
+    """Share of its time that each bus was busy while the motion was played, by the frames seen here (buses,)."""
+    expected: FloatArray
+    """The same by the arithmetic (buses,)."""
 
 
 def probe(
     robot: CanRobot,
-    motion: FloatArray,
+    motion: Motion,
     settings: ProbeSettings,
     signals: Signals,
     *,
@@ -108,7 +67,7 @@ def probe(
 
     Args:
         robot: Not started yet.
-        motion: Targets (T, 12) [rad], one for each row.
+        motion: Targets, and which joints are asked in every row.
         settings: Rate and gains.
         signals: Ctrl-C ends it and keeps the log.
         progress: Called once a second with the rows done and in all.
@@ -126,12 +85,12 @@ def probe(
     rows = _Rows(robot, supervisor, signals, settings)
     try:
         state = robot.start()
-        approach = list(_approach(state.q, motion[0], settings))
+        approach = list(_approach(state.q, motion.q_des[0], settings))
         rows.begin()
         for gain, target in approach:
-            rows.step(gain, target, keep=False)
-        for number, target in enumerate(motion):
-            rows.step(1.0, target, keep=True)
+            rows.step(gain, target, motion.watched[0], keep=False)
+        for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
+            rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
             if progress is not None and number % round(settings.rate) == 0:
                 progress(number, len(motion))
         rows.end()
@@ -163,17 +122,27 @@ class _Rows:
 
     def __init__(self, robot: CanRobot, supervisor: Supervisor, signals: Signals, settings: ProbeSettings) -> None:
         self._robot, self._supervisor, self._signals, self._settings = robot, supervisor, signals, settings
-        self._columns: dict[str, list[FloatArray | float]] = {
-            name: [] for name in ("t", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
+        self._columns: dict[str, list[FloatArray | BoolArray | float]] = {
+            name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
         }
         self._asked = self._due = self._began = 0.0
-        self._sent: FloatArray | None = None
+        self._turns, self._keeps = turns(settings.rate, robot.description.dt), False
+        self._joints: list[int] = []
+        """Those asked in the last row."""
+        self._watched: BoolArray = np.zeros(len(JOINTS), dtype=bool)
+        """Those of legs that moved in it."""
+        self._since: FloatArray = np.full(len(JOINTS), -np.inf)
+        """When each motor was asked last [s]."""
+        self._in_effect: FloatArray = np.full(len(JOINTS), np.nan)
+        """Target that each motor was sent last [rad]."""
+        self._bits: list[tuple[float, FloatArray]] = []
+        """Time [s] and bits so far, at the beginning of the first row that is kept and at the end of the last one."""
         self._voltage, self._next_voltage, self._volted = float("nan"), 0.0, 0
 
     def begin(self) -> None:
         self._began = self._due = self._asked = self._robot.exchange.link.now()
 
-    def step(self, gain: float, target: FloatArray, *, keep: bool) -> None:
+    def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
         robot, exchange, settings = self._robot, self._robot.exchange, self._settings
         link, zeros = exchange.link, np.zeros(len(JOINTS))
         robot.beat()
@@ -181,18 +150,24 @@ class _Rows:
         self._finish()
         self._ask_voltage()
         asked = link.now()
+        if keep and not self._bits:
+            self._bits = [(asked, exchange.bits.copy())] * 2
+        joints = list(ALL) if everyone else self._turns.asked(watched, self._since)
         kp, kd = np.full(len(JOINTS), gain * settings.kp), np.full(len(JOINTS), gain * settings.kd)
-        sent = exchange.command(JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros))
+        sent = exchange.command(JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros), joints)
+        self._since[joints], self._in_effect[joints] = asked, sent.q_des[joints]
         self._due += 1.0 / settings.rate
         exchange.listen(self._due)
         now = link.now()
         late = now - self._due
         if late > 1.0 / settings.rate:
             self._due = now
-        self._asked, self._sent = asked, sent.q_des if keep else None
+        self._asked, self._joints, self._watched, self._keeps = asked, joints, watched, keep
+        if keep:
+            self._bits[1] = now, exchange.bits.copy()
         robot.count(asked)
         facts = Facts(
-            state=robot.state(asked, now),
+            state=robot.state(self._since, now),
             health=robot.health(0.0, late, now),
             phase=0,
             interrupts=self._signals.interrupts,
@@ -209,24 +184,26 @@ class _Rows:
 
     def _finish(self) -> None:
         """Keep the row of the last commands, now that nothing more can come for it."""
-        if self._sent is None:
+        if not self._keeps:
             return
         exchange = self._robot.exchange
-        q, dq, tau = exchange.readings(self._asked)
-        came = np.where(exchange.came > self._asked, exchange.came - self._began, np.nan)
+        asked = np.isin(np.arange(len(JOINTS)), self._joints)
+        since = np.where(asked, self._asked, np.inf)  # what comes of the others is late by a row or more
+        q, dq, tau = exchange.readings(since)
         row = (
             self._asked - self._began,
+            asked,
             q,
             dq,
             tau,
-            self._sent,
-            came,
+            self._in_effect.copy(),
+            np.where(self._watched & (exchange.came > since), exchange.came - self._began, np.nan),
             exchange.temperature(),
             self._voltage,
         )
         for column, value in zip(self._columns.values(), row, strict=True):
             column.append(value)
-        self._sent = None
+        self._keeps = False
 
     def _ask_voltage(self) -> None:
         """Ask one motor after another for the voltage, without waiting for the answer."""
@@ -253,8 +230,10 @@ class _Rows:
             extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
             extra[f"temperature.{name}"] = columns["temperature"][:, joint]
             extra[f"tau_now.{name}"] = columns["tau"][:, joint]
-        missing = float(np.isnan(columns["q"]).mean())
+        asked = columns["asked"].astype(bool)
+        missing = float(np.isnan(columns["q"][asked]).mean())
         wiring = self._robot.exchange.wiring
+        (start, before), (stop, after) = self._bits
         middle = wiring.sign * half_a_word(wiring.position_range)
         log = MachineLog(
             joints=JOINTS,
@@ -272,9 +251,23 @@ class _Rows:
                 "rate_hz": settings.rate,
                 "missing_share": missing,
                 "ended": "" if ended is None else ended.text,
-            },
+            }
+            | self._held(asked, wiring),
         )
-        return Probe(log=log, ended=ended, missing=missing)
+        return Probe(
+            log=log,
+            ended=ended,
+            missing=missing,
+            load=(after - before) / wiring.bitrate / (stop - start),
+            expected=expected_load(wiring, settings.rate * asked.mean(axis=0)),
+        )
+
+    def _held(self, asked: BoolArray, wiring: Wiring) -> dict[str, Any]:
+        """Return the note by which a reader carries on what was read of joints that were held."""
+        if asked.all():
+            return {}
+        within = STILL_WORDS * 2.0 * half_a_word(wiring.position_range)
+        return {HELD: {"rows": SILENT_TURNS * self._turns.rows, "within": within}}
 
 
 def _first_known(values: FloatArray) -> FloatArray:

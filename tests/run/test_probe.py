@@ -12,18 +12,23 @@ from mimic.machine_log import read_log, write_log
 from mimic.robot.excitation import hung_ranges
 from mimic.robot.machine import hung_robot, with_gains
 from mimic.robot.wiring import load_wiring
+from mimic.run.bus_load import expected_load
 from mimic.run.can_robot import CanRobot
 from mimic.run.emulated_faults import parse_fault
 from mimic.run.emulated_link import EmulatedLink
 from mimic.run.emulator import EmulatedRobot
 from mimic.run.motor_messages import Mode
-from mimic.run.probe import GROUPS, probe, probe_motion, recorded_motion
+from mimic.run.preflight import preflight
+from mimic.run.probe import probe
+from mimic.run.probe_motion import GROUPS, asked_rates, probe_motion, recorded_motion, turns
 from mimic.run.signals import Signals
 from mimic.settings import CalibrateSettings, EmulateSettings, ProbeSettings
 from mimic.types import JOINTS
 
 SHORT = ProbeSettings(seconds=12.0, rate=100.0, approach=0.3)
 """The shortest that calibration takes."""
+
+WIRING = load_wiring()
 
 LESS = 200
 """Rows that are enough where calibration does not look."""
@@ -40,7 +45,7 @@ def made(description, *faults: str) -> tuple[EmulatedRobot, CanRobot]:
 @pytest.mark.parametrize("joints", list(GROUPS))
 def test_targets_stay_where_nothing_can_touch_and_the_others_are_held(joints, description):
     settings = ProbeSettings(seconds=120.0, rate=50.0, joints=joints)
-    motion = probe_motion(description, settings)
+    motion = probe_motion(description, settings).q_des
     low, high, centre = hung_ranges(description)
     assert motion.shape == (6000, 12)
     assert np.all(motion >= low - 1e-12)
@@ -55,6 +60,49 @@ def test_targets_stay_where_nothing_can_touch_and_the_others_are_held(joints, de
         assert np.all(motion[number * part : (number + 1) * part, held] == centre[held])
 
 
+@pytest.mark.parametrize("joints", list(GROUPS))
+def test_the_joints_of_legs_that_move_are_asked_in_every_row(joints, description):
+    motion = probe_motion(description, ProbeSettings(seconds=120.0, rate=50.0, joints=joints))
+    moves = np.diff(motion.q_des, axis=0) != 0
+    assert np.all(motion.watched[1:][moves])
+    legs = motion.watched.reshape(-1, 4, 3)
+    assert np.all(legs.all(-1) == legs.any(-1))
+    assert set(motion.watched.sum(axis=1)) == {"all": {12}, "sides": {6}}.get(joints, {3})
+
+
+def test_joints_come_to_rest_at_the_centre_before_others_move(description):
+    motion = probe_motion(description, ProbeSettings(seconds=24.0, rate=100.0, joints="sides", kind="random"))
+    _, _, centre = hung_ranges(description)
+    assert np.array_equal(motion.q_des[1180:1200], np.tile(centre, (20, 1)))
+    assert np.all(motion.watched[1180:1200, :3])
+    assert np.abs(np.diff(motion.q_des[1150:1200], axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 130.0, 200.0, 250.0])
+@pytest.mark.parametrize("held", [0, 3, 6, 9, 11])
+def test_each_motor_is_asked_within_a_control_step_and_as_many_in_each_row(rate, held, description):
+    turn = turns(rate, description.dt)
+    watched = np.arange(12) >= held
+    since, asked = np.full(12, -1.0 / rate), []
+    for row in range(60):
+        joints = turn.asked(watched, since)
+        assert joints[: 12 - held] == list(range(held, 12))
+        asked.append(np.isin(np.arange(12), joints))
+        assert np.all(row / rate - since[joints] <= description.dt + 1e-9)
+        since[joints] = row / rate
+    assert len({len(np.flatnonzero(row)) for row in asked}) == 1
+    assert np.sum(asked) / 60 * rate == pytest.approx(turn.rates(watched).sum())
+
+
+def test_a_motor_waits_no_longer_when_another_leg_begins_to_move(description):
+    turn, since = turns(200.0, description.dt), np.zeros(12)
+    for row in range(1, 400):
+        watched = np.arange(12) // 3 == row // 7 % 4
+        joints = turn.asked(watched, since)
+        since[joints] = row / 200.0
+        assert row / 200.0 - since.min() < description.dt
+
+
 def test_too_little_time_for_so_many_groups_is_refused(description):
     with pytest.raises(ConfigError, match="120"):
         probe_motion(description, ProbeSettings(seconds=60.0, joints="each"))
@@ -64,7 +112,7 @@ def test_a_recorded_run_is_played_inside_the_ranges_and_begins_anew(description)
     low, high, _ = hung_ranges(description)
     t = np.arange(100) * 0.02
     q = np.random.default_rng(0).uniform(-4, 4, (100, 12))
-    motion = recorded_motion(t, q, description, SHORT)
+    motion = recorded_motion(t, q, description, SHORT).q_des
     assert motion.shape == (1200, 12)
     assert np.all((motion >= low) & (motion <= high))
     assert np.allclose(motion[0], np.clip(q[0], low, high))
@@ -94,9 +142,69 @@ def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     assert log.extra["voltage"] == pytest.approx(24.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("joints", "rate", "most"), [("sides", 200.0, 0.5), ("legs", 100.0, 0.27)])
+def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, rate, most, description):
+    robot, plant = made(description)
+    settings = ProbeSettings(seconds=40.0, rate=rate, joints=joints, approach=0.3)
+    motion = probe_motion(description, settings).begin(2 * LESS)
+    seen: list[tuple[float, int]] = []
+    result = probe(
+        plant, motion, settings, Signals(), progress=lambda *_: seen.append((robot.now, robot.buses[0].bits))
+    )
+    (begin, before), (end, after) = seen[0], seen[-1]
+    assert (after - before) / WIRING.bitrate / (end - begin) == pytest.approx(result.expected[0], rel=0.05)
+    assert result.load == pytest.approx(result.expected, rel=0.05)
+    told = expected_load(WIRING, asked_rates(motion, settings, description)[0])
+    assert result.expected == pytest.approx(told, rel=0.02)
+    assert result.load[0] < most
+    look = preflight(
+        plant.exchange,
+        description,
+        rate_hz=asked_rates(motion, settings, description),
+        trust_zeros=True,
+        homing=None,
+        hung=True,
+    )
+    assert f"{told[0]:.0%}" in look[0].text
+
+
+def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_path):
+    _, plant = made(description)
+    settings = ProbeSettings(seconds=20.0, rate=100.0, joints="sides", approach=1.0)
+    motion = probe_motion(description, settings).begin(1150)
+    result = probe(plant, motion, settings, Signals())
+    assert result.missing == 0.0
+    asked = np.isfinite(result.log.q)
+    assert np.all(asked[motion.watched])
+    assert np.all(asked[[0, -1]])
+    assert asked[~motion.watched].mean() == pytest.approx(0.5, abs=0.01)
+    assert np.array_equal(asked, np.isfinite(result.log.dq))
+    assert np.all(np.isnan(result.log.extra["t_receive.FL_hip"][~motion.watched[:, 1]]))
+    machine = hung_robot(description)
+    log = read_log(write_log(result.log, tmp_path / "probe.parquet")).of(machine.joints)
+    facts = check_log(log, np.stack([machine.low, machine.high], -1))
+    assert len(facts.log.t) == 1150
+    assert np.isfinite(log.q).all(axis=1).mean() > 0.97
+    assert facts.moves.all()
+    assert np.all(np.abs(log.q - result.log.q)[asked] == 0.0)
+
+
+@pytest.mark.parametrize("fault", ["motor_dead:RR_knee@1.4", "motor_fault:RR_hip=8@1.4", "motor_hot:RR_hip=75@1.4"])
+def test_a_joint_that_is_only_held_is_supervised_as_quickly(fault, description):
+    robot, plant = made(description, fault)
+    settings = ProbeSettings(seconds=20.0, rate=200.0, joints="sides", approach=0.3)
+    motion, seen = probe_motion(description, settings).begin(400), []
+    result = probe(plant, motion, settings, Signals(), progress=lambda *_: seen.append(robot.now))
+    assert result.ended is not None
+    assert fault.split(":")[1][:6] in result.ended.text
+    noticed = seen[0] + (len(result.log.t) - 1) / settings.rate - robot.told[-1][0]
+    row = 1.0 / settings.rate
+    assert 0.0 < noticed <= (0.06 if "dead" in fault else description.dt) + 2 * row
+
+
 def test_readings_that_did_not_come_are_missing_and_not_repeated(description):
     _, plant = made(description, "frames_lost=0.05@1.4")
-    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
     assert 0.0 < result.missing < 0.2
     assert np.isnan(result.log.q).mean() == pytest.approx(result.missing)
     assert np.isnan(result.log.extra["t_receive.FL_hip"]).any()
@@ -109,7 +217,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
     def press(done: int, total: int) -> None:
         signals.interrupts = 1 if done >= 100 else 0
 
-    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, signals, progress=press)
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, signals, progress=press)
     assert result.ended is not None
     assert result.ended.rule == "interrupt"
     assert 100 <= len(result.log.t) <= 103
@@ -119,7 +227,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
 @pytest.mark.parametrize("fault", ["motor_dead:FL_knee@1.4", "motor_fault:RR_hip=8@1.4", "motor_hot:FL_hip=75@1.4"])
 def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
     robot, plant = made(description, fault)
-    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
     assert result.ended is not None
     assert fault.split(":")[1][:6] in result.ended.text
     assert 10 < len(result.log.t) < LESS
@@ -129,7 +237,7 @@ def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
 
 def test_a_bus_that_fails_keeps_what_was_measured(description):
     _, plant = made(description, "unplugged@1.4-3")
-    result = probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
     assert result.ended is not None
     assert result.ended.rule == "exception"
     assert len(result.log.t) > 10
@@ -138,12 +246,12 @@ def test_a_bus_that_fails_keeps_what_was_measured(description):
 def test_what_ends_before_anything_was_measured_is_an_error(description):
     _, plant = made(description, "motor_dead:FL_knee@0.3")
     with pytest.raises(PlantError, match="nothing was measured"):
-        probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals())
+        probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
 
 
 def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
     _, plant = made(description, "imu_silent@1.4")
-    assert probe(plant, probe_motion(description, SHORT)[:LESS], SHORT, Signals()).ended is None
+    assert probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals()).ended is None
 
 
 def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(description):
