@@ -159,7 +159,8 @@ def test_declared_numbers_that_stop_at_a_bound_are_told(arm: MachineModel) -> No
 
 
 def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
-    monkeypatch.delitem(sys.modules, "mimic.calibrate.worlds", raising=False)
+    for name in ("mimic.calibrate.worlds", "mimic.calibrate.world_batch"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
     with pytest.raises(MissingExtra, match=r"mujoco_warp.*pip install 'mimic\[train\]'"):
         calibrate(log_of(arm), arm, CalibrateSettings(device="cuda"))

@@ -91,11 +91,12 @@ def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
     assert np.nanmax(np.abs(problem.in_fine_steps(point, 2, 1.0) - once)) > 1.0
 
 
-def test_cogging_is_looked_for_at_its_order(pair: MachineModel) -> None:
+def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
+    """Two thirds of a wave in the range of motion is near enough for the fit that begins there."""
     ripple = {"cosine": np.array([0.03, 0.05]), "sine": np.array([0.04, -0.02]), "order": np.array([37.0, 61.0])}
     log = log_of(pair, EffectValues(name="cogging", joints=pair.joints, values=ripple))
     problem, point = problem_of(pair, log)
     fitted = fit(problem, point, DECLARED, {}, most=1)
     motion = Motion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
     order = starts_of("cogging", fitted, problem, motion)[0].values["cogging", "order"]
-    assert order == pytest.approx(ripple["order"], abs=1.0 / np.ptp(log.q, axis=0).min())
+    assert order == pytest.approx(ripple["order"], abs=4.0 / np.ptp(log.q, axis=0).max())
