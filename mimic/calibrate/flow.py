@@ -13,7 +13,7 @@ from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, 
 from mimic.calibrate.events import Timing, widening
 from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
-from mimic.calibrate.problem import Key, Point, Problem, make_blocks
+from mimic.calibrate.problem import Key, Knob, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
@@ -44,6 +44,9 @@ MOST_CORRECTIONS = 6
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
 
+FAR_BEYOND = 2.0
+"""Steps by which a declared number would cross its bound, from which on nothing is named in its chain."""
+
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
@@ -71,6 +74,8 @@ class _Search:
     """Of the numbers that are read off the lateness of the targets."""
     unsure: dict[Key, float] = field(default_factory=dict)
     """Half of the 95 % interval of numbers that goes with these."""
+    withdrawn: list[str] = field(default_factory=list)
+    """Why effects that were found are not named."""
     base: BaseMotion | None = None
     """A motion of the base, where that is what explains the rest."""
 
@@ -163,7 +168,7 @@ def calibrate(
         sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
         belongs=belongs,
         experiments=(*_experiments(stages), *_of_base(state, scale, machine.unit)),
-        warnings=_on_bounds(final, problem),
+        warnings=(*state.withdrawn, *(_told(*row, machine) for row in _on_bounds(final, problem))),
         not_identifiable=_weak(final, problem),
         traces=traces,
         replays=problem.replay.replays,
@@ -317,7 +322,7 @@ def _grow(state: _Search) -> list[Stage]:
                 rivals=found.rivals,
             )
         )
-    return _kept(state, stages)
+    return _sure(state, _kept(state, stages))
 
 
 def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
@@ -365,6 +370,58 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
     return stages
 
 
+def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
+    """Return declared numbers at a bound, and the bound, that the log would have cross it by so many steps."""
+    hessian, gradient = fitted.sums.over(problem.blocks.train)
+    found = []
+    for i, knob in enumerate(fitted.knobs):
+        value = fitted.point.values[knob.key][max(knob.joint, 0)]
+        further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
+        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
+            if CATALOGUE[knob.key[0]].declared and abs(value - bound) < 1e-9 and sign * further > least:
+                found.append((knob, bound))
+    return found
+
+
+def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
+    """Withdraw effects of chains where a declared number stops at a bound that the log would have it cross by far.
+
+    With all that was found in the model, something else is wrong there, and a name may stand for that.
+    """
+    machine = state.problem.machine
+    stopped = _on_bounds(state.current, state.problem, FAR_BEYOND)
+    doubtful = np.zeros(len(machine.joints), dtype=bool)
+    for knob, _ in stopped:
+        doubtful |= True if knob.joint < 0 else machine.chain == machine.chain[knob.joint]
+    gone = [s for s in stages if s.added and not CATALOGUE[s.added].random and (state.joints[s.added] & doubtful).any()]
+    if not gone:
+        return stages
+    state.tick("withdrawing what is not sure")
+    names = [s.added for s in gone]
+    why = f"{stopped[0][0].key[0]}.{stopped[0][0].key[1]} stops at its bound {stopped[0][1]:g} in the same chain"
+    for name in names:
+        state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {why}")
+    rest = [n for n in state.names if n not in names]
+    point = state.current.point
+    for name in names:
+        point = point.without(name)
+    state.current = _settled(state.problem, fit(state.problem, point, rest, state.joints, most=3))
+    state.names = rest
+    errors = _errors(state.problem, state.current.residual)
+    kept = [s for s in stages if s not in gone]
+    if any(s.added for s in kept):
+        return [*kept[:-1], replace(kept[-1], errors=errors)]
+    tried = tuple(replace(c, accepted=False, why=why) if c.accepted else c for c in gone[0].candidates)
+    return [Stage(added="", errors=errors, candidates=tried)]
+
+
+def _told(knob: Knob, bound: float, machine: MachineModel) -> str:
+    where = "" if knob.joint < 0 else f" of {machine.joints[knob.joint]}"
+    return (
+        f"{knob.key[0]}.{knob.key[1]}{where} stopped at its bound {bound:g}: something else is wrong in the model there"
+    )
+
+
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
     return _settled(state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1))
@@ -408,23 +465,6 @@ def _weak(final: Fit, problem: Problem) -> tuple[str, ...]:
         if parts:
             lines.append(" with ".join(parts))
     return tuple(dict.fromkeys(lines))
-
-
-def _on_bounds(final: Fit, problem: Problem) -> tuple[str, ...]:
-    """Say which declared numbers stopped at a bound that the log would have them cross."""
-    _, gradient = final.sums.over(problem.blocks.train)
-    found: dict[tuple[str, str, float], list[str]] = {}
-    for knob, downhill in zip(final.knobs, gradient, strict=True):
-        value = final.point.values[knob.key][max(knob.joint, 0)]
-        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            if CATALOGUE[knob.key[0]].declared and abs(value - bound) < 1e-9 and sign * downhill > 0:
-                where = [] if knob.joint < 0 else [problem.machine.joints[knob.joint]]
-                found.setdefault((*knob.key, bound), []).extend(where)
-    return tuple(
-        f"{name}.{parameter}{' of ' + ', '.join(joints) if joints else ''} stopped at its bound {bound:g}: the model is wrong"
-        " there in another way too, and what is named there is not sure"
-        for (name, parameter, bound), joints in found.items()
-    )
 
 
 def _experiments(stages: list[Stage]) -> tuple[str, ...]:

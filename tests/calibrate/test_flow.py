@@ -158,6 +158,23 @@ def test_declared_numbers_that_stop_at_a_bound_are_told(arm: MachineModel) -> No
     assert clean_result(arm).warnings == ()
 
 
+def test_nothing_is_named_where_a_declared_number_stops_at_its_bound(arm: MachineModel) -> None:
+    """The elbow's friction is there, but so is a drive in the shoulder that brakes less than its gains say."""
+    sticky = EffectValues(
+        name="stribeck", joints=("elbow",), values={"level": np.array([0.25]), "speed": np.array([0.15])}
+    )
+    log = log_of(arm, sticky)
+    other = replace(log, metadata={**log.metadata, "kd": {"shoulder": 0.97, "elbow": 0.8}})
+    result = calibrate(other, arm, CalibrateSettings(effects=("stribeck",), most_effects=1))
+    assert added(result) == []
+    assert any(line.startswith("Stribeck friction explains something, but is not named") for line in result.warnings)
+    assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]
+    assert "Nothing in the catalogue explains what is left" in result.sentence
+    tried = next(c for c in result.stages[-1].candidates if c.name == "stribeck")
+    assert not tried.accepted
+    assert "viscous.coefficient stops at its bound 0" in tried.why
+
+
 def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
     for name in ("mimic.calibrate.worlds", "mimic.calibrate.world_batch"):
         monkeypatch.delitem(sys.modules, name, raising=False)
