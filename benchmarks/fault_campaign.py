@@ -44,6 +44,9 @@ SIGNALS = ("ctrl_c", "ctrl_c_twice", "sigterm", "sigkill", "sigstop", "guardian_
 WITHIN = (0.3, 9.0)
 """When a fault begins, after the first motor was switched on [s]."""
 
+USER = 2
+"""Exit status of what is refused."""
+
 HANG = 150.0
 """A process that has not ended by then hangs [s]."""
 
@@ -137,6 +140,7 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
     driven = [n for n, m in zip(JOINTS, robot.motors, strict=True) if m.mode is Mode.RUN and m.drive.kp > 0.0]
     over.set()
     thread.join(10.0)
+    begun = not robot.body.held and not (process.returncode == USER and not run.exists())
     server.close()
     cut = kind in CUTS and fault is not None and np.isinf(fault.until)
     last = "\n".join(told.strip().splitlines()[-2:])
@@ -153,7 +157,8 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
         "hung": hung,
         "traceback": "Traceback" in told,
         "moved": not robot.body.held,
-        "incomplete": "" if robot.body.held else incomplete(run, disturbed if kind == "sigkill" else None),
+        "begun": begun,
+        "incomplete": incomplete(run, disturbed if kind == "sigkill" else None) if begun else "",
         "seconds": time.monotonic() - began,
     }
 
@@ -202,6 +207,8 @@ def main() -> None:
         bad = [r for r in rows if r[name]]
         print(f"{name:12s} {len(bad)}", [(r["seed"], r["transport"], r["fault"]) for r in bad])
     print(f"{sum(not r.get('moved', True) for r in rows)} were refused before anything moved")
+    early = sum(r.get("moved", True) and not r.get("begun", True) for r in rows)
+    print(f"{early} ended before their first tick, so that there was nothing to log")
     left = [r for r in rows if r["driven"] and not r["undamped"]]
     print(f"{len(left)} runs whose motors nobody could reach and which have no timeout of their own:")
     print(json.dumps(Counter(r["fault"].split("@")[0].split("=")[0].split(":")[0] for r in left)))

@@ -122,8 +122,8 @@ def ready(
         hung: It hangs instead of lying.
 
     Raises:
-        PlantError: If something stands against moving.
-        BusError: If a bus fails.
+        PlantError: If something stands against moving, or what was raised meanwhile, with how the robot was left.
+        BusError: If a bus fails before anything was switched on.
     """
     wiring = wiring_of(words, settings)
     guardian = Guardian(words, wiring.path) if settings.guardian and allows_second_socket(words) else None
@@ -146,6 +146,9 @@ def ready(
             )
             try:
                 yield plant
+            except PlantError as reason:  # such as a motor that does not switch on; others are on already
+                plant.close()
+                raise PlantError(f"{reason}; {plant.ending}") from reason
             finally:
                 plant.close()
     finally:

@@ -1,0 +1,68 @@
+"""Getting at a robot: what is told when it ends before it began."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from mimic.errors import BusError, PlantError
+from mimic.robot.wiring import load_wiring
+from mimic.run import on_robot
+from mimic.run.can_robot import CanRobot
+from mimic.run.emulated_faults import parse_fault
+from mimic.run.emulated_link import EmulatedLink
+from mimic.run.emulator import EmulatedRobot
+from mimic.run.motor_messages import Mode
+from mimic.settings import BusSettings, EmulateSettings
+
+
+@pytest.fixture
+def robot(description, monkeypatch) -> EmulatedRobot:
+    """An emulated robot behind every word for a bus."""
+    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(homed=True))
+
+    def opened(words: str, wiring: object) -> EmulatedLink:
+        link = EmulatedLink(robot)
+        link.sleep(0.2)
+        return link
+
+    monkeypatch.setattr(on_robot, "opened", opened)
+    return robot
+
+
+def get_ready(description, then: Callable[[CanRobot], None]) -> None:
+    """Do something with the robot once it is ready."""
+    settings = BusSettings(homed=True, yes=True, guardian=False)
+    options = {"rate_hz": 50.0, "told": lambda _: None, "go": lambda: None}
+    with on_robot.ready("can0", settings, description, **options) as plant:
+        then(plant)
+
+
+@pytest.mark.parametrize("kind", [PlantError, BusError])
+def test_what_fails_while_motors_are_on_is_told_with_how_they_were_left(kind, robot, description):
+    def break_later(plant: CanRobot) -> None:
+        plant.start()
+        raise kind("it broke")
+
+    with pytest.raises(PlantError, match="it broke; the robot was damped and all motors are off"):
+        get_ready(description, break_later)
+    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+
+
+def test_a_motor_that_does_not_switch_on_is_told_with_how_the_others_were_left(robot, description):
+    def begin(plant: CanRobot) -> None:
+        robot.inject(parse_fault("motor_mute:FL_knee@0"))
+        plant.start()
+
+    with pytest.raises(PlantError, match=r"no answer from FL_knee.*nothing was switched on"):
+        get_ready(description, begin)
+    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+
+
+def test_what_fails_before_motors_are_on_says_so(robot, description):
+    def break_at_once(plant: CanRobot) -> None:
+        raise PlantError("it broke")
+
+    with pytest.raises(PlantError, match="it broke; nothing was switched on"):
+        get_ready(description, break_at_once)
