@@ -94,7 +94,7 @@ def _load(exchange: Exchange, rate_hz: float | FloatArray) -> Finding:
     told = ", ".join(f"{share:.0%}" for share in load)
     rates = f"{parts.max():g} Hz"
     if parts.min() < parts.max():
-        rates = f"{rates} for legs that move and {parts.min():g} Hz for the others"
+        rates = f"{rates} for legs that move and {parts.min():.3g} Hz for the others"
     if load.max() > MOST:
         text = f"{rates} would take {told} of the bus; at most {MOST:.0%} fit. Use more buses or a lower rate"
         return Finding(name="bus load", verdict="stop", text=text)
