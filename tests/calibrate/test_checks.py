@@ -88,6 +88,13 @@ def test_the_noise_floor_is_no_less_than_the_step_allows() -> None:
     assert (facts.noise >= 0.002 / np.sqrt(12) - 1e-12).all()
 
 
+def test_missing_readings_do_not_hide_the_step_of_an_encoder() -> None:
+    clean = made_log(noise=0.0)
+    q = 0.002 * np.round(clean.q / 0.002)
+    q[50::100] = np.nan
+    assert check_log(replace(clean, q=q)).step == pytest.approx([0.002] * 3)
+
+
 def test_a_repeated_excitation_gives_the_repeatability() -> None:
     twice = made_log(seconds=26.0, q_des=lambda t: targets(np.where(t >= 13.0, t - 13.0, t)))
     facts = check_log(twice)
