@@ -283,7 +283,7 @@ def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatAr
     """
     train, chains = problem.blocks.train, int(problem.machine.chain.max()) + 1
     own = problem.channel_chain[:, None] == np.arange(chains)
-    inside = problem.block_squares(fitted.residual)[train]
+    inside = np.minimum(problem.block_squares(fitted.residual)[train], LARGEST)
     doubt = squares @ own > DOUBTFUL * (inside @ own)
     rows = np.flatnonzero(doubt.any(1))
     if not len(rows):

@@ -243,11 +243,11 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
         step, _ = linear_step(problem, point, residual, fitted.columns, fitted.knobs, 0.0)
         moved = point.moved(fitted.knobs, step)
         after = _fine(problem, moved)
-        fell = cost - (problem.block_squares(after)[train].sum() + penalty(moved, fitted.knobs))
-        if not fell > 0.0:
+        now = problem.block_squares(after)[train].sum() + penalty(moved, fitted.knobs)
+        if not now < cost:
             break
-        point, residual, cost = moved, after, cost - fell
-        if fell < 1e-3 * cost:
+        point, residual, cost, before = moved, after, now, cost
+        if before - now < 1e-3 * now:
             break
     return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 

@@ -271,7 +271,9 @@ def _predicted(
     """Return the start after one linear step, with what a linear model would gain there on the joint that gains most."""
     step, left = linear_step(problem, point, base, columns, knobs, 1e-3)
     after = problem.block_squares(left)[problem.blocks.train]
-    total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
-    joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
-    gain = float(max(total, joint.max() / len(joint)))
+    gain = -np.inf  # where the replay runs away
+    if np.isfinite(before.sum()) and np.isfinite(after.sum()):
+        total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
+        joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
+        gain = float(max(total, joint.max() / len(joint)))
     return Start(name=name, point=point.moved(knobs, step), begin=point, joints=mask, gain=gain)
