@@ -74,17 +74,9 @@ def problem_of(replay: Replay) -> Problem:
     return Problem(replay, noise, torque, make_blocks(log.t, replay.counts))
 
 
-def given(machine: MachineModel) -> Point:
-    """Return the declared model as given."""
-    point = Point()
-    for name in DECLARED:
-        point = point.with_effect(name, machine)
-    return point
-
-
 def drawn(machine: MachineModel, count: int) -> list[Point]:
     """Return so many random declared models, from the second on."""
-    rng, start = np.random.default_rng(0), given(machine)
+    rng, start = np.random.default_rng(0), Point.of(DECLARED, machine)
     values = [
         {k: rng.uniform(*RANGES[k], row.shape) if k in RANGES else row for k, row in start.values.items()}
         for _ in range(count - 1)
@@ -145,7 +137,7 @@ class Parts:
     def declared(self) -> dict[str, Any]:
         """Fit the declared numbers, in coarse steps."""
         before, began = self.replay.replays, time.perf_counter()
-        fitted = fit(self.problem, given(self.machine), DECLARED, {}, most=5)
+        fitted = fit(self.problem, Point.of(DECLARED, self.machine), DECLARED, {}, most=5)
         seconds = time.perf_counter() - began
         return {"seconds": seconds, "replays": self.replay.replays - before, **self._error(fitted.residual)}
 
@@ -153,7 +145,7 @@ class Parts:
         """Search as the paper does."""
         before, began = self.replay.replays, time.perf_counter()
         tell = lambda _, replays: self._say(f"random search, {replays - before} samples", began)  # noqa: E731
-        fitted = random_search(self.problem, given(self.machine), self.samples, 0, tell)
+        fitted = random_search(self.problem, Point.of(DECLARED, self.machine), self.samples, 0, tell)
         seconds = time.perf_counter() - began
         made = {"seconds": seconds, "samples": self.samples, "together": self.replay.together}
         return made | self._error(fitted.residual)

@@ -41,10 +41,7 @@ def problem_of(seconds: float) -> tuple[Problem, Point]:
     machine = with_gains(hung_robot(load_description()), log.metadata)
     replay = Replay(machine, log, timestep=0.0025, threads=1)
     problem = Problem(replay, noise_floor(log.q, log.rate), None, make_blocks(log.t, replay.counts))
-    start = Point()
-    for name in DECLARED:
-        start = start.with_effect(name, machine)
-    return problem, start
+    return problem, Point.of(DECLARED, machine)
 
 
 def held_out(problem: Problem, residual: FloatArray) -> float:

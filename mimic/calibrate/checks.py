@@ -80,8 +80,9 @@ def check_log(
         if wrong:
             raise CalibrationError("\n".join(wrong))
         warnings += problems.weak_following(log, found.correlation, found.lag, found.moves)
-    step = np.array([resolution(c) for c in log.q[unread.read(log)].T])  # what is filled in has none
-    noise = np.maximum(noise_floor(log.q, rate), step / np.sqrt(12.0))
+    known = unread.read(log)
+    noise = noise_floor(log.q, rate, known)
+    step = np.array([resolution(c) for c in log.q[known].T])
     asked = target if target is not None else log.force
     assert asked is not None  # the reader refuses a log with neither
     if target is not None and log.force is not None:

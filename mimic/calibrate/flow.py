@@ -18,7 +18,7 @@ from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.screen import Motion
-from mimic.calibrate.signals import noise_floor, resolution
+from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.unread import read
 from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
 from mimic.errors import MissingExtra
@@ -103,9 +103,7 @@ def calibrate(
     machine = with_gains(model, log.metadata)
     problem = _problem(log, machine, settings)
     names = list(settings.declared)
-    start = Point()
-    for name in names:
-        start = start.with_effect(name, machine)
+    start = Point.of(names, machine)
     report("replaying", 0)
     first = problem.residuals([start])[0]
     problem.leave_out(~np.isfinite(first).all(-1))
@@ -180,8 +178,7 @@ def calibrate(
 def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     step = settings.timestep or physics_step(log.rate)
     replay = _replay(log, machine, settings, step)
-    noise = np.maximum(noise_floor(log.q, log.rate), 1e-9)
-    noise = np.maximum(noise, [resolution(c) / np.sqrt(12.0) for c in log.q[read(log)].T])  # what is filled in has none
+    noise = np.maximum(noise_floor(log.q, log.rate, read(log)), 1e-9)
     torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
     return Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
 

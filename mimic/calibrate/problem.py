@@ -7,7 +7,7 @@ changed in one replay, and the column of each leg is read from that leg's own jo
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -54,6 +54,14 @@ class Point:
     """Values of all effects that are in the model: (effect, parameter) -> (J,) or (1,)."""
 
     values: Mapping[Key, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, names: Iterable[str], machine: MachineModel) -> Point:
+        """Return the point with these effects, all neutral."""
+        point = cls()
+        for name in names:
+            point = point.with_effect(name, machine)
+        return point
 
     def with_effect(self, name: str, machine: MachineModel, start: Mapping[str, object] | None = None) -> Point:
         """Return the point with an effect added, neutral or at ``start`` (numbers or rows)."""

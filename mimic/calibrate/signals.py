@@ -32,7 +32,7 @@ def resolution(x: FloatArray) -> float:
     return step if on_grid.mean() > 0.9 else 0.0
 
 
-def noise_floor(x: FloatArray, rate: float) -> FloatArray:
+def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> FloatArray:
     """Return the standard deviation of white noise on each signal (T, J), motion left out.
 
     Third differences leave little of a smooth motion; blocks of half a second in which the machine moves fast are
@@ -41,6 +41,7 @@ def noise_floor(x: FloatArray, rate: float) -> FloatArray:
     Args:
         x: Signals, evenly sampled.
         rate: Readings per second [Hz].
+        known: Rows that were read (T,), all by default; what is filled in between has no resolution.
     """
     rows = max(int(0.5 * rate), 32)
     third = np.diff(x, 3, axis=0)
@@ -50,7 +51,7 @@ def noise_floor(x: FloatArray, rate: float) -> FloatArray:
     low = np.nan_to_num([np.nanquantile(c, 0.1) if np.isfinite(c).any() else 0.0 for c in live.T])
     shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * _SPREAD / rows), 0.3) if len(blocks) > 5 else 1.0
     white = np.sqrt(low / _DIFFERENCE / shrunk)
-    return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in x.T])
+    return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in (x if known is None else x[known]).T])
 
 
 def _variance(x: FloatArray) -> FloatArray:

@@ -45,10 +45,8 @@ def log_of(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0) -> Mach
 
 def problem_of(pair: MachineModel, log: MachineLog) -> tuple[Problem, Point]:
     replay = Replay(pair, log, timestep=0.0025)
-    point = Point()
-    for name in DECLARED:
-        point = point.with_effect(name, pair)
-    return Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts)), point
+    problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
+    return problem, Point.of(DECLARED, pair)
 
 
 def test_an_effect_is_fitted_only_to_joints_that_may_have_it(pair: MachineModel, monkeypatch) -> None:

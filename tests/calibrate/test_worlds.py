@@ -55,10 +55,7 @@ def log(arm: MachineModel) -> MachineLog:
 
 
 def declared(arm: MachineModel) -> Point:
-    point = Point()
-    for name in DECLARED:
-        point = point.with_effect(name, arm)
-    return point
+    return Point.of(DECLARED, arm)
 
 
 def points(arm: MachineModel) -> list[Point]:
