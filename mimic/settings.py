@@ -574,6 +574,7 @@ class RewardWeights:
     toes: float = 6.0
     toes_fine: float = 3.0
     gait: float = 12.0
+    drift: float = -6.0
     slip: float = -4.0
     foot_shift: float = -2.0
     rules: float = -1.0
@@ -595,9 +596,20 @@ REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 TASKS = ("velocity", "toes", "toes_fine", "gait")
 """Reward terms of what a standing robot does."""
 
-LATE = ("slip", "foot_shift", "rules", "flight", "overload", "joint_speed")
+LATE = ("drift", "slip", "foot_shift", "rules", "flight", "overload", "joint_speed")
 """Reward terms that hardly count before the robot stands. With all of them from the beginning a world loses more by each
 step than by falling, and a policy learns to fall at once; that was tried."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FinishFactors:
+    """What the weights of a few reward terms are multiplied by at the end of a training."""
+
+    velocity: float = 1.0
+    heading: float = 1.0
+    toes: float = 1.0
+    toes_fine: float = 1.0
+    slip: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -754,6 +766,11 @@ class MdpSettings:
     scaled_tracking: bool = True
     """Scale the tracking terms by how far the robot stands, as the paper's dynamic factor does; False is its ablation."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
+    finish: FinishFactors = field(default_factory=FinishFactors)
+    """Factors on the weights of ``rewards`` once everything is learned: walking straight and sliding little are polish,
+    which, asked for with these weights from the beginning, keeps a policy from stepping and reaching."""
+    finish_steps: tuple[float, float] = (12_000.0, 18_000.0)
+    """Control steps of a world between which these factors grow from 1."""
     reward_scale: float = 0.008
     """Factor on all rewards. Returns are then of the order of ten, which the critic can follow. Unscaled they were 300, with PPO's limit of 0.2 on the change of a value in an update, and the
     critic was wrong by 20 to 27 throughout."""

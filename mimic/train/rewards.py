@@ -28,6 +28,8 @@ class Facts:
     """Measured - desired base velocity in the heading frame (N, 2) [m/s]."""
     mean_velocity_error: torch.Tensor
     """The same with the measured velocity averaged over half a gait cycle, which takes out the sway (N, 2) [m/s]."""
+    drift: torch.Tensor
+    """Velocity error averaged over a second: what the robot ends up beside where it was sent (N, 2) [m/s]."""
     moving: torch.Tensor
     """True where walking or turning is asked for (N,)."""
     heading_error: torch.Tensor
@@ -123,6 +125,7 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
         "toes": reaching * standing * f.tracking,
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
+        "drift": f.drift.norm(dim=-1) * f.tracking,
         "slip": f.slip,
         "foot_shift": f.foot_shift,
         "rules": f.rules_broken,

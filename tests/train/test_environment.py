@@ -9,7 +9,7 @@ from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
 from mimic.robot.description import with_timestep
 from mimic.robot.leg import front_toes
 from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings, Solver
+from mimic.settings import NOMINAL, UNDISTURBED, FinishFactors, MdpSettings, RewardWeights, Solver
 from mimic.types import JointCommand
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -191,3 +191,56 @@ def test_gains_slopes_and_rules_come_in_over_the_ramp(description):
     assert late[0] == pytest.approx(4.0, abs=0.05)
     assert early[1] == pytest.approx(0.25 * late[1], rel=1e-3)
     assert late[1] > 0.05
+
+
+def only(**weights: float) -> RewardWeights:
+    return RewardWeights(**{f.name: weights.get(f.name, 0.0) for f in dataclasses.fields(RewardWeights)})
+
+
+def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description):
+    def rewards(factor: float, calls: int) -> torch.Tensor:
+        env = make(
+            description,
+            rewards=only(velocity=1.0),
+            finish=FinishFactors(velocity=factor),
+            finish_steps=(240.0, 720.0),
+            upright_share=1.0,
+            upright_share_at_first=1.0,
+            ease_latest=0.0,
+            ease_steps=240.0,
+        )
+        env.resume_at(calls)
+        return env.step(torch.zeros(FEW.worlds, 12))[1]
+
+    assert torch.equal(rewards(4.0, 240), rewards(1.0, 240))
+    assert torch.allclose(rewards(4.0, 480), 2.5 * rewards(1.0, 480))
+    assert torch.allclose(rewards(4.0, 1440), 4.0 * rewards(1.0, 1440))
+    assert rewards(1.0, 1440).min() > 0
+
+
+def test_drift_is_the_velocity_error_over_a_second(description):
+    env = make(
+        description,
+        rewards=only(drift=-1.0),
+        reward_scale=1.0,
+        late_share=1.0,
+        still_share=1.0,
+        upright_share=1.0,
+        upright_share_at_first=1.0,
+    )
+    assert not env.moves.velocity.any()
+    mean, compared = np.zeros((FEW.worlds, 2)), 0
+    for _ in range(12):
+        before = env.episode_length_buf.clone()
+        _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
+        velocity = env.worlds.qvel[:, :2].numpy().astype(np.float64)  # its size is the same in the heading frame
+        alive = (done == 0) & (before > 0)
+        if before.min() == 0:
+            mean[before.numpy() == 0] = 0.0
+        mean += (velocity - mean) * env.contract.dt
+        mean[done.numpy() > 0] = 0.0
+        wanted = np.linalg.norm(mean, axis=-1)
+        if alive.any():
+            compared += int(alive.sum())
+            assert reward.numpy()[alive] == pytest.approx(-wanted[alive.numpy()], rel=0.05, abs=1e-4)
+    assert compared > 20
