@@ -29,7 +29,7 @@ FLOOR = math.hypot(NOISE, ENCODER / math.sqrt(12.0))
 RATE = 200.0
 """Readings per second [Hz]."""
 STEP = 0.0625e-3
-"""Physics step [s]. A target that comes in effect within a step acts on average over it: up to 8 us of delay, 31 at 0.25 ms."""
+"""Physics step [s]."""
 SETTLE = 1.0
 """Time at the first target before the log begins [s]."""
 

@@ -306,9 +306,11 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     while at[l, j] < last and arrival[l, j, at[l, j] + 1] <= t:
                         at[l, j] += 1
                     u = target[l, j, at[l, j]]
+                    share, jump = 0.0, 0.0
                     if at[l, j] < last and arrival[l, j, at[l, j] + 1] < t + h:
                         share = (t + h - arrival[l, j, at[l, j] + 1]) / h
-                        u += share * (target[l, j, at[l, j] + 1] - u)
+                        jump = target[l, j, at[l, j] + 1] - u
+                        u += share * jump
                     # Encoder and drive.
                     r = p[SCALE] * xm + p[OFF] + p[ECC] * math.sin(xm + p[ECCP])
                     if p[STEP] > 0.0:
@@ -326,6 +328,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         damp = 0.0
                     factor = p[KT] * (1.0 + p[DRIFT] * mid / 100.0) * (1.0 - p[HLOSS] * heat[l, j])
                     cmd = factor * (p[KP] * (u - r) - p[KD] * vr)
+                    jump *= factor * p[KP]
                     stiff *= factor
                     damp *= factor
                     if p[TLAG] > 0.0:
@@ -333,11 +336,18 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         old = lagged[l, j]
                         lagged[l, j] += f * (cmd - old)
                         cmd = 0.5 * (old + lagged[l, j])
+                        jump *= 0.5 * f
                         stiff = 0.0
                         damp = 0.0
                     asked[l, j], at_speed[l, j] = cmd, vm
                     down, up = _limits(p, left, vm)
-                    if cmd > up:
+                    first, second = cmd - share * jump, cmd + (1.0 - share) * jump
+                    if share > 0.0 and max(first, second) > down and min(first, second) < up:
+                        # Each target of the step meets the limits by itself.
+                        free = (1.0 - share) * (down <= first <= up) + share * (down <= second <= up)
+                        cmd = (1.0 - share) * min(max(first, down), up) + share * min(max(second, down), up)
+                        stiff, damp = free * stiff, free * damp
+                    elif cmd > up:
                         cmd, stiff, damp = up, 0.0, 0.0
                     elif cmd < down:
                         cmd, stiff, damp = down, 0.0, 0.0

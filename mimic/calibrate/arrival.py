@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mimic.calibrate.problem import Point, Problem, stack
+from mimic.calibrate.targets import Targets
 from mimic.types import FloatArray
 
 SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
@@ -25,7 +26,7 @@ def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -
     """Return whitened residuals (N, T, C), 0 where readings do not count, with each target so late (K,) [s] in each replay."""
     replay, joints = problem.replay, len(problem.machine.joints)
     made = replay.run(
-        stack([point] * len(lates), problem.machine), len(lates), np.stack(list(map(replay.delayed, lates)))
+        stack([point] * len(lates), problem.machine), len(lates), Targets.stacked([replay.delayed(x) for x in lates])
     )
     parts = [made.residual]
     if made.torque_residual is not None and problem.channels > joints:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from mimic.calibrate.targets import Targets, acting, on_grid
 from mimic.machine_log import MachineLog
 from mimic.robot.law import Law, Parameters
 from mimic.robot.machine import SOLREF_STEPS, MachineModel
@@ -102,8 +103,8 @@ class Replay:
         self.late: FloatArray | None = None
         """How long after the delay of all each target acts (K,) [s]; None where all act in time."""
         self._targets = asked
-        self._grid = self._on_grid(asked)
-        self._force = None if log.force is None else self._on_grid(log.force)
+        self._grid = self.delayed(np.zeros(len(self.sent)))
+        self._force = None if log.force is None else self._mean_over_steps(log.force)
         self.readings = self._readings()
         self.replays = 0
         self.heat: FloatArray | None = None
@@ -139,20 +140,18 @@ class Replay:
     def set_late(self, late: FloatArray | None) -> None:
         """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
         self.late = late
-        self._grid = self._on_grid(self._targets) if late is None else self.delayed(late)
+        self._grid = self.delayed(np.zeros(len(self.sent)) if late is None else late)
 
-    def delayed(self, late: FloatArray) -> FloatArray:
-        """Return the targets of each physics step (steps, J) when each acts so much later (K,) [s]."""
+    def delayed(self, late: FloatArray) -> Targets:
+        """Return the targets when each acts so much later (K,) [s]."""
         arrival = (self.log.t - self.log.t[0])[self.sent] + late
         arrival[0] = 0.0
         kept = arrival <= np.minimum.accumulate(np.append(arrival[1:], np.inf)[::-1])[::-1]
-        return self._mean_over_steps(arrival[kept], self._targets[self.sent[kept]])
+        return on_grid(arrival[kept], self._targets[self.sent[kept]], self.dt, self.total)
 
-    def _on_grid(self, values: FloatArray) -> FloatArray:
+    def _mean_over_steps(self, values: FloatArray) -> FloatArray:
         """Return the mean over each physics step of what holds from each reading to the next (steps, J)."""
-        return self._mean_over_steps(self.log.t - self.log.t[0], values)
-
-    def _mean_over_steps(self, t: FloatArray, values: FloatArray) -> FloatArray:
+        t = self.log.t - self.log.t[0]
         area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
         at = np.arange(self.total + 1) * self.dt
         row = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
@@ -162,14 +161,14 @@ class Replay:
     # ------------------------------------------------------------------ running
 
     def run(
-        self, parameters: Parameters, count: int, targets: FloatArray | None = None, pushed: FloatArray | None = None
+        self, parameters: Parameters, count: int, targets: Targets | None = None, pushed: FloatArray | None = None
     ) -> Prediction:
         """Return the predictions of ``count`` parameter sets.
 
         Args:
             parameters: Values (count, J) or (count, 1).
             count: How many.
-            targets: Of each of them at each physics step (count, steps, J), instead of the log's.
+            targets: Those of each of them (count, ...), instead of the log's.
             pushed: Torques on the joints from outside, in each of them at each physics step (count, steps, J) [N m].
         """
         size, parts = self.together, []
@@ -181,7 +180,7 @@ class Replay:
             parts.append(
                 self._run(
                     values,
-                    self._grid[None] if targets is None else targets[rows],
+                    self._grid if targets is None else targets.some(rows),
                     None if pushed is None else pushed[rows],
                 )
             )
@@ -213,7 +212,7 @@ class Replay:
         return max(1, MOST_SIMULATIONS // self.segments)
 
     def _squares(self, parameters: dict[tuple[str, str], FloatArray], rows: BoolArray, noise: FloatArray) -> FloatArray:
-        residual = self._run(parameters, self._grid[None], None).residual[:, rows] / noise
+        residual = self._run(parameters, self._grid, None).residual[:, rows] / noise
         return np.sum(np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2, axis=1)
 
     def _model(self) -> mujoco.MjModel:
@@ -232,7 +231,7 @@ class Replay:
         return self._batches[size]
 
     def _run(
-        self, parameters: dict[tuple[str, str], FloatArray], targets: FloatArray, pushed: FloatArray | None
+        self, parameters: dict[tuple[str, str], FloatArray], targets: Targets, pushed: FloatArray | None
     ) -> Prediction:
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
@@ -257,7 +256,7 @@ class Replay:
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
         own = np.repeat(np.arange(sets), segments)
-        which = own % len(targets)
+        which = own if targets.held.ndim > 2 else None
         plan, at = self.readings, self.readings.at(self.length)
         for i in range(at[0]):
             out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[order[:, plan.segment[i]]]
@@ -265,9 +264,9 @@ class Replay:
                 torque[:, plan.row[i]] = 0.0
         for k in range(self.length):
             now = begin + k
-            target = self._target(now, shifts, targets, which)
+            target, shares = self._target(now, shifts, targets, which)
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
-            inputs = law.step(q, dq, target, (now * self.dt)[:, None], force)
+            inputs = law.step(q, dq, target, (now * self.dt)[:, None], force, shares)
             if pushed is not None:
                 shaken = pushed[own, np.minimum(now, self.total - 1)]
                 inputs = replace(inputs, applied=inputs.applied + shaken)
@@ -336,14 +335,17 @@ class Replay:
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
         return heat.reshape(-1, heat.shape[2])
 
-    def _target(self, now: IntArray, shifts: tuple[Any, Any], targets: FloatArray, which: IntArray) -> FloatArray:
-        """Return what acts at steps now (n,) of the rows ``which`` (n,) of targets (V, steps, J), that much shifted."""
+    def _target(
+        self, now: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
+    ) -> tuple[FloatArray, list[tuple[Any, Any]]]:
+        """Return what acts at steps now (n,), that much shifted: the mean, and each of the targets with its share.
+
+        Of several targets (V, ...), those of ``which`` (n,).
+        """
         whole, part = shifts
-        late = np.clip(now[:, None] - whole, 0, targets.shape[1] - 1)
-        if late.shape[1] == 1:
-            newer, older = targets[which, late[:, 0]], targets[which, np.maximum(late[:, 0] - 1, 0)]
-        else:
-            columns = np.arange(targets.shape[2])
-            newer = targets[which[:, None], late, columns]
-            older = targets[which[:, None], np.maximum(late - 1, 0), columns]
-        return newer + part * (older - newer)
+        held, begun = targets.held, targets.begun
+        own = () if which is None else (which[:, None],)
+        rows = [np.clip(now[:, None] - whole - back, 0, held.shape[-2] - 1) for back in (2, 1, 0)]
+        joints = np.arange(held.shape[-1])
+        before, older, newer = (held[(*own, row, joints)] for row in rows)
+        return acting(before, older, newer, (begun[(*own, rows[1])], begun[(*own, rows[2])]), part, np)

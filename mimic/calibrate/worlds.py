@@ -14,6 +14,7 @@ import warp as wp
 from mujoco.batch import Batch
 
 from mimic.calibrate.replay import Prediction, Replay
+from mimic.calibrate.targets import Targets, acting
 from mimic.calibrate.world_batch import STATIC, WorldBatch
 from mimic.errors import ConfigError
 from mimic.machine_log import MachineLog
@@ -45,8 +46,8 @@ RESIDUALS = 64
 class _Outside:
     """What comes from outside during a replay, at each physics step."""
 
-    targets: torch.Tensor
-    """(V, steps, J)"""
+    targets: Targets
+    """Tensors (V, ...)."""
     target_of: torch.Tensor
     """Which targets each world has (n,)."""
     forces: torch.Tensor | None
@@ -102,7 +103,7 @@ class WorldReplay(Replay):
         self._at = tuple(self._tensor(x, torch.int64) for x in (r.segment, r.step, r.since))
         self._share = self._tensor(r.part)[:, None, None]
         self._measured = self._tensor(log.q[r.row])[:, None]
-        self._uploaded: tuple[FloatArray, torch.Tensor] | None = None
+        self._uploaded: tuple[Targets, Targets] | None = None
 
     def _again(self, timestep: float, segment: float) -> Replay:
         return WorldReplay(
@@ -132,7 +133,7 @@ class WorldReplay(Replay):
 
     # ------------------------------------------------------------------ running
 
-    def _run(self, parameters: Values, targets: FloatArray, pushed: FloatArray | None) -> Prediction:
+    def _run(self, parameters: Values, targets: Targets, pushed: FloatArray | None) -> Prediction:
         sets = _count(parameters)
         path, torques = self._simulate(parameters, targets, pushed, self.torque)
         made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
@@ -146,7 +147,7 @@ class WorldReplay(Replay):
 
     def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
         sets = _count(parameters)
-        path, _ = self._simulate(parameters, self._grid[None], None, False)
+        path, _ = self._simulate(parameters, self._grid, None, False)
         weight = self._tensor(rows[self.readings.row])[:, None, None] / self._tensor(noise) ** 2
         found = []
         for begin in range(0, sets, RESIDUALS):
@@ -178,7 +179,7 @@ class WorldReplay(Replay):
         return torch.where((step >= 0)[:, None, None], residual, 0.0)
 
     def _simulate(
-        self, parameters: Values, targets: FloatArray, pushed: FloatArray | None, torque: bool
+        self, parameters: Values, targets: Targets, pushed: FloatArray | None, torque: bool
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets."""
         segments, joints, sets = self.segments, len(self.machine.joints), _count(parameters)
@@ -204,9 +205,10 @@ class WorldReplay(Replay):
         torques = torch.zeros(self.length, n, joints, device=self._device) if torque else None
         path[0] = law.reading(worlds.q)
         forces = None if self._force is None else self._tensor(self._force)
+        there = self._on_device(targets)
         outside = _Outside(
-            targets=self._on_device(targets),
-            target_of=self._tensor(np.repeat(index % len(targets), segments), torch.int64),
+            targets=there,
+            target_of=self._tensor(np.repeat(index % len(there.held), segments), torch.int64),
             forces=forces,
             pushes=None if pushed is None else self._tensor(pushed),
             push_of=self._tensor(np.repeat(index, segments), torch.int64),
@@ -225,12 +227,12 @@ class WorldReplay(Replay):
         torques: torch.Tensor | None,
     ) -> None:
         """Let law and physics take turns; on a GPU each is a captured graph."""
-        grid, steps, which = outside.targets, outside.targets.shape[1], outside.target_of[:, None]
+        held, begun, which = outside.targets.held, outside.targets.begun, outside.target_of[:, None]
         begin = self._tensor(np.tile(self._begin, len(which) // self.segments), torch.int64)
         late = self._tensor(shift).expand(len(which) // self.segments, -1).repeat_interleave(self.segments, 0)
         whole = torch.floor(late)
         part, whole = late - whole, whole.to(torch.int64)
-        column = torch.arange(grid.shape[2], device=self._device)[None]
+        column = torch.arange(held.shape[2], device=self._device)[None]
         k = torch.zeros(1, dtype=torch.int64, device=self._device)
         kept = dict(law.states)  # where captured steps read them
 
@@ -241,11 +243,12 @@ class WorldReplay(Replay):
 
         def drive() -> None:
             now = begin + k
-            row = (now[:, None] - whole).clamp(0, steps - 1)
-            newer, older = grid[which, row, column], grid[which, (row - 1).clamp(min=0), column]
+            rows = [(now[:, None] - whole - back).clamp(0, held.shape[1] - 1) for back in (2, 1, 0)]
+            before, older, newer = (held[which, row, column] for row in rows)
+            target, shares = acting(before, older, newer, (begun[which, rows[1]], begun[which, rows[2]]), part, torch)
             force = None if outside.forces is None else outside.forces[now.clamp(max=self.total - 1)]
             time = now[:, None].double() * self.dt
-            inputs = law.step(worlds.q, worlds.dq, newer + part * (older - newer), time, force)
+            inputs = law.step(worlds.q, worlds.dq, target, time, force, shares)
             if outside.pushes is not None:
                 pushed = outside.pushes[outside.push_of, now.clamp(max=self.total - 1)]
                 inputs = replace(inputs, applied=inputs.applied + pushed)
@@ -272,13 +275,15 @@ class WorldReplay(Replay):
         worlds.step()
         finish()
 
-    def _on_device(self, targets: FloatArray) -> torch.Tensor:
-        """Return targets (V, steps, J) as a tensor; those of the log are kept."""
-        if targets.base is not self._grid:
-            return self._tensor(targets)
-        if self._uploaded is None or self._uploaded[0] is not self._grid:
-            self._uploaded = (self._grid, self._tensor(targets))
-        return self._uploaded[1]
+    def _on_device(self, targets: Targets) -> Targets:
+        """Return targets as tensors (V, ...); those of the log are kept."""
+        if targets is self._grid and self._uploaded is not None and self._uploaded[0] is targets:
+            return self._uploaded[1]
+        one = targets if targets.held.ndim > 2 else Targets.stacked([targets])
+        there = Targets(held=self._tensor(one.held), begun=self._tensor(one.begun))
+        if targets is self._grid:
+            self._uploaded = (targets, there)
+        return there
 
     def _fields(self, p: Parameters) -> dict[str, FloatArray]:
         """Return the model fields of each parameter set (N, ...), worked out by MuJoCo on the processor."""

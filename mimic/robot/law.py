@@ -11,7 +11,7 @@ Arrays are (N, J): N simulations, J joints; parameters of the whole machine are 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +37,9 @@ HALVINGS = 20
 
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
+
+NOTICED = 1e-5
+"""Torque by which the mean of what two targets in a step ask for must be limited otherwise than each of them [N m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -242,15 +245,18 @@ class Law:
             left = self._lag_v[0]
             s["velocity"] = left * s["velocity"] + (1 - left) * mean
 
-    def step(self, q: Any, dq: Any, target: Any, time: Any, force: Any = None) -> StepInputs:
+    def step(
+        self, q: Any, dq: Any, target: Any, time: Any, force: Any = None, parts: Sequence[tuple[Any, Any]] = ()
+    ) -> StepInputs:
         """Return what the physics gets for the next step; :meth:`settle` must follow once it is made.
 
         Args:
             q: Link positions (N, J) [rad].
             dq: Link velocities (N, J) [rad/s].
-            target: Target of each drive in effect during the step (N, J) [rad].
+            target: Target of each drive in effect during the step, its mean (N, J) [rad].
             time: Since the beginning of the log [s], (N, 1) or a number.
             force: Torque put in besides the servo's (N, J) [N m].
+            parts: Shares of the step and the targets in effect during each (N, J), where they may be several.
         """
         xp, has, get, s = self.xp, self._has, self.get, self.states
         theta, omega = self._position(q), dq
@@ -283,6 +289,9 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
+        if parts:
+            one_by_one = self._one_by_one(parts, target, asked, kp, low, high)
+            kp, kd, bias, tau = self._where_limited(*one_by_one, kp, kd, bias, omega, tau)
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (tau * tau - s["heat"]) / get("kt_heat", "time")
         friction, applied = self._friction(dq, tau), self._outside(q, dq, time)
@@ -291,6 +300,34 @@ class Law:
             kp, kd, bias, low, high = self._through_gear(q, dq, ctrl, kp, kd, bias, low, high, tau)
         return StepInputs(
             ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
+        )
+
+    def _one_by_one(
+        self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
+    ) -> tuple[Any, Any]:
+        """Return the mean torque of the targets of a step, each limited by itself, and the share of it inside the limits.
+
+        The mean of what a motor gives is not what it gives for the mean where a target asks for more than it can.
+        """
+        xp, tau, free = self.xp, self._zero, self._zero
+        stiffness = kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
+        for share, target in parts:
+            one = asked + stiffness * (target - mean)
+            limited = xp.minimum(xp.maximum(one, low), high)
+            tau, free = tau + share * limited, free + xp.where(limited == one, share + self._zero, self._zero)
+        return tau, free
+
+    def _where_limited(
+        self, mean: Any, free: Any, kp: Any, kd: Any, bias: Any, omega: Any, tau: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        """Return the servo with a mean torque, damped for a share of the step, where its limits made that another torque."""
+        there = self.xp.abs(mean - tau) > NOTICED
+        kept = self.xp.where(there, free * kd, kd)
+        return (
+            self.xp.where(there, self._zero, kp),
+            kept,
+            self.xp.where(there, mean + kept * omega, bias),
+            self.xp.where(there, mean, tau),
         )
 
     def _torque_limits(self, omega: Any, left: Any) -> tuple[Any, Any]:

@@ -196,18 +196,24 @@ def target_shift(p: Parameters, timestep: float) -> Any:
     return shift
 
 
-def target_in_effect(substep: int, decimation: int, shifts: Sequence[Any], targets: Sequence[Any], xp: Any) -> Any:
-    """Return the mean over a physics step of the target in effect: of those that have arrived the newest.
+def shares_in_effect(substep: int, decimation: int, shifts: Sequence[Any], xp: Any) -> list[Any]:
+    """Return for which share of a physics step each target is in effect: of those that have arrived the newest.
 
     Args:
         substep: Index of the physics step within the control step, from 0.
         decimation: Physics steps in a control step.
-        shifts: For each target, physics steps from when it was sent to its effect; arrays.
-        targets: Sent one control step apart, newest first; the last acts before any other.
+        shifts: For each target, physics steps from when it was sent to its effect; arrays. Sent one control step apart,
+            newest first; the last acts before any other.
         xp: ``numpy`` or ``torch``.
     """
-    acting = targets[-1]
-    for age in reversed(range(len(targets) - 1)):
-        begun = xp.clip(substep + 1 + age * decimation - shifts[age], 0.0, 1.0)
-        acting = acting + begun * (targets[age] - acting)
-    return acting
+    shares, gone = [], xp.zeros_like(shifts[0])
+    for age, shift in enumerate(shifts[:-1]):
+        begun = xp.clip(substep + 1 + age * decimation - shift, 0.0, 1.0)
+        shares.append(xp.clip(begun - gone, 0.0, None))
+        gone = xp.maximum(gone, begun)
+    return [*shares, 1.0 - gone]
+
+
+def target_in_effect(shares: Sequence[Any], targets: Sequence[Any]) -> Any:
+    """Return the mean over a physics step of targets that are in effect for these shares of it."""
+    return sum(share * target for share, target in zip(shares, targets, strict=True))

@@ -12,7 +12,15 @@ from mimic.robot.effect_set import EffectSet
 from mimic.robot.law import Law
 from mimic.robot.machine import SOLREF_STEPS, hung_robot
 from mimic.robot.model import Variation
-from mimic.robot.servo import Servo, parameters_of, refuse_stand, static_model, target_in_effect, target_shift
+from mimic.robot.servo import (
+    Servo,
+    parameters_of,
+    refuse_stand,
+    shares_in_effect,
+    static_model,
+    target_in_effect,
+    target_shift,
+)
 from mimic.types import FloatArray, JointCommand
 
 
@@ -83,8 +91,10 @@ class LawMotors:
 
     def drive(self, substep: int, data: mujoco.MjData) -> FloatArray:
         """Set the servos for the next physics step; return the torque on the joints besides theirs (12,) [N m]."""
-        target = target_in_effect(substep, self._d.decimation, self._shifts, self._targets, np)
-        inputs = self._law.step(data.qpos[None, 7:], data.qvel[None, 6:], target[None], data.time)
+        shares = shares_in_effect(substep, self._d.decimation, self._shifts, np)
+        target = target_in_effect(shares, self._targets)
+        parts = list(zip(shares, self._targets, strict=True))
+        inputs = self._law.step(data.qpos[None, 7:], data.qvel[None, 6:], target[None], data.time, parts=parts)
         self._servo.write(inputs)
         self.tau = np.array(inputs.tau[0])
         return self._applied[0]

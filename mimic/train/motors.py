@@ -20,7 +20,15 @@ from mimic.robot.effects import CATALOGUE
 from mimic.robot.law import Drives, Law
 from mimic.robot.machine import MachineModel, hung_robot
 from mimic.robot.model import Variation
-from mimic.robot.servo import Servo, parameters_of, refuse_stand, static_model, target_in_effect, target_shift
+from mimic.robot.servo import (
+    Servo,
+    parameters_of,
+    refuse_stand,
+    shares_in_effect,
+    static_model,
+    target_in_effect,
+    target_shift,
+)
 from mimic.types import FloatArray, IntArray
 
 MARGIN = 0.1
@@ -97,6 +105,7 @@ class WorldMotors:
         self._lost = self._tensor(self._p.get(("lost_commands", "share"), np.zeros((count, 1)))[index])
         self._targets = [torch.zeros_like(self.tau) for _ in range(kept)]
         self._late = [torch.zeros_like(self.time) for _ in range(kept)]
+        self._shifts = [torch.zeros_like(self.tau) for _ in range(kept)]
         drives = self._machine.drives
         self._usual = self._tensor(drives.kp), self._tensor(drives.kd)
         factors = (np.array([getattr(v, name) for v in variations])[index] for name in ("kp", "kd"))
@@ -145,15 +154,22 @@ class WorldMotors:
 
     def targets(self, drawn: torch.Tensor) -> list[torch.Tensor]:
         """Return the target in effect in each physics step of the control step (N, 12), in order."""
-        usual, count = self.delay(drawn), self._d.decimation
-        shifts = [torch.clip(usual + late, 0.0, None) for late in self._late]
-        return [target_in_effect(k, count, shifts, self._targets, torch) for k in range(count)]
+        usual = self.delay(drawn)
+        for shift, late in zip(self._shifts, self._late, strict=True):
+            shift.copy_(torch.clip(usual + late, 0.0, None))
+        return [target_in_effect(self._shares(k), self._targets) for k in range(self._d.decimation)]
+
+    def _shares(self, substep: int) -> list[torch.Tensor]:
+        return shares_in_effect(substep, self._d.decimation, self._shifts, torch)
 
     # ------------------------------------------------------------------ physics
 
     def drive(self, q: torch.Tensor, dq: torch.Tensor, target: torch.Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
-        inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep)
+        shares = self._shares(substep)
+        off = target - target_in_effect(shares, self._targets)  # where commands were not sent but written
+        parts = [(share, sent + off) for share, sent in zip(shares, self._targets, strict=True)]
+        inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep, parts=parts)
         self._servo.write(inputs)
         self.tau.copy_(inputs.tau)
         self._keep()

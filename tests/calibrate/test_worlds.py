@@ -12,6 +12,7 @@ from mimic.calibrate.problem import Point, Problem, make_blocks, stack
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.simulate import simulate_log
+from mimic.calibrate.targets import Targets
 from mimic.errors import ConfigError
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -112,7 +113,7 @@ def test_each_set_may_have_targets_of_its_own(arm: MachineModel, log: MachineLog
     made = []
     for replay in both(arm, log, torque=False):
         none = np.zeros(len(replay.sent))
-        grids = np.stack([replay.delayed(none), replay.delayed(none + 0.01), replay.delayed(none + 0.02)])
+        grids = Targets.stacked([replay.delayed(none + late) for late in (0.0, 0.01, 0.02)])
         made.append(replay.run(stack([declared(arm)] * 3, arm), 3, grids).residual)
     assert np.nanmax(np.abs(made[0] - made[1])) < SINGLE
     assert np.nanmax(np.abs(made[0][0] - made[0][2])) > 1e-3

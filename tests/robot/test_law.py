@@ -163,6 +163,27 @@ def test_a_stalled_motor_gives_its_torque_and_a_free_one_runs_to_its_speed(bench
     assert halfway == pytest.approx(2.0, abs=0.15)
 
 
+@pytest.mark.parametrize(("low", "high"), [(-0.5, 2.0), (0.1, 2.0), (-2.0, 2.0), (1.0, 2.0), (0.1, 0.3)])
+def test_a_step_shared_by_two_targets_is_limited_in_each_part_of_it(bench, low, high):
+    """30 N m/rad and a limit of 12: a target of 2 rad asks for 60."""
+    made = bench()
+    zero = np.zeros((1, 2))
+    made.law.begin(zero, zero)
+    parts = [(np.full((1, 1), 0.7), np.full((1, 2), low)), (np.full((1, 1), 0.3), np.full((1, 2), high))]
+    mean = np.full((1, 2), 0.7 * low + 0.3 * high)
+    inputs = made.law.step(zero, zero, mean, 0.0, parts=parts)
+    wanted = 0.7 * np.clip(30 * low, -12, 12) + 0.3 * np.clip(30 * high, -12, 12)
+    given_ = np.clip(inputs.kp * inputs.ctrl + inputs.bias, inputs.low, inputs.high)
+    assert inputs.tau == pytest.approx(np.full((1, 2), wanted))
+    assert given_ == pytest.approx(inputs.tau)
+    alone = made.law.step(zero, zero, mean, 0.0)
+    if max(abs(low), abs(high)) <= 0.4:
+        assert np.array_equal(inputs.kp, alone.kp)
+        assert np.array_equal(inputs.ctrl, alone.ctrl)
+    elif low < 0.4:
+        assert np.abs(inputs.tau - alone.tau).max() > 0.1
+
+
 def test_a_motor_brakes_with_its_whole_torque_at_any_speed(bench):
     effects = {"torque_speed": {"torque": 4.0, "speed": 12.0, "flat": 0.0}}
     made = bench(effects, inertia=1e5).run(0.02, target=lambda t: -90.0, speed=11.0)
