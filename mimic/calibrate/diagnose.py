@@ -42,6 +42,9 @@ LEAST_BESIDE = 0.1
 RIVAL_Z = 2.0
 """A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
 
+TOLD_APART = 10.0
+"""Difference of the logarithms of the probabilities of all latenesses from which on one law of them is not the other."""
+
 FAR = 4.0
 """Mean square of what is left, in noise floors, from which on the declared numbers may be bent out of shape."""
 
@@ -288,7 +291,7 @@ def search(
         tick("looking for single late targets")
         late = _late(problem, incumbent, before, names, joints, random)
         if late and not late[0].why:  # first, since the rest is then judged without their noise
-            rivals = tuple(t.name for t in late[1:] if paired(late[0].squares, t.squares)[1] < RIVAL_Z)
+            rivals = tuple(t.name for t in late[1:] if not _told_apart(late[0], t))
             return Found(tried=late, best=late[0], rivals=rivals)
     tick("screening")
     picked = _pick(screen(problem, incumbent, [n for n in candidates if n not in random], motion))
@@ -384,7 +387,7 @@ def _late(
     replay, found = problem.replay, []
     had = replay.late
     readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
-    for timing in sorted(timings(problem, incumbent, candidates), key=lambda t: t.squares.sum()):
+    for timing in _likelier(timings(problem, incumbent, candidates)):
         gain, z = paired(timing.squares, before)
         unexplained = before.sum() - float(readings * problem.channels)
         share = (before.sum() - timing.squares.sum()) / max(unexplained, 1e-9)
@@ -418,6 +421,21 @@ def _late(
             )
         )
     return tuple(found)
+
+
+def _likelier(laws: Sequence[Timing]) -> list[Timing]:
+    """Return laws of lateness, first the one that its distribution shows; where it does not, the one that leaves less."""
+    best = max((t.likelihood for t in laws), default=0.0)
+    return sorted(laws, key=lambda t: (t.likelihood < best - TOLD_APART, t.squares.sum()))
+
+
+def _told_apart(one: Tried, other: Tried) -> bool:
+    """Return whether the log tells the first of two laws of lateness from the other."""
+    if one.timing is None or other.timing is None:
+        return False
+    if one.timing.likelihood - other.timing.likelihood > TOLD_APART:
+        return True
+    return paired(one.squares, other.squares)[1] >= RIVAL_Z
 
 
 def arrivals(

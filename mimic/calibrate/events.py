@@ -43,6 +43,12 @@ SEEN = 0.1
 WIDEST = 5.0
 """Most periods by which targets are taken to be late."""
 
+BLURS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
+"""Standard deviations in periods that a linear model may be wrong by about the lateness of a target."""
+
+STRAY = 0.05
+"""Share of targets whose lateness may be anything: what several losses in a row do is not the sum of what each does."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timing:
@@ -65,6 +71,8 @@ class Timing:
     squares: FloatArray
     """Sum of squares of each fitted block and channel that a linear model leaves with the lateness that the other chains
     show (B_train, C)."""
+    likelihood: float
+    """Logarithm of the probability of the lateness of all targets under the law."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +98,9 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
     left = np.where(inside, np.nan_to_num(incumbent.residual), 0.0).astype(np.float64)
     had = problem.replay.late
     if had is not None:
-        left += _applied(problem, responses, (had - usual) / period, np.ones(problem.channels, dtype=bool))
+        own = (had - usual) / period
+        own = own if near else np.minimum(own, 1.0)  # of losses in a row each is one
+        left += _applied(problem, responses, own, np.ones(problem.channels, dtype=bool))
     normal = [_normal(problem, responses, left, channels) for channels in groups]
     weights = _weights(problem, responses, left, groups, normal)
     normal = [(bands * w, right * w) for (bands, right), w in zip(normal, weights, strict=True)]
@@ -120,11 +130,12 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
                 name=name,
                 value=size,
                 interval=(interval[0] * period, interval[1] * period) if jitter else interval,
-                late=period * np.clip(late + shift, 0.0, interval[1] if jitter else 1.0),
+                late=period * (np.clip(late + shift, 0.0, interval[1]) if jitter else _until_next(late + shift)),
                 point=point,
                 unsure=period * _spread_of_means(*interval) if jitter else 0.0,
                 agreement=agreement,
                 squares=problem.block_squares(residual)[problem.blocks.train],
+                likelihood=_likelihood(whole, _in_order(value) if jitter else np.array([0.0, 1.0]), value, jitter),
             )
         )
     return found
@@ -352,6 +363,39 @@ def _jitter(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
     low, width, high = (_width(max(variance + s * 1.96 * error, 0.0)) for s in (-1.0, 0.0, 1.0))
     expected = value * variance / (variance + x.deviation**2) + usual
     return width, (low, high), expected
+
+
+def _until_next(lost: FloatArray) -> FloatArray:
+    """Return after how many periods the next target that is not lost takes the place of each (K,); 0 where it is not."""
+    wait = np.zeros(len(lost))
+    for k in reversed(np.flatnonzero(lost > 0.5)):
+        wait[k] = 1.0 + (wait[k + 1] if k + 1 < len(lost) else 0.0)
+    return wait
+
+
+def _likelihood(x: _Lateness, places: FloatArray, value: float, jitter: bool) -> float:
+    """Return the logarithm of the probability of the lateness of targets, in periods, under a law.
+
+    Args:
+        x: What is known of each target.
+        places: Latenesses that the law has: equally likely ones of jitter, or none and a whole period.
+        value: Width of jitter, or share of the lost.
+        jitter: Which of the two.
+    """
+    known = x.deviation < CERTAIN
+    v, deviation = x.value[known], x.deviation[known]
+    if jitter:
+        places = np.quantile(places, (np.arange(64) + 0.5) / 64)
+        weights, centre = np.full(64, 1 / 64), float(np.mean(v) - np.mean(places))
+    else:
+        weights, centre = np.array([1.0 - value, value]), float(np.median(v))
+    away = v[:, None] - centre - places
+    found = []
+    for blur in BLURS:
+        s = np.hypot(deviation, blur)[:, None]
+        density = (weights * np.exp(-0.5 * (away / s) ** 2) / s).sum(1) / np.sqrt(2 * np.pi)
+        found.append(float(np.sum(np.log((1.0 - STRAY) * density + STRAY / WIDEST))))
+    return max(found)
 
 
 def _in_order(width: float) -> FloatArray:

@@ -38,8 +38,11 @@ FINE = 5
 FINE_SEGMENT = 1.0
 """Length of its segments [s]; they are few, so that short ones are faster."""
 
-MOST_CORRECTIONS = 6
+MOST_CORRECTIONS = 8
 """Most steps of a fit from fine replays."""
+
+SETTLED = 0.5
+"""Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
@@ -225,8 +228,13 @@ def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
 
 
 def _settled(problem: Problem, fitted: Fit) -> Fit:
-    """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there."""
-    settled = _refined(problem, fitted, MOST_CORRECTIONS)
+    """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
+
+    With derivatives of fine replays: those of coarse ones may be too large by half, so that steps are too short, and what
+    is not reached seems sure.
+    """
+    columns = problem.columns_in_fine_steps(fitted.point, fitted.knobs, FINE, FINE_SEGMENT)
+    settled = _refined(problem, replace(fitted, columns=tuple(columns)), MOST_CORRECTIONS)
     problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
     return settled
 
@@ -236,15 +244,19 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
     point, residual = fitted.point, _fine(problem, fitted.point)
     train = problem.blocks.train
     cost = problem.block_squares(residual)[train].sum() + penalty(point, fitted.knobs)
+    readings = max(int(np.isin(problem.blocks.index, train).sum()) * problem.channels, 1)
+    enough = SETTLED**2 * max(cost / readings, 1.0)
     for _ in range(most):
         step, _ = linear_step(problem, point, residual, fitted.columns, fitted.knobs, 0.0)
+        hessian, gradient = problem.sums(residual, fitted.columns, fitted.knobs).over(train)
+        promised = float(step @ (2.0 * gradient - hessian @ step))
         moved = point.moved(fitted.knobs, step)
         after = _fine(problem, moved)
         now = problem.block_squares(after)[train].sum() + penalty(moved, fitted.knobs)
         if not now < cost:
             break
         point, residual, cost, before = moved, after, now, cost
-        if before - now < 1e-3 * now:
+        if max(promised, before - now) < enough:
             break
     return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 

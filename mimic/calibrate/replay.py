@@ -112,9 +112,9 @@ class Replay:
         self._batches: dict[int, Batch] = {}
         self._finer: dict[tuple[int, float], Replay] = {}
 
-    def finer(self, times: int, segment: float) -> Replay:
-        """Return this replay in so many times more steps and segments of another length [s]; its replays count here."""
-        self.replays += times
+    def finer(self, times: int, segment: float, count: int = 1) -> Replay:
+        """Return this replay in so many times more steps and segments of another length [s]; ``count`` are counted here."""
+        self.replays += times * count
         if (times, segment) not in self._finer:
             self._finer[times, segment] = self._again(self.dt / times, segment)
         fine = self._finer[times, segment]
