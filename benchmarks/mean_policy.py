@@ -1,4 +1,4 @@
-"""The mean of the weights of policies that were taken up from one checkpoint, as one policy.
+"""The mean of the weights of policies that were taken up from one checkpoint, or of moments of one training, as one policy.
 
     python benchmarks/mean_policy.py OUT.onnx ONE.onnx OTHER.onnx …
 
@@ -44,7 +44,7 @@ def mean_policy(models: list[onnx.ModelProto]) -> onnx.ModelProto:
         values = [w[tensor.name] for w in weights]
         if values[0].dtype.kind == "f":
             tensor.CopyFrom(numpy_helper.from_array(np.mean(values, axis=0).astype(values[0].dtype), tensor.name))
-    both = dataclasses.replace(contracts[0], training=" + ".join(c.training for c in contracts))
+    both = dataclasses.replace(contracts[0], training=" + ".join(dict.fromkeys(c.training for c in contracts)))
     onnx.helper.set_model_props(mean, {METADATA_KEY: both.to_json()})
     onnx.checker.check_model(mean)
     return mean

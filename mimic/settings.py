@@ -574,10 +574,11 @@ class RewardWeights:
     toes: float = 6.0
     toes_fine: float = 3.0
     gait: float = 12.0
-    drift: float = -6.0
+    drift: float = 0.0
+    """Off: not shown to be good for anything (docs/policy.md)."""
     slip: float = -4.0
-    foot_shift: float = -2.0
-    rules: float = -1.0
+    foot_shift: float = -8.0
+    rules: float = -4.0
     flight: float = -0.5
     low: float = -0.3
     action_rate: float = -0.012
@@ -605,11 +606,11 @@ step than by falling, and a policy learns to fall at once; that was tried."""
 class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 
-    velocity: float = 1.0
-    heading: float = 1.0
+    velocity: float = 4.0
+    heading: float = 2.0
     toes: float = 1.0
-    toes_fine: float = 1.0
-    slip: float = 1.0
+    toes_fine: float = 2.0
+    slip: float = 4.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -715,8 +716,8 @@ class MdpSettings:
     """Radians per unit of action."""
     action_clip: float = 6.0
     """Actions are clipped to plus and minus this."""
-    history: int = 3
-    """Frames in an observation; paper: 3."""
+    history: int = 6
+    """Frames in an observation; paper: 3. The speed of the base cannot be seen in 60 ms; 120 ms are half a gait cycle."""
     noise_q: float = 0.01
     """Half width of the noise on joint positions [rad]."""
     noise_axes: float = 0.015

@@ -16,7 +16,7 @@ from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.learn import runner_config, train  # noqa: E402
 
-MDP = MdpSettings(worlds=6)
+MDP = MdpSettings(worlds=6, history=3)  # small, as the networks below
 PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, captured=False)
 CAPTURED = dataclasses.replace(PLAIN, captured=True)
 
