@@ -51,7 +51,9 @@ def test_a_mirrored_robot_with_mirrored_actions_sees_mirrored_observations(descr
             state = plant.step(command).state
             assert k or flip or np.abs(state.dq).max() > 0.1
         seen.append(np.array(rows))
-    mirrored = mirrored_observations(torch.as_tensor(seen[0], dtype=torch.float32)).numpy().reshape(10, contract.history, -1)
+    mirrored = (
+        mirrored_observations(torch.as_tensor(seen[0], dtype=torch.float32)).numpy().reshape(10, contract.history, -1)
+    )
     other = seen[1].reshape(10, contract.history, -1)
     clock = slice(39, 41)
     assert np.abs(np.delete(mirrored - other, np.r_[clock], axis=2)).max() < 0.02
