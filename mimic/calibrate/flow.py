@@ -299,7 +299,7 @@ def _grow(state: _Search) -> list[Stage]:
         if _explained(state):
             break
         motion = _motion(state.problem, state.current)
-        state.problem.replay.set_heat(motion.tau)
+        state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
         found = search(
             state.problem,
             state.current,
@@ -433,6 +433,9 @@ def _told(knob: Knob, bound: float, machine: MachineModel) -> str:
 
 def _polished(state: _Search) -> Fit:
     state.tick("polishing")
+    if "kt_heat" in state.names:
+        state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
+        _correct(state.problem, state.current.point)
     return _settled(state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1))
 
 

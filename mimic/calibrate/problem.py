@@ -250,6 +250,11 @@ class Problem:
         made = self._whitened(self._replayed(fine, [point, *points]))
         return self.columns(made[0], made[1:], groups, knobs, sizes)
 
+    def warm_up(self, point: Point, times: int, segment: float) -> None:
+        """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""
+        fine = self.replay.finer(times, segment)
+        self.replay.set_heat(np.sqrt(fine.mean_square_torque(stack([point], self.machine))))
+
     def _whitened(self, residual: FloatArray) -> FloatArray:
         """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
         residual /= self.noise.astype(np.float32)

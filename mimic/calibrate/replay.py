@@ -191,6 +191,16 @@ class Replay:
         )
         return Prediction(residual=joined, torque_residual=torque)
 
+    def mean_square_torque(self, parameters: Parameters) -> FloatArray:
+        """Return the mean square torque of the motors since the reading before (T, J), with one set of parameters (1, ...)."""
+        values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
+        made = self._run(values, self._grid, None, square=True).torque_residual
+        self.replays += 1
+        assert made is not None
+        found = -made[0].astype(np.float64)
+        known = np.isfinite(found)
+        return np.where(known, found, np.mean(found, axis=0, where=known))
+
     def squares(self, parameters: Parameters, count: int, rows: BoolArray, noise: FloatArray) -> FloatArray:
         """Return the sum of squares (count, J) of the position residuals over some rows (T,), in noise floors (J,).
 
@@ -231,8 +241,13 @@ class Replay:
         return self._batches[size]
 
     def _run(
-        self, parameters: dict[tuple[str, str], FloatArray], targets: Targets, pushed: FloatArray | None
+        self,
+        parameters: dict[tuple[str, str], FloatArray],
+        targets: Targets,
+        pushed: FloatArray | None,
+        square: bool = False,
     ) -> Prediction:
+        """Return predictions; with ``square`` minus the mean square torque of the motors in place of a residual of it."""
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
@@ -251,7 +266,8 @@ class Replay:
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
         out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
-        torque = np.full_like(out, np.nan) if self.torque else None
+        torque = np.full_like(out, np.nan) if self.torque or square else None
+        measured = None if square else self.log.tau
         gone, seen = np.zeros((n, joints)), np.zeros((n, joints))
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
@@ -271,8 +287,9 @@ class Replay:
                 shaken = pushed[own, np.minimum(now, self.total - 1)]
                 inputs = replace(inputs, applied=inputs.applied + shaken)
             fields.write(inputs)
+            asked = inputs.tau**2 if square else inputs.tau
             if torque is not None:
-                gone += inputs.tau
+                gone += asked
             batch.step()
             law.settle(dq)
             reading = law.reading(q)
@@ -283,10 +300,11 @@ class Replay:
                 if (part < 1).any():
                     value = before[sims] * (1 - part) + value * part
                 out[:, rows] = self.log.q[rows] - value
-                if torque is not None and self.log.tau is not None:
+                if torque is not None:
                     since = plan.since[mine, None]
                     mean = (gone[sims] - seen[sims]) / (k + 1 - since)
-                    torque[:, rows] = self.log.tau[rows] - np.where(since > 0, mean, inputs.tau[sims])
+                    mean = np.where(since > 0, mean, asked[sims])
+                    torque[:, rows] = (0.0 if measured is None else measured[rows]) - mean
                     seen[sims] = gone[sims]
             before = np.array(reading)
         out[~np.isfinite(out)] = np.nan

@@ -133,16 +133,16 @@ class WorldReplay(Replay):
 
     # ------------------------------------------------------------------ running
 
-    def _run(self, parameters: Values, targets: Targets, pushed: FloatArray | None) -> Prediction:
+    def _run(self, parameters: Values, targets: Targets, pushed: FloatArray | None, square: bool = False) -> Prediction:
         sets = _count(parameters)
-        path, torques = self._simulate(parameters, targets, pushed, self.torque)
+        path, torques = self._simulate(parameters, targets, pushed, self.torque or square)
         made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
         torque = np.full_like(made, np.nan) if torques is not None else None
         for begin in range(0, sets, RESIDUALS):
             some = slice(begin, min(begin + RESIDUALS, sets))
             self._put(made[some], self._residual(path[:, some]))
             if torque is not None and torques is not None:
-                self._put(torque[some], self._torque_residual(torques[:, some]))
+                self._put(torque[some], self._torque_residual(torques[:, some], square))
         return Prediction(residual=made, torque_residual=torque)
 
     def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
@@ -167,15 +167,19 @@ class WorldReplay(Replay):
         before, after = path[step.clamp(min=0), :, segment], path[step + 1, :, segment]
         return self._measured - (before * (1 - self._share) + after * self._share)
 
-    def _torque_residual(self, torques: torch.Tensor) -> torch.Tensor:
-        """Return measured - predicted torque of each reading (R, N, J), from torques (steps, N, segments, J)."""
-        assert self.log.tau is not None
+    def _torque_residual(self, torques: torch.Tensor, square: bool) -> torch.Tensor:
+        """Return measured - predicted torque of each reading (R, N, J), from torques (steps, N, segments, J).
+
+        With ``square`` minus the mean of their squares.
+        """
+        torques = torques**2 if square else torques
         segment, step, since = self._at
         total = torch.cumsum(torques, 0, dtype=torch.float64)
         begun = torch.where((since > 0)[:, None, None], total[(since - 1).clamp(min=0), :, segment], 0.0)
         mean = (total[step.clamp(min=0), :, segment] - begun) / (step + 1 - since).clamp(min=1)[:, None, None]
         mean = torch.where((since > 0)[:, None, None], mean, torques[step.clamp(min=0), :, segment].double())
-        residual = self._tensor(self.log.tau[self.readings.row])[:, None] - mean
+        measured = 0.0 if square or self.log.tau is None else self._tensor(self.log.tau[self.readings.row])[:, None]
+        residual = measured - mean
         return torch.where((step >= 0)[:, None, None], residual, 0.0)
 
     def _simulate(

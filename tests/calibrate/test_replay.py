@@ -51,6 +51,24 @@ def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
     assert cold > 3 * whole
 
 
+def test_the_heat_of_short_peaks_is_that_between_readings_and_not_at_them(tmp_path: Path) -> None:
+    """Jumps of the target ask for a peak of a few milliseconds, which readings 20 ms apart see whole or not at all."""
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    machine = read_machine(tmp_path / "robot.xml")
+    t = np.arange(0.0, 6.0, 0.02)
+    target = np.where(np.arange(len(t)) // 5 % 2, 0.2, -0.2)[:, None]
+    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=target)
+    late = {("delay", "time"): np.zeros((1, 1))}
+    heat = Replay(machine, log, timestep=0.0005, threads=1).mean_square_torque(late)
+    often = np.arange(0.0, 5.98, 0.0005)
+    rows = np.searchsorted(t, often + 1e-9, side="right") - 1
+    dense = MachineLog(joints=machine.joints, t=often, q=np.zeros((len(often), 1)), q_des=target[rows])
+    truth = Replay(machine, dense, timestep=0.00025, threads=1).mean_square_torque(late)
+    assert heat.shape == (len(t), 1)
+    assert heat[t > 1.0].mean() == pytest.approx(truth[often > 1.0].mean(), rel=0.03)
+    assert heat.max() < 0.7 * truth.max()
+
+
 def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")

@@ -99,6 +99,13 @@ def test_worlds_go_the_way_of_the_replay_on_the_processor(arm: MachineModel, log
     assert np.nanmin([np.nanstd(one.residual[0] - r) for r in one.residual[1:]]) > 20 * SINGLE  # they do differ
 
 
+def test_motors_get_as_warm_in_worlds(arm: MachineModel, log: MachineLog) -> None:
+    values = stack([declared(arm)], arm)
+    one, other = (replay.mean_square_torque(values) for replay in both(arm, log, torque=False))
+    assert other == pytest.approx(one, abs=1e-4)
+    assert one.std() > 0.01
+
+
 def test_each_set_may_be_pushed_from_outside(arm: MachineModel, log: MachineLog) -> None:
     made = []
     for replay in both(arm, log, torque=False):
