@@ -11,7 +11,7 @@ import numpy as np
 from mimic.calibrate.checks import belongs as targets_belong
 from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, earns_its_keep, present, pruned, search
 from mimic.calibrate.events import Timing, widening
-from mimic.calibrate.fit import Fit, deviations, fit, left_out, linear_step, penalty, weak_directions
+from mimic.calibrate.fit import Fit, deviations, fit, left_out, penalty, solve, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
 from mimic.calibrate.problem import Key, Knob, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
@@ -41,8 +41,11 @@ FINE_SEGMENT = 1.0
 MOST_CORRECTIONS = 8
 """Most steps of a fit from fine replays."""
 
-SETTLED = 0.5
+SETTLED = 1.0
 """Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
+
+LEAST_FALL = 5e-5
+"""Share by which the sum of squares falls in a step that is worth another."""
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
@@ -230,10 +233,13 @@ def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
 def _settled(problem: Problem, fitted: Fit) -> Fit:
     """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
 
-    With derivatives of fine replays: those of coarse ones may be too large by half, so that steps are too short, and what
-    is not reached seems sure.
+    Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
+    others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
-    columns = problem.columns_in_fine_steps(fitted.point, fitted.knobs, FINE, FINE_SEGMENT)
+    timed = [k for k in fitted.knobs if CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
+    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, FINE_SEGMENT)
+    known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
+    columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
     settled = _refined(problem, replace(fitted, columns=tuple(columns)), MOST_CORRECTIONS)
     problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
     return settled
@@ -245,10 +251,10 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
     train = problem.blocks.train
     cost = problem.block_squares(residual)[train].sum() + penalty(point, fitted.knobs)
     readings = max(int(np.isin(problem.blocks.index, train).sum()) * problem.channels, 1)
-    enough = SETTLED**2 * max(cost / readings, 1.0)
+    enough = max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
     for _ in range(most):
-        step, _ = linear_step(problem, point, residual, fitted.columns, fitted.knobs, 0.0)
         hessian, gradient = problem.sums(residual, fitted.columns, fitted.knobs).over(train)
+        step = solve(hessian, gradient, fitted.knobs, point.read(fitted.knobs), 0.0)
         promised = float(step @ (2.0 * gradient - hessian @ step))
         moved = point.moved(fitted.knobs, step)
         after = _fine(problem, moved)

@@ -230,6 +230,11 @@ class Problem:
             times: How many times more steps.
             segment: Length of their segments [s].
         """
+        once, twice = self._whitened(self._fine_pair(point, times, segment).copy())
+        return 2.0 * twice - once
+
+    def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
+        """Return the residuals of a point with so many and twice as many times more steps, in units of the log (2, T, C)."""
         now = (self.replay.late, self.replay.heat)
         same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
         made = next(same, None)
@@ -238,17 +243,18 @@ class Problem:
                 [self._replayed(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
             )
             self._fine.append((point, now, made))
-        once, twice = self._whitened(made.copy())
-        return 2.0 * twice - once
+        return made
 
     def columns_in_fine_steps(
         self, point: Point, knobs: Sequence[Knob], times: int, segment: float
     ) -> list[FloatArray]:
         """Return the derivatives (T, C) of each knob by replays with so many times more steps, see :meth:`columns`."""
         points, groups, sizes = self.difference_points(point, knobs)
-        fine = self.replay.finer(times, segment, 1 + len(points))
-        made = self._whitened(self._replayed(fine, [point, *points]))
-        return self.columns(made[0], made[1:], groups, knobs, sizes)
+        if not points:
+            return []
+        base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
+        moved = self._whitened(self._replayed(self.replay.finer(times, segment, len(points)), points))
+        return self.columns(base, moved, groups, knobs, sizes)
 
     def warm_up(self, point: Point, times: int, segment: float) -> None:
         """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""

@@ -7,6 +7,8 @@ under a position servo forgets its start in that time. So one replay of a long l
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,6 +58,17 @@ class Prediction:
     """Measured - predicted position, single precision."""
     torque_residual: FloatArray | None
     """Measured - predicted torque of the motor, its mean since the reading before, where the log has it."""
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep MuJoCo from telling of simulations that blow up: numbers are tried that are far off. They begin again at zero."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class Replay:
@@ -290,7 +303,8 @@ class Replay:
             asked = inputs.tau**2 if square else inputs.tau
             if torque is not None:
                 gone += asked
-            batch.step()
+            with _unheard():
+                batch.step()
             law.settle(dq)
             reading = law.reading(q)
             mine = slice(at[k], at[k + 1])

@@ -69,6 +69,20 @@ def test_the_heat_of_short_peaks_is_that_between_readings_and_not_at_them(tmp_pa
     assert heat.max() < 0.7 * truth.max()
 
 
+def test_a_simulation_that_blows_up_is_not_heard(tmp_path: Path, capfd) -> None:
+    (tmp_path / "robot.xml").write_text(PENDULUM)
+    machine = read_machine(tmp_path / "robot.xml")
+    t = np.arange(0.0, 3.0, 0.02)
+    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=0.1 * np.sin(t)[:, None])
+    replay = Replay(machine, log, timestep=0.0025, segment=1.0)
+    pushed = np.zeros((2, replay.total, 1))
+    pushed[1] = 1e14
+    residual = replay.run({("delay", "time"): np.zeros((2, 1))}, 2, pushed=pushed).residual[:, replay.counts]
+    assert np.isfinite(residual[0]).all()
+    assert (residual[1] == 0.0).all()  # MuJoCo begins again at zero, at every step
+    assert capfd.readouterr().err == ""
+
+
 def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
