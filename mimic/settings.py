@@ -787,6 +787,11 @@ class MdpSettings:
         _check_range("timestep", self.timestep, 0.0, 0.01, "s")
         _check_range("episode-steps", self.episode_steps, 100, 100_000)
         _check_range("solver-iterations", self.solver_iterations, 1, 200)
+        begin, end = self.finish_steps
+        if not begin < end:
+            raise ConfigError(
+                f"finish-steps is {begin:g}, {end:g}; expected the first to be smaller, such as 12000, 18000"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -72,3 +72,8 @@ def test_training_covers_what_the_judge_draws():
     wide = pairs(TRAINING_RANDOMISATION)
     for name, (low, high) in pairs(Randomisation()).items():
         assert wide[name][0] <= low <= high <= wide[name][1], name
+
+
+def test_what_grows_at_the_end_of_a_training_needs_time_to_grow():
+    with pytest.raises(ConfigError, match="finish-steps is 5, 5; expected the first to be smaller"):
+        MdpSettings(finish_steps=(5.0, 5.0))

@@ -253,6 +253,7 @@ class Replay:
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
+    @_unheard()
     def _run(
         self,
         parameters: dict[tuple[str, str], FloatArray],
@@ -303,8 +304,7 @@ class Replay:
             asked = inputs.tau**2 if square else inputs.tau
             if torque is not None:
                 gone += asked
-            with _unheard():
-                batch.step()
+            batch.step()
             law.settle(dq)
             reading = law.reading(q)
             mine = slice(at[k], at[k + 1])
