@@ -52,8 +52,19 @@ PHYSICS: dict[str, dict[str, Any]] = {
     "dense, 64 rows, 8 contacts, warm starts alone": {**LEAN, "smooth": False},
     "dense, 64 rows, 8 contacts, unrolled": {**LEAN, "unrolled": True},
     "dense, 64 rows, 8 contacts, 12 line searches": {**LEAN, "linesearch_iterations": 12},
+    "dense, 64 rows, 8 contacts, 4 iterations": {**LEAN, "solver_iterations": 4},
+    "dense, 64 rows, 8 contacts, tolerance 1e-5": {**LEAN, "tolerance": 1e-5},
+    "dense, 64 rows, 8 contacts, tolerance 1e-4": {**LEAN, "tolerance": 1e-4},
+    "dense, 64 rows, 8 contacts, Euler": {**LEAN, "integrator": "EULER"},
+    "dense, 64 rows, 8 contacts, integrator of 4.0": {**LEAN, "integrator": "DISCRETE"},
+    "dense, 64 rows, 8 contacts, pyramidal cones": {**LEAN, "cone": "PYRAMIDAL"},
+    "dense, 64 rows, 8 contacts, line search by 64": {**LEAN, "blocks": {"linesearch_iterative": 64}},
+    "dense, 64 rows, 8 contacts, gradient by 64": {**LEAN, "blocks": {"update_gradient_grad": 64}},
 }
 """Variants of the physics; the last ones first to go when time is short."""
+
+CHANGES = ("unrolled", "smooth", "parts", "blocks", "tolerance", "integrator", "cone")
+"""What of a variant is no setting of a training."""
 
 
 def say(text: str) -> None:
@@ -97,6 +108,9 @@ def physics(
     smooth: bool = True,
     parts: int = 1,
     blocks: dict[str, int] | None = None,
+    tolerance: float | None = None,
+    integrator: str | None = None,
+    cone: str | None = None,
 ) -> float:
     """Return the time of a control step of the physics alone [ms], from where the environment is, flailing on.
 
@@ -107,7 +121,13 @@ def physics(
         smooth: Compute the unconstrained acceleration too.
         parts: The worlds in this many groups, which step at the same time.
         blocks: Threads a block of some kernels.
+        tolerance: Of the solver; None keeps it.
+        integrator: Name of one of MuJoCo Warp's; None keeps the model's.
+        cone: Likewise of the friction cones.
     """
+    import mujoco_warp as mjw
+
+
     each = mdp.worlds // parts
     groups = [Worlds(load_description(), dataclasses.replace(mdp, worlds=each), DEVICE, 1 + i) for i in range(parts)]
     pose = torch.as_tensor(load_description().poses["upright"], dtype=torch.float32, device=DEVICE)
@@ -115,6 +135,12 @@ def physics(
     for i, worlds in enumerate(groups):
         worlds.model.opt.graph_conditional = not unrolled
         worlds.model.opt.run_qacc_smooth = smooth
+        if tolerance is not None:
+            worlds.model.opt.tolerance.fill_(tolerance)
+        if integrator is not None:
+            worlds.model.opt.integrator = mjw.IntegratorType[integrator]
+        if cone is not None:
+            worlds.model.opt.cone = mjw.ConeType[cone]
         for name, size in (blocks or {}).items():
             setattr(worlds.model.block_dim, name, size)
         for name in ("qpos", "qvel", "warmstart"):
@@ -143,7 +169,7 @@ def physics_stage(settings: Settings, worlds: int, variants: list[str]) -> Figur
     found: Figures = {}
     for name in variants:
         words = dict(PHYSICS[name])
-        how = {k: words.pop(k) for k in ("unrolled", "smooth", "parts", "blocks") if k in words}
+        how = {k: words.pop(k) for k in CHANGES if k in words}
         try:
             ms = physics(env, dataclasses.replace(mdp, **words), **how)
         except Exception:
