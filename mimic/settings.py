@@ -832,6 +832,11 @@ class LearnSettings:
     mirror: float = 0.2
     """Weight of the loss that asks for mirrored actions in mirrored states; 0 is none. With 0.5, the one tried, the loss
     was as large as PPO's own, and front toes did not learn to follow their goals."""
+    reaching: float = 0.1
+    """Weight, at the beginning, of the loss that shows the front legs the closed form of reaching a goal; 0 is none, and
+    so it is for a training that is resumed. By reward alone some seeds stay at half the sideways reach."""
+    reaching_share: float = 0.4
+    """Share of a training after which that weight has fallen to 0; from then on only rewards count."""
     snapshots: tuple[float, ...] = ()
     """Times after which the policy is also written as policy_<minutes>min.onnx [min]."""
     save_every: int = 100

@@ -6,6 +6,7 @@ clear of each other, of the trunk and of the head.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -26,25 +27,35 @@ def eased(share: Any) -> Any:
     return share * share * (3 - 2 * share)
 
 
-def leg_joints(p_BE: FloatArray, description: RobotDescription) -> tuple[FloatArray, FloatArray]:
+def leg_joints(p_BE: Any, description: RobotDescription, xp: Any = np) -> tuple[Any, Any]:
     """Return joint positions that bring the front toes to p_BE, by the closed form of a leg.
 
     Args:
         p_BE: Base -> front toe (..., 2, 3) [m].
+        xp: ``numpy`` or ``torch``, whichever ``p_BE`` is from.
 
     Returns:
         Joint positions (..., 2, 3) [rad], and how far each leg is from a solution (..., 2): 0 where all joints lie
         inside their limits with the margin, otherwise the worst excess [rad]; infinite where out of reach.
     """
-    joints = [slice(3 * i, 3 * i + 3) for i in range(2)]
-    low = np.stack([description.q_min[s] for s in joints])[:, None] + MARGIN
-    high = np.stack([description.q_max[s] for s in joints])[:, None] - MARGIN
-    postures = np.stack([leg.inverse(p_BE[..., i, :]) for i, leg in enumerate(front_legs(description))], axis=-3)
-    excess = np.maximum(np.maximum(low - postures, postures - high), 0.0).max(axis=-1)
-    excess = np.where(np.isnan(excess), np.inf, excess)
-    best = np.argmin(excess, axis=-1)[..., None]
-    q = np.take_along_axis(postures, best[..., None], axis=-2)[..., 0, :]
-    return q, np.take_along_axis(excess, best, axis=-1)[..., 0]
+    found, short = [], []
+    for i, leg in enumerate(front_legs(description)):
+        first, second = (leg.inverse(p_BE[..., i, :], xp)[..., k, :] for k in range(2))
+        own = range(3 * i, 3 * i + 3)
+        low, high = description.q_min[own] + MARGIN, description.q_max[own] - MARGIN
+        excess = [_excess(q, low, high, xp) for q in (first, second)]
+        better = excess[1] < excess[0]
+        found.append(xp.where(better[..., None], second, first))
+        short.append(xp.where(better, excess[1], excess[0]))
+    return xp.stack(found, -2), xp.stack(short, -1)
+
+
+def _excess(q: Any, low: FloatArray, high: FloatArray, xp: Any) -> Any:
+    """Return how far the worst joint of q (..., 3) lies outside its limits (...); infinite where q is not a number."""
+    worst = xp.zeros_like(q[..., 0])
+    for k in range(3):
+        worst = xp.maximum(worst, xp.maximum(float(low[k]) - q[..., k], q[..., k] - float(high[k])))
+    return xp.where(xp.isnan(q).any(-1), xp.full_like(worst, math.inf), worst)
 
 
 def clear_of_body(p_BE: FloatArray, q: FloatArray, description: RobotDescription) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -49,36 +50,39 @@ class Leg:
         y = self.offset * xp.cos(abad) - z * xp.sin(abad)
         return xp.stack([ox + x, oy + y, oz + self.offset * xp.sin(abad) + z * xp.cos(abad)], -1)
 
-    def inverse(self, p_BE: FloatArray) -> FloatArray:
+    def inverse(self, p_BE: Any, xp: Any = np) -> Any:
         """Return both postures with a backward knee that put the toe at p_BE.
 
         The first has the toe in front of the hip axis (-z of the abad link), the second behind it.
 
         Args:
             p_BE: Base -> toe (..., 3), base axes [m].
+            xp: ``numpy`` or ``torch``, whichever ``p_BE`` is from.
 
         Returns:
             Joints (..., 2, 3) [rad]; abad and hip in [-pi, pi), knee in [-pi, 0] about the straight leg; NaN where the
             leg is too short or too long. Limits are not looked at.
         """
-        x, y, z = np.moveaxis(np.asarray(p_BE, dtype=np.float64) - self.origin, -1, 0)
-        shank, lean = np.hypot(self.toe[0], self.toe[2]), np.arctan2(-self.toe[0], -self.toe[2])
+        ox, oy, oz = (float(v) for v in self.origin)
+        x, y, z = p_BE[..., 0] - ox, p_BE[..., 1] - oy, p_BE[..., 2] - oz
+        toe_x, toe_z = float(self.toe[0]), float(self.toe[2])
+        shank, lean = math.hypot(toe_x, toe_z), math.atan2(-toe_x, -toe_z)
         with np.errstate(invalid="ignore"):
             square = y * y + z * z - self.offset**2
-            depth = np.sqrt(np.where(np.abs(square) < ROUNDING, 0.0, square))
+            depth = xp.sqrt(xp.where(abs(square) < ROUNDING, xp.zeros_like(square), square))
             cosine = (x * x + depth * depth - self.thigh**2 - shank**2) / (2 * self.thigh * shank)
-            bend = -np.arccos(cosine)
-        tilt = np.arctan2(shank * np.sin(bend), self.thigh + shank * np.cos(bend))
+            bend = -xp.arccos(cosine)
+        tilt = xp.arctan2(shank * xp.sin(bend), self.thigh + shank * xp.cos(bend))
         postures = []
-        for toe_z in (-depth, depth):
-            abad = np.arctan2(z, y) - np.arctan2(toe_z, self.offset)
-            hip = np.arctan2(-x, -toe_z) - tilt
-            postures.append(np.stack([_wrapped(abad), _wrapped(hip), bend - lean], axis=-1))
-        return np.stack(postures, axis=-2)
+        for sign in (-1.0, 1.0):
+            abad = xp.arctan2(z, y) - xp.arctan2(sign * depth, xp.full_like(depth, self.offset))
+            hip = xp.arctan2(-x, -sign * depth) - tilt
+            postures.append(xp.stack([_wrapped(abad), _wrapped(hip), bend - lean], -1))
+        return xp.stack(postures, -2)
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def _wrapped(angle: Any) -> Any:
+    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @cache

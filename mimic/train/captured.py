@@ -42,6 +42,8 @@ class CapturedPPO(PPO):
     """
 
     def __init__(self, actor: Any, critic: Any, storage: Any, **settings: Any) -> None:
+        self.reaching_coef = settings.pop("reaching_coef", 0.0)
+        """Weight of the loss that shows front legs how to reach; may change between updates, but not come from zero."""
         super().__init__(actor, critic, storage, **settings)
         if self.rnd or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
             raise ConfigError("captured PPO has no RND, recurrence or advantages per minibatch; use PPO")
@@ -51,6 +53,9 @@ class CapturedPPO(PPO):
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
         self._wanted_kl = torch.tensor(self.desired_kl or 0.0, device=self.device)
         self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
+        self._shows_reaching = self.reaching_coef > 0
+        self._losses += ["reaching"] * self._shows_reaching
+        self._reaching_weight = torch.tensor(self.reaching_coef, device=self.device)
         self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
         parameters = list(chain(self.actor.parameters(), self.critic.parameters()))
@@ -111,6 +116,7 @@ class CapturedPPO(PPO):
         self._rate.fill_(self.learning_rate)
         self._entropy_weight.fill_(self.entropy_coef)
         self._wanted_kl.fill_(self.desired_kl or 0.0)
+        self._reaching_weight.fill_(self.reaching_coef)
         self._sums.zero_()
         self._gather()
         for _ in range(self.num_learning_epochs):
@@ -148,6 +154,8 @@ class CapturedPPO(PPO):
         if self._mirror:
             image = TensorDict({"policy": mirrored_observations(seen["policy"])}, batch_size=seen.batch_size)
             columns["image"] = self.actor.get_latent(image)  # type: ignore[arg-type]
+        if self._shows_reaching:
+            columns["reaching"] = seen["reaching"].flatten(2)
         for name, column in columns.items():
             if name in self._batch:
                 torch.index_select(column, 0, order, out=self._batch[name])
@@ -194,6 +202,10 @@ class CapturedPPO(PPO):
         if image is not None:
             losses.append((image - mirrored_actions(mean.detach())).square().mean())
             loss = loss + self._mirror * losses[-1]
+        if self._shows_reaching:
+            shown, counts = b["reaching"].unbind(1)
+            losses.append((counts * (mean[:, : shown.shape[1]] - shown).square()).mean())
+            loss = loss + self._reaching_weight * losses[-1]
         self._flat.zero_()
         loss.backward()
         self._flat[-1:].copy_(kl)

@@ -25,7 +25,7 @@ from mimic.policy.contract import (
     push_frame,
 )
 from mimic.robot.description import RobotDescription, with_timestep
-from mimic.robot.goals import MARGIN
+from mimic.robot.goals import MARGIN, leg_joints
 from mimic.robot.graphs import capture_mode
 from mimic.robot.leg import front_toes
 from mimic.robot.model import command_in_effect
@@ -48,6 +48,9 @@ DRIFT_SECONDS = 1.0
 MERCY_STEPS, EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 30, 0.05, 0.28
 """Terminations in the first control steps: highest hind toe [m] and largest joint motion in a step [rad]; the paper's are
 0.06 and 0.3, here with a margin. With 0.06 in training, three of 150 judged episodes ended with a toe at 0.06 to 0.07 m."""
+
+STANDING = 0.7
+"""Cosine between the trunk and upright from which on a front leg is told how to reach."""
 
 CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1
 """Width of what the critic sees beyond the observation."""
@@ -157,6 +160,7 @@ class StandTrackEnv(VecEnv):
         self._rule_share = torch.zeros(1, device=device)
         self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
         self._critic_obs = zeros(self.settings.history * FRAME_SIZE + CRITIC_EXTRAS)
+        self._reaching = zeros(2, 2, 3)
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
         self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
@@ -174,10 +178,13 @@ class StandTrackEnv(VecEnv):
     # ------------------------------------------------------------------ the interface of rsl_rl
 
     def get_observations(self) -> TensorDict:
-        """Return what actor (policy) and critic see of each world."""
-        return TensorDict(
-            {"policy": self._policy_obs.clone(), "critic": self._critic_obs.clone()}, batch_size=[self.num_envs]
-        )
+        """Return what actor (policy) and critic see of each world, and what nobody sees but the learner.
+
+        ``reaching`` (N, 2, 2, 3): actions of the front legs that would bring their toes to where they are wanted if the
+        joints followed at once, and 1 where that counts, 0 where there are none or the robot does not stand.
+        """
+        seen = {"policy": self._policy_obs, "critic": self._critic_obs, "reaching": self._reaching}
+        return TensorDict({name: tensor.clone() for name, tensor in seen.items()}, batch_size=[self.num_envs])
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
@@ -551,3 +558,13 @@ class StandTrackEnv(VecEnv):
             [self._policy_obs, *extras], -1
         )  # shapes of a world that exploded are known again after a step
         self._critic_obs.copy_(torch.nan_to_num(seen).clamp(-50, 50))
+        self._show_reaching()
+
+    def _show_reaching(self) -> None:
+        """Put the front legs' closed form for the toe goals of now where the learner finds it."""
+        q, excess = leg_joints(self.goals.now, self.description, torch)
+        actions = (q - self._default_q[:6].view(2, 3)) / self.settings.action_scale
+        counts = (excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None]
+        counts = counts[..., None].expand_as(actions)
+        self._reaching[:, 0].copy_(torch.where(counts, actions, torch.zeros_like(actions)))
+        self._reaching[:, 1].copy_(counts)

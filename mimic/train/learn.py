@@ -67,6 +67,7 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             }
             if settings.mirror
             else None,
+            **({"reaching_coef": settings.reaching} if settings.captured else {}),
         },
     }
 
@@ -108,6 +109,11 @@ def train(
     if mdp.task == "sit_down" and learn.mirror:
         log.info("sitting down is trained without the mirror loss: its clock tells the time, which has no mirror image")
         learn = replace(learn, mirror=0.0)
+    if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
+        learn = replace(learn, reaching=0.0)
+    if learn.reaching and not learn.captured:
+        log.info("front legs are not shown how to reach: only captured=True does that")
+        learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
     if ranks.first:
         folder.mkdir(parents=True, exist_ok=True)
@@ -125,6 +131,8 @@ def train(
     def progressed(share: float) -> None:
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
+        if learn.reaching:
+            runner.alg.reaching_coef = learn.reaching * max(1 - share / learn.reaching_share, 0.0)  # type: ignore
         if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:
             export(runner, contract, folder / f"policy_{due.pop():g}min.onnx")
 

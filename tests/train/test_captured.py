@@ -17,7 +17,7 @@ from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.learn import runner_config, train  # noqa: E402
 
 MDP = MdpSettings(worlds=6, history=3)  # small, as the networks below
-PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, captured=False)
+PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, captured=False, reaching=0.0)
 CAPTURED = dataclasses.replace(PLAIN, captured=True)
 
 
@@ -133,6 +133,35 @@ def test_a_captured_training_runs_from_start_to_policy(tmp_path):
     assert [row["steps"] for row in rows] == [48, 96]
     resumed = train(tmp_path / "again", MDP, copy.copy(learn), resume=tmp_path / "last.pt")
     assert resumed.exists()
+
+
+def shown(runner: OnPolicyRunner, counts: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Learn from a storage in which all worlds are shown the same reach; return their actions in one state and it."""
+    reach = torch.linspace(-1.0, 1.0, 6).view(2, 3)
+    for seed in range(4):
+        rollout(runner, seed)
+        runner.alg.storage.observations["reaching"][...] = torch.stack([reach, torch.full_like(reach, counts)])
+        update(runner, seed)
+    seen = runner.env.get_observations()
+    for tensor in seen.values():
+        tensor.zero_()
+    return runner.alg.actor(seen).detach(), reach.flatten()
+
+
+def test_front_legs_learn_what_they_are_shown_and_hind_legs_go_on_by_reward(env):
+    learn = dataclasses.replace(CAPTURED, desired_kl=1.0, learning_rate=3e-3)
+    (plain, reach), (taught, _) = (
+        shown(runner(env, dataclasses.replace(learn, reaching=weight)), 1.0) for weight in (0.0, 10.0)
+    )
+    assert (taught[:, :6] - reach).abs().mean() < 0.6 * (plain[:, :6] - reach).abs().mean()
+
+
+def test_what_does_not_count_is_not_learned(env):
+    runners = [runner(env, dataclasses.replace(CAPTURED, reaching=weight)) for weight in (0.0, 10.0)]
+    for each in runners:
+        shown(each, 0.0)
+    one, other = map(weights, runners)
+    assert (one - other).abs().max() < 2e-5
 
 
 def test_what_a_graph_reads_stays_where_it_is(env, tmp_path):

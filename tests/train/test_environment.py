@@ -103,6 +103,19 @@ def test_training_physics_is_that_of_the_simulation(description, timestep):
     assert moved > 0.05
 
 
+def test_front_legs_are_shown_actions_that_reach_their_goals(env, description):
+    shown, counts = env.get_observations()["reaching"].unbind(1)
+    goal = env.get_observations()["policy"].numpy()[:, -8:-2].reshape(-1, 2, 3)
+    counts = counts.bool().all(-1).numpy()
+    q = np.tile(description.poses["upright"], (env.num_envs, 1))
+    q[:, :6] += env.settings.action_scale * shown.reshape(-1, 6).numpy()
+    reached = front_toes(q, description)
+    assert counts.any()
+    assert not counts.all()
+    assert np.abs(reached - goal)[counts].max() < 1e-5
+    assert (shown.numpy()[~counts] == 0).all()
+
+
 def test_toes_are_those_of_the_robot(env, description):
     q = env.worlds.qpos[:, 7:].numpy().astype(np.float64)
     critic = env.get_observations()["critic"].numpy()
