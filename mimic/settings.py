@@ -722,10 +722,10 @@ class MdpSettings:
     """Half width of the noise on joint positions [rad]."""
     noise_axes: float = 0.015
     """Half width of the noise on the two world axes."""
-    solver_iterations: int = 6
+    solver_iterations: int = 4
     """Newton iterations of the training physics; the judge uses MuJoCo's 100. After 0.6 s of standing up in steps of 2.5 ms
-    nine of ten worlds are within 7e-3 rad of the judge with 5 to 7 and the worst 2e-2 away; with 10, 8e-5 and 6e-3
-    (benchmarks/solver_accuracy.py)."""
+    nine of ten worlds are within 1e-2 rad of the judge and the worst 2e-2 away; 5 to 7: 7e-3 and 2e-2; 10: 8e-5 and 6e-3
+    (benchmarks/solver_accuracy.py). Six take 13 % more time."""
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     contacts: int = 8

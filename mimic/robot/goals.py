@@ -38,24 +38,24 @@ def leg_joints(p_BE: Any, description: RobotDescription, xp: Any = np) -> tuple[
         Joint positions (..., 2, 3) [rad], and how far each leg is from a solution (..., 2): 0 where all joints lie
         inside their limits with the margin, otherwise the worst excess [rad]; infinite where out of reach.
     """
-    found, short = [], []
-    for i, leg in enumerate(front_legs(description)):
-        first, second = (leg.inverse(p_BE[..., i, :], xp)[..., k, :] for k in range(2))
-        own = range(3 * i, 3 * i + 3)
-        low, high = description.q_min[own] + MARGIN, description.q_max[own] - MARGIN
-        excess = [_excess(q, low, high, xp) for q in (first, second)]
-        better = excess[1] < excess[0]
-        found.append(xp.where(better[..., None], second, first))
-        short.append(xp.where(better, excess[1], excess[0]))
-    return xp.stack(found, -2), xp.stack(short, -1)
+    left, _ = front_legs(description)  # the right one is its mirror image
+    mirrored = xp.stack([p_BE[..., 1, 0], -p_BE[..., 1, 1], p_BE[..., 1, 2]], -1)
+    q = left.inverse(xp.stack([p_BE[..., 0, :], mirrored], -2), xp)
+    abad = xp.stack([q[..., 0, :, 0], -q[..., 1, :, 0]], -2)
+    q = xp.stack([abad, q[..., 1], q[..., 2]], -1)
+    worst = xp.stack([_excess(q[..., i, :, :], description, 3 * i, xp) for i in range(2)], -2)
+    second = worst[..., 1] < worst[..., 0]
+    best = xp.where(second[..., None], q[..., 1, :], q[..., 0, :])
+    return best, xp.where(second, worst[..., 1], worst[..., 0])
 
 
-def _excess(q: Any, low: FloatArray, high: FloatArray, xp: Any) -> Any:
-    """Return how far the worst joint of q (..., 3) lies outside its limits (...); infinite where q is not a number."""
+def _excess(q: Any, description: RobotDescription, first: int, xp: Any) -> Any:
+    """Return how far the worst joint of a leg's q (..., 3) is beyond its limits (...); infinite where there is no q."""
     worst = xp.zeros_like(q[..., 0])
     for k in range(3):
-        worst = xp.maximum(worst, xp.maximum(float(low[k]) - q[..., k], q[..., k] - float(high[k])))
-    return xp.where(xp.isnan(q).any(-1), xp.full_like(worst, math.inf), worst)
+        low, high = float(description.q_min[first + k]) + MARGIN, float(description.q_max[first + k]) - MARGIN
+        worst = xp.maximum(worst, xp.maximum(low - q[..., k], q[..., k] - high))
+    return xp.where(xp.isnan(worst), xp.full_like(worst, math.inf), worst)
 
 
 def clear_of_body(p_BE: FloatArray, q: FloatArray, description: RobotDescription) -> np.ndarray:

@@ -73,12 +73,11 @@ class Leg:
             cosine = (x * x + depth * depth - self.thigh**2 - shank**2) / (2 * self.thigh * shank)
             bend = -xp.arccos(cosine)
         tilt = xp.arctan2(shank * xp.sin(bend), self.thigh + shank * xp.cos(bend))
-        postures = []
-        for sign in (-1.0, 1.0):
-            abad = xp.arctan2(z, y) - xp.arctan2(sign * depth, xp.full_like(depth, self.offset))
-            hip = xp.arctan2(-x, -sign * depth) - tilt
-            postures.append(xp.stack([_wrapped(abad), _wrapped(hip), bend - lean], -1))
-        return xp.stack(postures, -2)
+        depths = xp.stack([-depth, depth], -1)
+        abad = xp.arctan2(z, y)[..., None] - xp.arctan2(depths, xp.full_like(depths, self.offset))
+        hip = xp.arctan2(-x[..., None], -depths) - tilt[..., None]
+        knee = xp.zeros_like(hip) + (bend - lean)[..., None]
+        return xp.stack([_wrapped(abad), _wrapped(hip), knee], -1)
 
 
 def _wrapped(angle: Any) -> Any:
