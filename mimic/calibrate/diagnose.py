@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,12 @@ LEAST_IMPROVEMENT = 0.35
 
 LEAST_SHARE = 0.15
 """Share that it takes of what noise does not explain, on the joints where it acts; less is the nearest wrong name."""
+
+MOSTLY = 0.5
+"""The same for an effect that others have on joints where it was not found; less may be something else."""
+
+MOST_AFRESH = 8
+"""Most steps of a fit that begins with declared numbers as the model has them."""
 
 LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
@@ -504,6 +510,49 @@ def pruned(problem: Problem, best: Tried, names: Sequence[str], joints: dict[str
         none = neutral(best.name, p.name, problem.machine)
         values[best.name, p.name] = np.where(best.joints, values[best.name, p.name], none)
     return fit(problem, Point(values), [*names, best.name], {**joints, best.name: best.joints}, most=3)
+
+
+def further(problem: Problem, fitted: Fit, name: str, joints: BoolArray) -> BoolArray:
+    """Return joints (J,) that lack an effect which others have, and where more is left than could count."""
+    left = problem.mean_squares(fitted.residual, False)[: len(joints)] > 1.0 + LEAST_IMPROVEMENT**2
+    spec = CATALOGUE[name]
+    return left & ~joints & (spec.scope != "machine" and not spec.random)
+
+
+def wider(
+    problem: Problem,
+    narrow: Fit,
+    name: str,
+    names: Sequence[str],
+    joints: Mapping[str, BoolArray],
+    more: BoolArray,
+) -> tuple[Fit, BoolArray] | None:
+    """Return a fit with an effect on further joints, and all its joints, if it explains most of what is left there.
+
+    A joint that has an effect may hide it behind numbers of its leg that were bent to make up for it, and another effect
+    would be named in its place. So declared numbers of these legs begin as the model has them.
+
+    Args:
+        problem: Log and model.
+        narrow: The fit with the effect where it was found.
+        name: The effect.
+        names: All effects of the fit.
+        joints: Joints that have each of them.
+        more: Joints that may have it too (J,).
+    """
+    machine, values = problem.machine, dict(narrow.point.values)
+    legs = np.isin(machine.chain, machine.chain[more])
+    for other, parameter in values:
+        row, spec = values[other, parameter], CATALOGUE[other]
+        if other == name:
+            values[other, parameter] = np.where(more, np.median(row[joints[name]]), row)
+        elif spec.declared and spec.scope != "machine":
+            values[other, parameter] = np.where(legs, neutral(other, parameter, machine), row)
+    fitted = fit(problem, Point(values), names, {**joints, name: joints[name] | more}, most=MOST_AFRESH)
+    there = present(problem, fitted, name, more, deviations(fitted, problem, left_out(fitted, problem)[1]))
+    if not there.any() or _share(problem, narrow, fitted, there[problem.channel_joint]) < MOSTLY:
+        return None
+    return (fitted, joints[name] | there) if earns_its_keep(problem, fitted, narrow) else None
 
 
 def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:

@@ -9,7 +9,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mimic.calibrate.checks import belongs as targets_belong
-from mimic.calibrate.diagnose import LEAST_IMPROVEMENT, Found, Tried, arrivals, earns_its_keep, present, pruned, search
+from mimic.calibrate.diagnose import (
+    LEAST_IMPROVEMENT,
+    Found,
+    Tried,
+    arrivals,
+    earns_its_keep,
+    further,
+    present,
+    pruned,
+    search,
+    wider,
+)
 from mimic.calibrate.events import Timing, widening
 from mimic.calibrate.fit import Fit, deviations, fit, left_out, penalty, solve, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
@@ -327,6 +338,7 @@ def _grow(state: _Search) -> list[Stage]:
             best = _on_time(state, best, best.timing)
         _correct(state.problem, best.fitted.point)
         best, state.current = _where_it_is(state, best)
+        best, state.current = _elsewhere_too(state, best)
         state.names.append(best.name)
         state.joints[best.name] = best.joints
         stages.append(
@@ -350,6 +362,21 @@ def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
         return best, settled
     fewer = replace(best, fitted=settled, joints=there)
     return fewer, _settled(problem, pruned(problem, fewer, state.names, state.joints))
+
+
+def _elsewhere_too(state: _Search, best: Tried) -> tuple[Tried, Fit]:
+    """Return the accepted effect on further joints, if it explains what is left there, and the fit with it there."""
+    problem, joints = state.problem, {**state.joints, best.name: best.joints}
+    more = further(problem, state.current, best.name, best.joints)
+    if not more.any():
+        return best, state.current
+    state.tick(f"{CATALOGUE[best.name].title} elsewhere too")
+    found = wider(problem, state.current, best.name, [*state.names, best.name], joints, more)
+    if found is None:
+        return best, state.current
+    best = replace(best, fitted=found[0], joints=found[1])
+    _correct(problem, best.fitted.point)
+    return best, _settled(problem, pruned(problem, best, state.names, state.joints))
 
 
 def _on_time(state: _Search, best: Tried, timing: Timing) -> Tried:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.calibrate.diagnose import further, wider
 from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks
@@ -16,6 +17,7 @@ from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import DECLARED
 from mimic.robot.machine import MachineModel, read_machine
+from mimic.robot.servo import neutral
 from mimic.settings import CalibrateSettings, LogSettings
 
 PAIR = """<mujoco><worldbody>
@@ -98,3 +100,37 @@ def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
     motion = Motion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
     order = starts_of("cogging", fitted, problem, motion)[0].values["cogging", "order"]
     assert order == pytest.approx(ripple["order"], abs=4.0 / np.ptp(log.q, axis=0).max())
+
+
+@pytest.mark.parametrize(("also", "joints"), [("torque_speed", [True, True]), ("spring", [True, False])])
+def test_an_effect_is_extended_to_a_joint_that_has_it_and_to_no_other(pair: MachineModel, also: str, joints) -> None:
+    """The second joint's friction was bent to make up for what it lacks; only if that is the same effect, it gets it."""
+    weak = {"torque": 1.0, "speed": 6.0, "flat": 0.0}
+    other = {"torque_speed": weak, "spring": {"stiffness": 0.8, "moment": 0.1}}[also]
+    hidden = [EffectValues(name="torque_speed", joints=("a",), values=weak)]
+    hidden += [EffectValues(name=also, joints=("b",), values=other)]
+    if also == "torque_speed":
+        hidden = [EffectValues(name="torque_speed", joints=("a", "b"), values=weak)]
+    problem, declared = problem_of(pair, log_of(pair, *hidden, fast=1.0))
+    start = declared.with_effect("torque_speed", pair, {"torque": 1.2, "speed": 7.0, "flat": 0.0})
+    names, mask = [*DECLARED, "torque_speed"], np.array([True, False])
+    none = neutral("torque_speed", "torque", pair)
+    values = dict(start.values)
+    values["torque_speed", "torque"] = np.where(mask, values["torque_speed", "torque"], none)
+    narrow = fit(problem, Point(values), names, {"torque_speed": mask}, most=6)
+    more = further(problem, narrow, "torque_speed", mask)
+    assert more.tolist() == [False, True]
+    found = wider(problem, narrow, "torque_speed", names, {"torque_speed": mask}, more)
+    where = mask if found is None else found[1]
+    assert where.tolist() == joints
+    if found is not None:
+        assert found[0].point.values["torque_speed", "torque"] == pytest.approx([1.0, 1.0], rel=0.1)
+
+
+def test_an_effect_of_all_joints_is_extended_to_none(pair: MachineModel) -> None:
+    problem, declared = problem_of(pair, log_of(pair, fast=1.0))
+    unfitted = fit(problem, declared, list(DECLARED), {}, most=1)
+    everywhere = np.array([True, True])
+    assert further(problem, unfitted, "torque_speed", ~everywhere).any()
+    assert not further(problem, unfitted, "torque_speed", everywhere).any()
+    assert not further(problem, unfitted, "lost_commands", ~everywhere).any()
