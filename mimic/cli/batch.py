@@ -127,7 +127,8 @@ def batch(
                 progress(len(rows), len(jobs))
     except KeyboardInterrupt:
         interrupted = True
-        _sweep(items)
+        _sweep(items)  # a file may be whole although its worker had no time to say so
+        rows |= {i: row for i, job in enumerate(jobs) if i not in rows and (row := finished(job)) is not None}
     _write_summary([rows[i] for i in sorted(rows)], out, jobs[0], unplayed=len(jobs) - len(rows))
     return _told([rows[i] for i in sorted(rows)], len(jobs), out, interrupted)
 
