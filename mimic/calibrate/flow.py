@@ -37,6 +37,7 @@ from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.machine import MachineModel, with_gains
+from mimic.robot.servo import neutral
 from mimic.settings import CalibrateSettings
 from mimic.types import BoolArray, FloatArray
 
@@ -413,20 +414,25 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
 
 
 def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
-    """Return declared numbers at a bound, and the bound, that the log would have cross it by so many steps."""
+    """Return numbers at a bound, and the bound, that the log would have cross it by so many steps.
+
+    An effect's bound at which it is none is not one of them: there it ends. The other says how much of it a machine can have.
+    """
     hessian, gradient = fitted.sums.over(problem.blocks.train)
     found = []
     for i, knob in enumerate(fitted.knobs):
-        value = fitted.point.values[knob.key][max(knob.joint, 0)]
+        joint = max(knob.joint, 0)
+        value, none = fitted.point.values[knob.key][joint], neutral(*knob.key, problem.machine)[joint]
         further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
         for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            if CATALOGUE[knob.key[0]].declared and abs(value - bound) < 1e-9 and sign * further > least:
+            counts = CATALOGUE[knob.key[0]].declared or abs(none - bound) > 1e-9
+            if counts and abs(value - bound) < 1e-9 and sign * further > least:
                 found.append((knob, bound))
     return found
 
 
 def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
-    """Withdraw effects of chains where a declared number stops at a bound that the log would have it cross by far.
+    """Withdraw effects of chains where a number stops at a bound that the log would have it cross by far.
 
     With all that was found in the model, something else is wrong there, and a name may stand for that.
     """

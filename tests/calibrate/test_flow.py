@@ -13,6 +13,7 @@ from mimic.calibration import Calibration
 from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import CATALOGUE
 from mimic.robot.machine import MachineModel, read_machine
 from mimic.settings import CalibrateSettings, LogSettings
 
@@ -189,3 +190,18 @@ def test_the_same_log_gives_the_same_answer(arm: MachineModel) -> None:
     for one, other in zip(again.effects, clean_result(arm).effects, strict=True):
         for name, value in one.values.items():
             assert np.array_equal(value, other.values[name])
+
+
+def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel, monkeypatch) -> None:
+    """What it stands for is something else: here half of what the catalogue would have to allow."""
+    stiff = EffectValues(
+        name="spring", joints=("elbow",), values={"stiffness": np.array([0.5]), "moment": np.array([0.0])}
+    )
+    log = log_of(arm, stiff)
+    spec = CATALOGUE["spring"]
+    narrow = tuple(replace(p, high=0.25) if p.name == "stiffness" else p for p in spec.parameters)
+    monkeypatch.setitem(CATALOGUE, "spring", replace(spec, parameters=narrow))
+    result = calibrate(log, arm, CalibrateSettings(effects=("spring",), most_effects=1))
+    assert added(result) == []
+    assert any("spring.stiffness stops at its bound 0.25" in line for line in result.warnings)
+    assert "Nothing in the catalogue explains what is left" in result.sentence
