@@ -610,7 +610,7 @@ class FinishFactors:
     heading: float = 2.0
     toes: float = 1.0
     toes_fine: float = 2.0
-    slip: float = 4.0
+    slip: float = 6.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
