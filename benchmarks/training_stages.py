@@ -127,7 +127,6 @@ def physics(
     """
     import mujoco_warp as mjw
 
-
     each = mdp.worlds // parts
     groups = [Worlds(load_description(), dataclasses.replace(mdp, worlds=each), DEVICE, 1 + i) for i in range(parts)]
     pose = torch.as_tensor(load_description().poses["upright"], dtype=torch.float32, device=DEVICE)
