@@ -846,6 +846,10 @@ class LearnSettings:
     mixed_precision: bool = False
     """Networks of the update in bfloat16."""
 
+    def __post_init__(self) -> None:
+        _check_range("reaching", self.reaching, 0.0, 100.0)
+        _check_range("reaching-share", self.reaching_share, 0.001, 1.0)
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibrateSettings:

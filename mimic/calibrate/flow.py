@@ -423,10 +423,10 @@ def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[
     for i, knob in enumerate(fitted.knobs):
         joint = max(knob.joint, 0)
         value, none = fitted.point.values[knob.key][joint], neutral(*knob.key, problem.machine)[joint]
-        further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
+        beyond = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
         for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
             counts = CATALOGUE[knob.key[0]].declared or abs(none - bound) > 1e-9
-            if counts and abs(value - bound) < 1e-9 and sign * further > least:
+            if counts and abs(value - bound) < 1e-9 and sign * beyond > least:
                 found.append((knob, bound))
     return found
 
