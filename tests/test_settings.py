@@ -80,5 +80,5 @@ def test_what_grows_at_the_end_of_a_training_needs_time_to_grow():
 
 
 def test_how_long_reaching_is_shown_is_a_share_of_the_training():
-    with pytest.raises(ConfigError, match="reaching-share is 0; it must be from 0.001 to 1"):
+    with pytest.raises(ConfigError, match=r"reaching-share is 0; it must be from 0\.001 to 1"):
         LearnSettings(reaching_share=0.0)
