@@ -314,7 +314,8 @@ def search(
     hard = [t for t in tried if _astray(problem, t, tried)]
     if hard:
         tick(f"refitting {', '.join(CATALOGUE[t.name].title for t in hard)} from the model's numbers")
-        begins = {s.name: _afresh(problem, s) for s in picked}
+        everywhere = np.ones(len(problem.machine.joints), dtype=bool)
+        begins = {s.name: _afresh(problem, s.begin, everywhere) for s in picked}
         fits = fit_all(
             problem,
             [
@@ -481,12 +482,16 @@ def _astray(problem: Problem, t: Tried, tried: Sequence[Tried]) -> bool:
     return CATALOGUE[t.name].structural and promising and bool(left > FAR)
 
 
-def _afresh(problem: Problem, start: Start) -> Point:
-    """Return a start with the declared numbers as the model has them: without the effect they were bent to make up for it."""
-    values = dict(start.begin.values)
+def _afresh(problem: Problem, point: Point, joints: BoolArray) -> Point:
+    """Return a start with the declared numbers of these joints (J,) as the model has them.
+
+    Without the effect that is tried they were bent to make up for it.
+    """
+    values = dict(point.values)
     for name, parameter in values:
-        if CATALOGUE[name].declared and name != "delay":
-            values[name, parameter] = neutral(name, parameter, problem.machine)
+        if CATALOGUE[name].declared and CATALOGUE[name].scope != "machine":
+            usual = neutral(name, parameter, problem.machine)
+            values[name, parameter] = np.where(joints, usual, values[name, parameter])
     return Point(values)
 
 
@@ -540,14 +545,11 @@ def wider(
         joints: Joints that have each of them.
         more: Joints that may have it too (J,).
     """
-    machine, values = problem.machine, dict(narrow.point.values)
-    legs = np.isin(machine.chain, machine.chain[more])
-    for other, parameter in values:
-        row, spec = values[other, parameter], CATALOGUE[other]
-        if other == name:
-            values[other, parameter] = np.where(more, np.median(row[joints[name]]), row)
-        elif spec.declared and spec.scope != "machine":
-            values[other, parameter] = np.where(legs, neutral(other, parameter, machine), row)
+    chain = problem.machine.chain
+    values = dict(_afresh(problem, narrow.point, np.isin(chain, chain[more])).values)
+    for p in CATALOGUE[name].parameters:
+        row = values[name, p.name]
+        values[name, p.name] = np.where(more, np.median(row[joints[name]]), row)
     fitted = fit(problem, Point(values), names, {**joints, name: joints[name] | more}, most=MOST_AFRESH)
     there = present(problem, fitted, name, more, deviations(fitted, problem, left_out(fitted, problem)[1]))
     if not there.any() or _share(problem, narrow, fitted, there[problem.channel_joint]) < MOSTLY:
