@@ -25,7 +25,7 @@ import warp as wp
 from mimic.robot.description import RobotDescription
 from mimic.robot.graphs import Replayed, ReplayedWarp
 from mimic.robot.machine import SOLREF_STEPS
-from mimic.robot.model import carry, draw_variation, load_model, vary_model
+from mimic.robot.model import carry, draw_variation, load_model, restitution_damping, vary_model
 from mimic.robot.servo import Servo, read_standing
 from mimic.settings import MdpSettings
 from mimic.train.disturbances import quat_rotate
@@ -132,6 +132,7 @@ class Worlds:
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
         features, slopes, variations, d = [], [], [], settings.disturbances
+        grounds: list[tuple[float, float]] = []
         if self.motors is not None:
             self.motors.draw(count, np.random.default_rng([seed, 19]))
         for i in range(count):
@@ -143,8 +144,7 @@ class Worlds:
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, np.array(description.raw["toe"]["position"]))
-            floor = varied.geom("floor").id
-            varied.geom_solref[floor, 0] *= other.uniform(*d.contact_time)
+            grounds.append((v.restitution, other.uniform(*d.contact_time)))
             angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
             slopes.append(
                 [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
@@ -166,6 +166,10 @@ class Worlds:
             self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
+        self._solref = wp.to_torch(self.model.geom_solref)
+        self._floor = nominal.geom("floor").id
+        self._usual_solref = nominal.geom_solref[self._floor].copy()
+        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
         self._usual_gains = usual.reshape(1, *self._gains.shape[1:]).expand_as(self._gains)
         self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
@@ -177,7 +181,10 @@ class Worlds:
         self.ease(1.0)
 
     def ease(self, share: float) -> None:
-        """Give each world this share of its own gains and slope, and the usual ones for the rest."""
+        """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
+        ground = np.array([self._ground(share * bounce, 1 + share * (time - 1)) for bounce, time in self._grounds])
+        solref = torch.as_tensor(ground, dtype=torch.float32, device=self.device)
+        self._solref[:, self._floor] = solref[self._ground_of]
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
@@ -187,6 +194,11 @@ class Worlds:
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
+
+    def _ground(self, bounce: float, time: float) -> tuple[float, float]:
+        """Return time constant [s] and damping ratio of a contact of the same stiffness but for the factor on its time."""
+        damping = restitution_damping(bounce)
+        return time * float(self._usual_solref[0]) / damping, damping
 
     def _servo(self) -> Servo:
         m, d = self.model, self.data

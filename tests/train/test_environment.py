@@ -8,6 +8,7 @@ import pytest
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
 from mimic.robot.description import with_timestep
 from mimic.robot.leg import front_toes
+from mimic.robot.model import restitution_damping
 from mimic.run.simulation import SimulatedPlant
 from mimic.settings import NOMINAL, UNDISTURBED, FinishFactors, MdpSettings, RewardWeights, Solver
 from mimic.types import JointCommand
@@ -181,29 +182,39 @@ def test_noise_is_on_measured_terms_only(description):
     assert difference[:, 18:].max() == 0.0
 
 
-def test_gains_slopes_and_rules_come_in_over_the_ramp(description):
+def test_gains_slopes_and_the_ground_come_in_over_the_ramp(description):
     env = make(
         description,
         worlds=2,
-        disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)),
+        disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0), contact_time=(1.5, 1.5)),
+        randomisation=dataclasses.replace(FEW.randomisation, restitution=(0.4, 0.4)),
         calm_share=0.25,
         ease_latest=240.0,
         ease_steps=480.0,
         ease_falls=-1.0,
     )
 
-    def at(calls: int) -> tuple[float, float]:
+    usual = env.worlds.mj_model.geom("floor").solref[0]
+
+    def at(calls: int) -> tuple[float, float, np.ndarray]:
         env.resume_at(calls)
         env.step(torch.zeros(2, 12))
+        ground = env.worlds.model.geom_solref.numpy()[0, env.worlds.mj_model.geom("floor").id].copy()
         slope = np.rad2deg(2 * np.arccos(env.worlds.slope_quat[:, 0].numpy().clip(-1, 1)))
         spread = np.abs(env.worlds.model.actuator_gainprm.numpy()[..., 4] / description.kp - 1).max()
-        return float(slope.mean()), float(spread)
+        return float(slope.mean()), float(spread), ground
+
+    def ground(bounce: float, slower: float) -> list[float]:
+        damping = restitution_damping(bounce)
+        return [slower * usual / damping, damping]
 
     early, late = at(0), at(720)
     assert early[0] == pytest.approx(1.0, abs=0.05)
     assert late[0] == pytest.approx(4.0, abs=0.05)
     assert early[1] == pytest.approx(0.25 * late[1], rel=1e-3)
     assert late[1] > 0.05
+    assert early[2] == pytest.approx(ground(0.1, 1.125), rel=1e-5)
+    assert late[2] == pytest.approx(ground(0.4, 1.5), rel=1e-5)
 
 
 def only(**weights: float) -> RewardWeights:
