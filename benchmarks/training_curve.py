@@ -1,10 +1,11 @@
 """How good a policy is after each minute of its training: the paper's table, not the reward, against time.
 
     mimic train out --minutes 9.3 --set snapshots=[2,3,4,5,6,7,8]
-    python benchmarks/training_curve.py out [--episodes 10] [--write docs/images/training_curve.png]
+    python benchmarks/training_curve.py out [more folders] [--episodes 10] [--write docs/images/training_curve.png]
 
 Every ``policy_<minutes>min.onnx`` of the folder, and policy.onnx at its end, is judged under all of the paper's rules;
-a point is the mean over three evaluation seeds. The time is that of the training from its first step on, with the
+a point is the mean over three evaluation seeds, and over the folders where there are several: training seeds of the
+same settings, in the picture with the lowest and the highest of them. The time is that of the training from its first step on, with the
 compilation of kernels. The picture shows each column as a share of what is aimed at, slip the other way round.
 """
 
@@ -76,6 +77,9 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     ends = []
     for name, colour in COLOURS.items():
         points = [at(row["minutes"], share(name, row[name])) for row in rows]
+        for row in rows:
+            low, high = (at(row["minutes"], share(name, value)) for value in row["spread"][name])
+            cv2.line(picture, low, high, colour, 1, cv2.LINE_AA)
         cv2.polylines(picture, [np.array(points)], False, colour, 2, cv2.LINE_AA)
         for point in points:
             cv2.circle(picture, point, 4, colour, -1, cv2.LINE_AA)
@@ -88,21 +92,29 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         raise SystemExit(f"{path} cannot be written")
 
 
+def judged(path: Path, episodes: int) -> dict[str, float]:
+    """Return the columns of a policy, and its toe error [cm]."""
+    table = evaluate_table(path, TableSettings(episodes=episodes))["table"][RULES]
+    columns = {name: table["columns"][name]["mean"] for name in AIMS}
+    return columns | {"toe_error_cm": table["unweighted"]["toe_error_cm"]["mean"]}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="+")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--write", type=Path, default=None)
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     print("| minutes | " + " | ".join(AIMS) + " | toe error [cm] |\n" + "|---" * (len(AIMS) + 2) + "|")
-    for minutes, path in snapshots(options.folder):
-        result = evaluate_table(path, TableSettings(episodes=options.episodes))
-        found = {name: result["table"][RULES]["columns"][name]["mean"] for name in AIMS}
-        toes = result["table"][RULES]["unweighted"]["toe_error_cm"]["mean"]
-        rows.append({"minutes": minutes, **found})
-        cells = [f"{v:.0f}" if n == "steps" else f"{v:.3f}" for n, v in found.items()]
-        print(f"| {minutes:g} | " + " | ".join(cells) + f" | {toes:.1f} |", flush=True)
+    moments = [dict(snapshots(folder)) for folder in options.folder]
+    for minutes in sorted(set.intersection(*(set(m) for m in moments))):
+        found = [judged(m[minutes], options.episodes) for m in moments]
+        mean = {name: float(np.mean([f[name] for f in found])) for name in found[0]}
+        spread = {name: (min(f[name] for f in found), max(f[name] for f in found)) for name in AIMS}
+        rows.append({"minutes": minutes, **mean, "spread": spread})
+        cells = [f"{mean[n]:.0f}" if n == "steps" else f"{mean[n]:.3f}" for n in AIMS]
+        print(f"| {minutes:g} | " + " | ".join(cells) + f" | {mean['toe_error_cm']:.1f} |", flush=True)
     if options.write:
         draw(rows, options.write)
 

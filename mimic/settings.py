@@ -505,6 +505,7 @@ TRAINING_RANDOMISATION = Randomisation(
     joint_friction=(0.0, 0.12),
     joint_damping=(0.0, 0.08),
     ground_friction=(0.4, 3.0),
+    restitution=(0.0, 0.45),
     base_mass=(-1.0, 1.0),
     kp=(0.8, 1.2),
     kd=(0.8, 1.2),
@@ -606,11 +607,11 @@ step than by falling, and a policy learns to fall at once; that was tried."""
 class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 
-    velocity: float = 4.0
-    heading: float = 2.0
+    velocity: float = 5.0
+    heading: float = 2.5
     toes: float = 1.0
     toes_fine: float = 2.0
-    slip: float = 6.0
+    slip: float = 7.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -753,7 +754,9 @@ class MdpSettings:
     late_share: float = 0.05
     """Share of their weight that the LATE reward terms have before; it grows to 1."""
     calm_share: float = 0.2
-    """Share of the disturbances, pushes and gain factors that worlds see before; it grows to 1."""
+    """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before; it grows to 1. On a
+    ground that bounces fully from the beginning a policy learns to stand and step with almost straight legs, and keeps that
+    (docs/policy.md)."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.03

@@ -22,7 +22,7 @@ from mimic.calibrate.diagnose import (
     wider,
 )
 from mimic.calibrate.events import Timing, widening
-from mimic.calibrate.fit import Fit, deviations, fit, left_out, penalty, solve, weak_directions
+from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, penalty, solve, weak_directions
 from mimic.calibrate.moving_base import BaseMotion
 from mimic.calibrate.problem import Key, Knob, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
@@ -61,6 +61,9 @@ LEAST_FALL = 5e-5
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
+
+SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
+"""Numbers of joints that are a declared number of the machine where they are alike in all."""
 
 FAR_BEYOND = 2.0
 """Steps by which a declared number would cross its bound, from which on nothing is named in its chain."""
@@ -406,11 +409,30 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
     for name in [n for n in added[:-1] if not CATALOGUE[n].random]:
         state.tick(f"is {CATALOGUE[name].title} still needed")
         rest = [n for n in state.names if n != name]
-        without = fit(state.problem, state.current.point.without(name), rest, state.joints, most=3)
+        starts = _without(state.current.point, name)
+        fits = fit_all(state.problem, [fitting(state.problem, p, rest, state.joints, most=3) for p in starts])
+        train = state.problem.blocks.train
+        without = min(fits, key=lambda f: state.problem.block_squares(f.residual)[train].sum())
         if not earns_its_keep(state.problem, state.current, without):
             state.current, state.names = without, rest
             stages = [s for s in stages if s.added != name]
     return stages
+
+
+def _without(point: Point, name: str) -> list[Point]:
+    """Return where fits without an effect begin: at what the others are, and with what it was alike in all joints put
+    into the declared number that all joints share.
+
+    That number may be far off by now: while something large was not in the model yet, it was bent to make up for that,
+    and the effect set it right.
+    """
+    bare = point.without(name)
+    starts = [bare]
+    for (effect, parameter), shared in SHARED.items():
+        if effect == name and shared in bare.values:
+            alike = bare.values[shared] + np.median(point.values[effect, parameter])
+            starts.append(Point({**bare.values, shared: alike}))
+    return starts
 
 
 def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
