@@ -903,8 +903,9 @@ class LogSettings:
     """Share of readings that are missing from the log."""
     jitter: float = 0.0
     """Standard deviation of the times of the readings [s]."""
-    timestep: float = 0.0005
-    """Physics step [s]."""
+    timestep: float = 0.0002
+    """Physics step [s]. A calibration works out what steps without length would leave. With 0.5 ms the torques of a log were up
+    to 16 standard deviations of their noise away from that where targets jump, and intervals missed the truth."""
     seed: int = 0
     """Seed of noise and losses."""
 
