@@ -421,7 +421,7 @@ class RunLog(Record):
     p_BE_des: FloatArray = array("side", "xyz")
     """Desired base -> front toe, base axes [m]."""
     observation: FloatArray = array("observation")
-    """What the policy saw; NaN while no policy ran."""
+    """What the policy saw, NaN behind it where the other policy of the run sees more; NaN while no policy ran."""
     action: FloatArray = array("joint")
     """What the policy answered; NaN while no policy ran."""
     q_des: FloatArray = array("joint")

@@ -115,7 +115,7 @@ def play_on_robot(
     from mimic.run.recorder import RunRecorder
     from mimic.run.safety import Supervisor
     from mimic.run.signals import Signals
-    from mimic.run.ticking import Safety
+    from mimic.run.ticking import Safety, observation_width
 
     description = load_description()
     policy = load_policy(run.policy, description)
@@ -150,7 +150,7 @@ def play_on_robot(
                 go=lambda: wait_for_enter(bus, f"{what} Ctrl-C sits down, a second one damps at once."),
             )
         )
-        recorder = RunRecorder(folder, policy.contract.observation_size, {"dt": policy.contract.dt})
+        recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})
         safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=standing)
         try:
             with signals.caught(), _told_live(supervisor), _undisturbed():

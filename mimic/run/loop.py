@@ -21,7 +21,7 @@ from mimic.robot.leg import front_toes
 from mimic.run.brake import damping_command
 from mimic.run.plant import Plant
 from mimic.run.safety import Event, Mode
-from mimic.run.ticking import Run, Safety, Sink
+from mimic.run.ticking import Run, Safety, Sink, observation_width
 from mimic.settings import RunSettings
 from mimic.store import plain
 from mimic.types import (
@@ -181,7 +181,7 @@ def run_policy(
         ticks += len(track.t)
     last = 0 if sit_down is None else round(settings.sit_down / dt)
     told = None if progress is None else partial(_told, progress, ticks + last)
-    run = Run(plant, contract, sink, told, safety)
+    run = Run(plant, observation_width(policy, sit_down), sink, told, safety)
     ending = _Ending()
     try:
         if safety is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.policy.contract import ObservationBuilder, PolicyContract, joint_command
+from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
 from mimic.robot.leg import front_toes
 from mimic.run.gaps import Gaps
@@ -39,19 +39,24 @@ class Safety:
     """Whether the last command is held until something ends the run."""
 
 
+def observation_width(*policies: Policy | None) -> int:
+    """Return how many numbers the log of a run keeps of what these policies see: as many as the one that sees most."""
+    return max(policy.contract.observation_size for policy in policies if policy is not None)
+
+
 class Run:
     """A run on its way: the plant, its newest state, and what has been recorded."""
 
     def __init__(
         self,
         plant: Plant,
-        contract: PolicyContract,
+        width: int,
         sink: Sink | None,
         progress: Callable[[int], None] | None,
         safety: Safety | None,
     ) -> None:
         self.plant, self.sink, self.progress, self.safety = plant, sink, progress, safety
-        self._contract = contract
+        self._width = width
         self._rows: dict[str, list[Any]] = {}
         self._health: dict[str, list[Any]] = {}
         self._events = 0
@@ -114,11 +119,13 @@ class Run:
         if self.safety is not None:
             clamped += int(np.count_nonzero(np.abs(action) > contract.action_clip))
         asked = {"v_des": v_des, "heading_des": heading_des, "p_BE_des": p_BE_des}
-        self._step(command, phase, clamped, **asked, observation=observation, action=action)
+        seen = np.full(self._width, np.nan)
+        seen[: len(observation)] = observation
+        self._step(command, phase, clamped, **asked, observation=seen, action=action)
 
     def hold(self, command: JointCommand, phase: int) -> None:
         """Send a command that no policy made, for one control step."""
-        nothing = np.full(self._contract.observation_size, np.nan)
+        nothing = np.full(self._width, np.nan)
         asked = {"v_des": np.zeros(2), "heading_des": np.nan, "p_BE_des": np.full((2, 3), np.nan)}
         self._step(command, phase, 0, **asked, observation=nothing, action=np.full(12, np.nan))
 

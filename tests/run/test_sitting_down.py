@@ -54,6 +54,21 @@ def test_a_run_ends_by_sitting_down_and_damped(memory_plant, told_policy, sitter
     assert not result.interrupted
 
 
+@pytest.mark.parametrize(("frames", "sitting"), [(6, 3), (3, 6)])
+def test_policies_of_a_run_may_remember_differently(
+    memory_plant, told_policy, sitter, track, contract, frames, sitting
+):
+    tracker = told_policy()
+    tracker.contract = dataclasses.replace(contract, history=frames)
+    sitter.contract = dataclasses.replace(sitter.contract, history=sitting)
+    seen = run_policy(memory_plant(), tracker, track(20), SHORT, sit_down=sitter).log.observation
+    widths = tracker.contract.observation_size, sitter.contract.observation_size
+    assert seen.shape == (BEFORE + LAST, max(widths))
+    for rows, policy, width in zip(np.split(seen, [BEFORE]), (tracker, sitter), widths, strict=True):
+        assert np.array_equal(rows[:, :width], policy.seen)
+        assert np.isnan(rows[:, width:]).all()
+
+
 def test_it_keeps_its_heading_and_is_asked_for_nothing(memory_plant, told_policy, sitter, track):
     log = run_policy(memory_plant(heading=0.7), told_policy(), track(20, turn=0.3), SHORT, sit_down=sitter).log
     rows = log.phase == PHASES.index("sit_down")
