@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -454,28 +454,50 @@ def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[
 
 
 def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
-    """Withdraw effects of chains where a number stops at a bound that the log would have it cross by far.
+    """Withdraw effects of chains where a number stops at a bound that the log would have it cross.
 
-    With all that was found in the model, something else is wrong there, and a name may stand for that.
+    With all that was found in the model, something else is wrong there, and a name may stand for that. Far beyond its bound, any
+    number of a chain puts the whole of its effects in doubt. A declared number that a machine cannot have puts in doubt what
+    they are in this chain: there they are withdrawn, elsewhere they stay.
     """
-    machine = state.problem.machine
-    stopped = _on_bounds(state.current, state.problem, FAR_BEYOND)
-    doubtful = np.zeros(len(machine.joints), dtype=bool)
-    for knob, _ in stopped:
-        doubtful |= True if knob.joint < 0 else machine.chain == machine.chain[knob.joint]
-    gone = [s for s in stages if s.added and not CATALOGUE[s.added].random and (state.joints[s.added] & doubtful).any()]
-    if not gone:
+    named = [s for s in stages if s.added and not CATALOGUE[s.added].random]
+    far = _on_bounds(state.current, state.problem, FAR_BEYOND)
+    bent = [
+        row for row in _on_bounds(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0
+    ]
+    doubtful, elsewhere = _chains(far, state.problem.machine), ~_chains(bent, state.problem.machine)
+    gone = [
+        s for s in named if (state.joints[s.added] & doubtful).any() or not (state.joints[s.added] & elsewhere).any()
+    ]
+    fewer = {
+        s.added: state.joints[s.added] & elsewhere
+        for s in named
+        if s not in gone and CATALOGUE[s.added].scope != "machine" and (state.joints[s.added] & ~elsewhere).any()
+    }
+    if not gone and not fewer:
         return stages
     state.tick("withdrawing what is not sure")
     names = [s.added for s in gone]
-    why = f"{stopped[0][0].key[0]}.{stopped[0][0].key[1]} stops at its bound {stopped[0][1]:g} in the same chain"
+    knob, bound = (far or bent)[0]
+    why = f"{knob.key[0]}.{knob.key[1]} stops at its bound {bound:g} in the same chain"
     for name in names:
         state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {why}")
+    machine = state.problem.machine
+    for name, there in fewer.items():
+        lost = [j for j, had, has in zip(machine.joints, state.joints[name], there, strict=True) if had and not has]
+        state.withdrawn.append(
+            f"{CATALOGUE[name].title} explains something in {', '.join(lost)}, but is not named there: {why}"
+        )
     rest = [n for n in state.names if n not in names]
     point = state.current.point
     for name in names:
         point = point.without(name)
-    state.current = _settled(state.problem, fit(state.problem, point, rest, state.joints, most=3))
+    values = dict(point.values)
+    for (name, parameter), row in point.values.items():
+        if name in fewer:
+            values[name, parameter] = np.where(fewer[name], row, neutral(name, parameter, machine))
+    state.joints |= fewer
+    state.current = _settled(state.problem, fit(state.problem, Point(values), rest, state.joints, most=3))
     state.names = rest
     errors = _errors(state.problem, state.current.residual)
     kept = [s for s in stages if s not in gone]
@@ -483,6 +505,14 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
         return [*kept[:-1], replace(kept[-1], errors=errors)]
     tried = tuple(replace(c, accepted=False, why=why) if c.accepted else c for c in gone[0].candidates)
     return [Stage(added="", errors=errors, candidates=tried)]
+
+
+def _chains(stopped: Sequence[tuple[Knob, float]], machine: MachineModel) -> BoolArray:
+    """Return the joints (J,) of the chains where a number stopped."""
+    there = np.zeros(len(machine.joints), dtype=bool)
+    for knob, _ in stopped:
+        there |= True if knob.joint < 0 else machine.chain == machine.chain[knob.joint]
+    return there
 
 
 def _told(knob: Knob, bound: float, machine: MachineModel) -> str:

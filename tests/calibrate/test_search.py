@@ -134,3 +134,22 @@ def test_an_effect_of_all_joints_is_extended_to_none(pair: MachineModel) -> None
     assert further(problem, unfitted, "torque_speed", ~everywhere).any()
     assert not further(problem, unfitted, "torque_speed", everywhere).any()
     assert not further(problem, unfitted, "lost_commands", ~everywhere).any()
+
+
+def test_where_a_declared_number_stops_at_its_bound_an_effect_is_named_elsewhere_only(
+    pair: MachineModel, tmp_path: Path
+) -> None:
+    """One link is a little heavier than three times the model's, which is the bound, and both joints stick."""
+    real = tmp_path / "real.xml"
+    real.write_text(PAIR.replace('mass="0.4" diaginertia="0.001 0.001', 'mass="1.216" diaginertia="0.00304 0.00304'))
+    sticky = EffectValues(
+        name="stribeck", joints=("a", "b"), values={"level": np.full(2, 0.25), "speed": np.full(2, 0.15)}
+    )
+    log = log_of(read_machine(real, {"kp": 20.0, "kd": 0.8}), sticky)
+    result = calibrate(log, pair, CalibrateSettings(effects=("stribeck",), most_effects=1))
+    assert [(e.name, e.joints) for e in result.effects][-1] == ("stribeck", ("a",))
+    assert any(
+        line.startswith("Stribeck friction explains something in b, but is not named there: link_mass.factor stops")
+        for line in result.warnings
+    )
+    assert "Stribeck friction in a (" in result.sentence
