@@ -140,13 +140,24 @@ def test_another_setting_is_another_result(played, folder, tmp_path):
     assert (copy / rows(out)["one.npz"]["folder"]).is_dir()
 
 
+def listening() -> None:
+    """Hear Ctrl-C also where the tests run in the background of a shell, which ignores it for all that it starts there."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     someone(tmp_path / "in" / "a.npz", 0.1)
     for i in range(6):
         someone(tmp_path / "in" / f"b{i}.npz", 0.1 + 0.01 * i, rows=6000)
     out = tmp_path / "out"
     command = [sys.executable, "-m", "mimic", "batch", str(tmp_path / "in"), "-o", str(out), "--workers", "1"]
-    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    process = subprocess.Popen(
+        command,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        preexec_fn=listening,
+    )
     until = time.monotonic() + 120
     while not list(out.glob("items/*/metrics.json")) and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
