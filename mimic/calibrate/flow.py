@@ -478,15 +478,15 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
         return stages
     state.tick("withdrawing what is not sure")
     names = [s.added for s in gone]
-    knob, bound = (far or bent)[0]
-    why = f"{knob.key[0]}.{knob.key[1]} stops at its bound {bound:g} in the same chain"
+    why = _where_it_stops(*(far or bent)[0])
     for name in names:
         state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {why}")
     machine = state.problem.machine
     for name, there in fewer.items():
         lost = [j for j, had, has in zip(machine.joints, state.joints[name], there, strict=True) if had and not has]
         state.withdrawn.append(
-            f"{CATALOGUE[name].title} explains something in {', '.join(lost)}, but is not named there: {why}"
+            f"{CATALOGUE[name].title} explains something in {', '.join(lost)}, but is not named there: "
+            f"{_where_it_stops(*bent[0])}"
         )
     rest = [n for n in state.names if n not in names]
     point = state.current.point
@@ -505,6 +505,10 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
         return [*kept[:-1], replace(kept[-1], errors=errors)]
     tried = tuple(replace(c, accepted=False, why=why) if c.accepted else c for c in gone[0].candidates)
     return [Stage(added="", errors=errors, candidates=tried)]
+
+
+def _where_it_stops(knob: Knob, bound: float) -> str:
+    return f"{knob.key[0]}.{knob.key[1]} stops at its bound {bound:g} in the same chain"
 
 
 def _chains(stopped: Sequence[tuple[Knob, float]], machine: MachineModel) -> BoolArray:

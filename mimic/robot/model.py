@@ -143,6 +143,12 @@ def restitution_damping(restitution: float) -> float:
     return a / math.sqrt(1 + a * a)
 
 
+def bouncing(time: float, restitution: float) -> tuple[float, float]:
+    """Return time constant [s] and damping ratio of a contact that bounces, as stiff as one of time constant ``time`` that does not."""
+    damping = restitution_damping(restitution)
+    return time / damping, damping
+
+
 def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variation) -> None:
     """Write one variation into ``model``, starting from the numbers of ``nominal``; repeatable on the same model."""
     joints = slice(6, 18)
@@ -150,8 +156,7 @@ def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variat
     model.dof_damping[joints] = variation.joint_damping
     floor = model.geom("floor").id
     model.geom_friction[floor, 0] = variation.ground_friction
-    damping = restitution_damping(variation.restitution)
-    model.geom_solref[floor] = nominal.geom_solref[floor, 0] / damping, damping  # the stiffness stays
+    model.geom_solref[floor] = bouncing(nominal.geom_solref[floor, 0], variation.restitution)
     model.actuator_gainprm[:, GAIN_KP] = nominal.actuator_gainprm[:, GAIN_KP] * variation.kp
     model.actuator_gainprm[:, GAIN_KD] = nominal.actuator_gainprm[:, GAIN_KD] * variation.kd
     added = np.zeros(model.nbody)

@@ -25,7 +25,7 @@ import warp as wp
 from mimic.robot.description import RobotDescription
 from mimic.robot.graphs import Replayed, ReplayedWarp
 from mimic.robot.machine import SOLREF_STEPS
-from mimic.robot.model import carry, draw_variation, load_model, restitution_damping, vary_model
+from mimic.robot.model import bouncing, carry, draw_variation, load_model, vary_model
 from mimic.robot.servo import Servo, read_standing
 from mimic.settings import MdpSettings
 from mimic.train.disturbances import quat_rotate
@@ -168,7 +168,7 @@ class Worlds:
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
         self._floor = nominal.geom("floor").id
-        self._usual_solref = nominal.geom_solref[self._floor].copy()
+        self._contact_time = float(nominal.geom_solref[self._floor, 0])
         self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
         self._usual_gains = usual.reshape(1, *self._gains.shape[1:]).expand_as(self._gains)
@@ -182,8 +182,9 @@ class Worlds:
 
     def ease(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
-        ground = np.array([self._ground(share * bounce, 1 + share * (time - 1)) for bounce, time in self._grounds])
-        solref = torch.as_tensor(ground, dtype=torch.float32, device=self.device)
+        usual = self._contact_time
+        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
+        solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
@@ -194,11 +195,6 @@ class Worlds:
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
-
-    def _ground(self, bounce: float, time: float) -> tuple[float, float]:
-        """Return time constant [s] and damping ratio of a contact of the same stiffness but for the factor on its time."""
-        damping = restitution_damping(bounce)
-        return time * float(self._usual_solref[0]) / damping, damping
 
     def _servo(self) -> Servo:
         m, d = self.model, self.data
