@@ -227,6 +227,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
     q, v = held.copy(), np.zeros((legs, 3))
     th, om = np.zeros((legs, 3)), np.zeros((legs, 3))
     tau, lagged, seen, heat = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3))
+    speed = np.zeros((legs, 3))  # of the step before, as the drive measures it
     travel, hyst, imp = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 6))
     at = np.zeros((legs, 3), np.int64)
     own = np.zeros((legs, 3), np.bool_)  # joints with a motor body of their own
@@ -323,6 +324,11 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     if p[VLAG] > 0.0:
                         f = 1.0 - math.exp(-h / p[VLAG])
                         old = seen[l, j]
+                        now = vr
+                        vr += 0.5 * (
+                            vr - speed[l, j]
+                        )  # in the middle of the step; else the filter is half a step later
+                        speed[l, j] = now
                         seen[l, j] += f * (vr - old)
                         vr = 0.5 * (old + seen[l, j])
                         damp = 0.0

@@ -11,7 +11,7 @@ from mimic.calibrate.arrival import eased
 from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, prior
 from mimic.calibrate.moving_base import BaseMotion, moving_base
-from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.problem import Key, Point, Problem
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
@@ -35,6 +35,12 @@ MOSTLY = 0.5
 
 MOST_AFRESH = 8
 """Most steps of a fit that begins with declared numbers as the model has them."""
+
+SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
+"""Numbers of joints that are a declared number of the machine where they are alike in all."""
+
+ALIKE = 0.25
+"""Quantile of such numbers over the joints that goes into the one that all share, and the share of the largest that then counts."""
 
 LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
@@ -215,7 +221,7 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
     elif (share := _share(problem, incumbent, fitted, channels)) < LEAST_SHARE:
         why = f"it takes {100 * share:.0f} % of what is unexplained on its joints, below {100 * LEAST_SHARE:.0f} %"
     else:
-        why = _pushed(problem, fitted, there)
+        why = _pushed(problem, incumbent, fitted, there)
     overall, _ = paired(after, before)
     return Tried(
         name=name, fitted=fitted, squares=after, gain=overall, z=z, improvement=improvement, joints=there, why=why
@@ -236,10 +242,11 @@ def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArra
     return better
 
 
-def _pushed(problem: Problem, fitted: Fit, there: BoolArray) -> str:
+def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, there: BoolArray) -> str:
     """Return why declared numbers of the joints where an effect acts forbid it, or nothing.
 
-    A number that the log hardly determines stays near its prior and says nothing.
+    A number that the log hardly determines stays near its prior and says nothing, and one that was at its bound without the
+    effect was not pushed there.
     """
     hessian, gradient = fitted.sums.over(problem.blocks.train)
     for i, knob in enumerate(fitted.knobs):
@@ -247,9 +254,10 @@ def _pushed(problem: Problem, fitted: Fit, there: BoolArray) -> str:
             continue
         value = fitted.point.values[knob.key][max(knob.joint, 0)]
         further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2)
+        had = incumbent.point.values[knob.key][max(knob.joint, 0)]
         label = f"{knob.key[0]}.{knob.key[1]}" + ("" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}")
         for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            if abs(value - bound) < 1e-9 and sign * further > 2 * knob.step:
+            if abs(value - bound) < 1e-9 < abs(had - bound) and sign * further > 2 * knob.step:
                 return f"it pushes {label} onto its bound {bound:g}"
     return ""
 
@@ -264,6 +272,8 @@ class Found:
     """The accepted one."""
     rivals: tuple[str, ...]
     """Effects that this log cannot tell from it."""
+    others: tuple[Tried, ...] = ()
+    """Those behind it that would be accepted too, best first."""
     base: BaseMotion | None = None
     """A motion of the base, where that is what explains the rest."""
 
@@ -310,7 +320,11 @@ def search(
             for s in picked
         ],
     )
-    tried = [judge(problem, incumbent, before, s.name, f, s.joints) for s, f in zip(picked, fits, strict=True)]
+    for i, (s, f) in enumerate(zip(picked, fits, strict=True)):
+        if s.name in {name for name, _ in SHARED} and (apart := _apart_from_shared(problem, f, s)) is not None:
+            point, masks[s.name] = apart
+            fits[i] = fit(problem, point, [*names, s.name], {**joints, s.name: masks[s.name]}, most=3)
+    tried = [judge(problem, incumbent, before, s.name, f, masks[s.name]) for s, f in zip(picked, fits, strict=True)]
     hard = [t for t in tried if _astray(problem, t, tried)]
     if hard:
         tick(f"refitting {', '.join(CATALOGUE[t.name].title for t in hard)} from the model's numbers")
@@ -351,7 +365,28 @@ def search(
         return Found(tried=tuple(tried), best=None, rivals=(), base=base)
     best = good[0]
     rivals = tuple(t.name for t in good[1:] if _rivals(problem, best, t))
-    return Found(tried=tuple(tried), best=best, rivals=rivals)
+    return Found(tried=tuple(tried), best=best, rivals=rivals, others=tuple(good[1:]))
+
+
+def _apart_from_shared(problem: Problem, fitted: Fit, start: Start) -> tuple[Point, BoolArray] | None:
+    """Return where to begin again with what an effect is alike in most joints put into the number that all share, and the
+    joints where something is left of it (J,); None where it is not in most of them.
+
+    A delay of all joints and the delay of the machine are the same thing: neither is sure as long as both are fitted.
+    """
+    values = dict(fitted.point.values)
+    for (name, parameter), shared in SHARED.items():
+        if name != start.name or shared not in values or not start.joints.all():
+            continue
+        alike = float(np.quantile(values[name, parameter], ALIKE))
+        rest = np.maximum(values[name, parameter] - alike, 0.0)
+        there = rest > ALIKE * rest.max()
+        if not there.any() or there.all():
+            return None
+        values[shared] = values[shared] + alike
+        values[name, parameter] = np.where(there, rest, 0.0)
+        return Point(values), there
+    return None
 
 
 def _base(
@@ -555,6 +590,19 @@ def wider(
     if not there.any() or _share(problem, narrow, fitted, there[problem.channel_joint]) < MOSTLY:
         return None
     return (fitted, joints[name] | there) if earns_its_keep(problem, fitted, narrow) else None
+
+
+def lasts(problem: Problem, before: Fit, after: Fit, tried: Tried) -> bool:
+    """Return whether an effect, fitted to the end, leaves less of the blocks held out from all fits, where it acts.
+
+    What is read off the log is not asked.
+    """
+    spec = CATALOGUE[tried.name]
+    if spec.random or all(p.fixed or p.shape for p in spec.parameters):
+        return True
+    channels = tried.joints[problem.channel_joint]
+    left, had = (problem.mean_squares(f.residual, True)[channels].sum() for f in (after, before))
+    return bool(left < had)
 
 
 def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mimic.calibrate.problem import Key, Knob, Point, Problem, Sums
-from mimic.types import BoolArray, FloatArray
+from mimic.types import BoolArray, FloatArray, IntArray
 
 DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""
@@ -47,20 +47,14 @@ def prior(knobs: Sequence[Knob]) -> FloatArray:
     return np.array([1.0 / k.spread**2 for k in knobs])
 
 
-def penalty(point: Point, knobs: Sequence[Knob]) -> float:
-    """Return what the priors add to the sum of squares."""
-    return float(np.sum(prior(knobs) * (point.read(knobs) - np.array([k.centre for k in knobs])) ** 2))
-
-
-def solve(
-    hessian: FloatArray, gradient: FloatArray, knobs: Sequence[Knob], at: FloatArray, damping: float
-) -> FloatArray:
-    """Return a damped step toward the best sum of squares and priors, inside the bounds.
+def solve(sums: Sums, blocks: IntArray, knobs: Sequence[Knob], at: FloatArray, damping: float) -> FloatArray:
+    """Return a damped step toward the best weighed sum of squares over some blocks, and priors, inside the bounds.
 
     Knobs that would leave their bounds stop there, and the rest solve again.
     """
+    hessian, gradient = sums.weighed_over(blocks)
     low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
-    weight = prior(knobs)
+    weight = prior(knobs) * sums.weight
     gradient = gradient - weight * (at - np.array([k.centre for k in knobs]))
     free = np.ones(len(knobs), dtype=bool)
     step = np.zeros(len(knobs))
@@ -95,8 +89,7 @@ def linear_step(
     damping: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return a step of the knobs (P,), and the residual (T, C) that it would leave were the model linear."""
-    hessian, gradient = problem.sums(residual, columns, knobs).over(problem.blocks.train)
-    step = solve(hessian, gradient, knobs, point.read(knobs), damping)
+    step = solve(problem.sums(residual, columns, knobs), problem.blocks.train, knobs, point.read(knobs), damping)
     left = residual.copy()
     for size, column in zip(step, columns, strict=True):
         left -= np.float32(size) * column
@@ -176,14 +169,15 @@ def fitting(
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
         stacked = [columns[k.key, k.joint] for k in knobs]
-        hessian, gradient = problem.sums(residual, stacked, knobs).over(problem.blocks.train)
+        sums = problem.sums(residual, stacked, knobs)
+        _, gradient = sums.over(problem.blocks.train)
         at, before = point.read(knobs), best
         steps: list[FloatArray] = [np.zeros(len(knobs))]
         costs, replayed = [best], [residual]
         for dampings in (DAMPINGS, STIFFER):
             if dampings is STIFFER and not _promised(problem, knobs, gradient * steps[-1], best, costs):
                 break
-            tried = [solve(hessian, gradient, knobs, at, damping) for damping in dampings]
+            tried = [solve(sums, problem.blocks.train, knobs, at, damping) for damping in dampings]
             trials = [point.moved(knobs, step) for step in tried]
             answers = yield trials
             steps += tried
@@ -193,12 +187,17 @@ def fitting(
             steps.append(mixed)
             replayed.append((yield [point.moved(knobs, mixed)])[0])
             costs.append(_cost(problem, point.moved(knobs, mixed), replayed[-1], knobs))
-        winner = int(np.argmin([cost.sum() for cost in costs]))
+        winner = int(np.argmin([problem.weight @ cost for cost in costs]))
         point, residual, best = point.moved(knobs, steps[winner]), replayed[winner], costs[winner]
         if not winner or (1 - best / before < CONVERGED).all():
             break
     sums = problem.sums(residual, stacked, knobs)  # derivatives of the last step's start: near enough once it is small
     return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
+
+
+def weighed_cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> float:
+    """Return what a fit minimises: the sum of squares and priors of each chain by its weight."""
+    return float(problem.weight @ _cost(problem, point, residual, knobs))
 
 
 def _cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> FloatArray:
@@ -218,7 +217,7 @@ def _best_of_chains(
 
     Numbers of the whole machine go with the step that is best in all. None where one step is best for every chain.
     """
-    choice, overall = np.argmin(costs, axis=0), int(np.argmin([cost.sum() for cost in costs]))
+    choice, overall = np.argmin(costs, axis=0), int(np.argmin([problem.weight @ cost for cost in costs]))
     if (choice == choice[0]).all():
         return None
     of = [overall if k.joint < 0 else int(choice[problem.machine.chain[k.joint]]) for k in knobs]
@@ -257,7 +256,7 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     squares = problem.block_squares(fitted.residual)[train]
     if not fitted.knobs:
         return squares, np.zeros((len(train), 0))
-    total = s.over(train)[0] + np.diag(prior(fitted.knobs))
+    total = s.weighed_over(train)[0] + np.diag(prior(fitted.knobs) * s.weight)
     low_high = np.array([k.bounds for k in fitted.knobs]).reshape(-1, 2)
     at = fitted.point.read(fitted.knobs)
     free = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
@@ -267,8 +266,8 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
     for row, b in enumerate(train):
         if stacked is None:
             break
-        rest = (total - s.hessian[b])[np.ix_(index, index)]
-        change = scaled_solution(rest, s.gradient[b][index], 1e-10)
+        rest = (total - s.weighed[0][b])[np.ix_(index, index)]
+        change = scaled_solution(rest, s.weighed[1][b][index], 1e-10)
         moves[row, index] = -change
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)

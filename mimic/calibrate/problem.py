@@ -24,6 +24,12 @@ from mimic.types import BoolArray, FloatArray, IntArray
 REMEMBERED = 4
 """Replays in fine steps that are kept: they are dear, and some points are asked for again."""
 
+EQUAL = 0.25
+"""Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
+
+LEAST_WEIGHT = 1e-4
+"""Of a chain of which very much is left."""
+
 Key = tuple[str, str]
 """(effect, parameter)"""
 
@@ -149,10 +155,18 @@ class Sums:
     """(B, P)"""
     square: FloatArray
     """Sum of squares (B,)."""
+    weighed: tuple[FloatArray, FloatArray]
+    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see :meth:`Problem.weigh`."""
+    weight: FloatArray
+    """Weight of the chain of each knob, 1 for those of the whole machine (P,)."""
 
     def over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return Hessian (P, P) and gradient (P,) over some blocks."""
         return self.hessian[blocks].sum(0), self.gradient[blocks].sum(0)
+
+    def weighed_over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the same in which each chain has its weight."""
+        return self.weighed[0][blocks].sum(0), self.weighed[1][blocks].sum(0)
 
 
 def _scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -193,6 +207,10 @@ class Problem:
             self.noise = np.concatenate([noise, torque_noise])
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
+        self.weight = np.ones(int(self.machine.chain.max()) + 1)
+        """Of each chain (K,), see :meth:`weigh`."""
+        self.pinned: frozenset[Key] = frozenset()
+        """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self._scales = _scales(replay)
         self._fine: deque[tuple[Point, tuple[FloatArray | None, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
@@ -307,6 +325,21 @@ class Problem:
         """Let these readings (T,) not count."""
         self.blocks = replace(self.blocks, index=np.where(rows, -1, self.blocks.index))
 
+    def weigh(self, residual: FloatArray) -> bool:
+        """Let chains of which a residual (T, C) leaves more say less about the numbers that all share, from here on.
+
+        Otherwise a leg that lacks an effect bends the delay of the machine to make up for it, and the other legs then seem to lack
+        something too. A chain's own numbers are what they were: its weight is on its priors as well.
+
+        Returns:
+            Whether some chain's weight has changed by more than half.
+        """
+        left = np.maximum(self.mean_squares(residual, False), 1.0)
+        chains = np.array([left[self.channel_chain == c].mean() for c in range(len(self.weight))])
+        share = chains.min() / chains
+        before, self.weight = self.weight, np.where(share > EQUAL, 1.0, np.maximum(share, LEAST_WEIGHT))
+        return bool((np.abs(np.log(self.weight / before)) > np.log(1.5)).any())
+
     def coarsen_torque(self, least: FloatArray) -> None:
         """Raise the noise floor of the torque channels to this (J,): what coarse steps are unsure of."""
         joints = len(self.machine.joints)
@@ -326,7 +359,7 @@ class Problem:
         for name in names:
             spec = CATALOGUE[name]
             for p in spec.parameters:
-                if p.fixed or spec.random:
+                if p.fixed or spec.random or (name, p.name) in self.pinned:
                     continue
                 if spec.scope == "machine":
                     found.append(self._knob(point, name, p, -1))
@@ -400,6 +433,7 @@ class Problem:
         """Return the normal equations of each block."""
         count, blocks = len(knobs), len(self.blocks.held_out)
         hessian, gradient = np.zeros((blocks, count, count)), np.zeros((blocks, count))
+        weighed = hessian.copy(), gradient.copy()
         square = np.zeros(blocks)
         chains = np.unique(self.channel_chain)
         of = np.array([-1 if k.joint < 0 else self.machine.chain[k.joint] for k in knobs])
@@ -422,7 +456,11 @@ class Problem:
                 good = np.isfinite(r)
                 if not good.all() or not np.isfinite(a).all():
                     a, r = np.nan_to_num(a), np.where(good, r, 0.0)
-                hessian[b][np.ix_(index, index)] += a @ a.T
-                gradient[b][index] += a @ r
+                outer, along = a @ a.T, a @ r
+                hessian[b][np.ix_(index, index)] += outer
+                gradient[b][index] += along
+                weighed[0][b][np.ix_(index, index)] += self.weight[c] * outer
+                weighed[1][b][index] += self.weight[c] * along
                 square[b] += r @ r
-        return Sums(hessian=hessian, gradient=gradient, square=square)
+        weight = np.where(of < 0, 1.0, self.weight[of]) if count else np.zeros(0)
+        return Sums(hessian=hessian, gradient=gradient, square=square, weighed=weighed, weight=weight)

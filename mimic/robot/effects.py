@@ -160,7 +160,7 @@ _ALL = (
             Parameter(name="kp", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
             Parameter(name="kd", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
         ),
-        signature="as friction and mass together",
+        signature="as friction and mass together; without measured torque kd is not told from viscous friction and stays 1",
         experiment="two logs with gains that differ by a known factor",
         enters="actuator_gainprm, actuator_biasprm",
         source="Li et al. 2024, Table II",

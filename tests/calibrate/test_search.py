@@ -153,3 +153,50 @@ def test_where_a_declared_number_stops_at_its_bound_an_effect_is_named_elsewhere
         for line in result.warnings
     )
     assert "Stribeck friction in a (" in result.sentence
+
+
+def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: MachineModel) -> None:
+    """A slow current loop in one chain looks like a delay of the machine, and then the other chain seems to be early."""
+    lag = EffectValues(name="torque_lag", joints=("a",), values={"time": np.array([0.03])})
+    delay = EffectValues(name="delay", values={"time": np.array([0.011])})
+    problem, start = problem_of(pair, log_of(pair, lag, delay, fast=1.0))
+    first = fit(problem, start, DECLARED, {}, most=5)
+    assert problem.weigh(first.residual)
+    again = fit(problem, first.point, DECLARED, {}, most=5)
+    errors = [abs(f.point.values["delay", "time"][0] - 0.011) for f in (first, again)]
+    assert errors[1] < 0.5 * errors[0]
+    left = [problem.mean_squares(f.residual, True)[1] for f in (first, again)]
+    assert left[0] > 10.0
+    assert left[1] < 1.3
+
+
+def test_chains_alike_have_equal_weights(pair: MachineModel) -> None:
+    problem, start = problem_of(pair, log_of(pair))
+    fitted = fit(problem, start, DECLARED, {}, most=5)
+    assert not problem.weigh(fitted.residual)
+    assert problem.weight == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_the_gain_of_speed_is_fitted_only_where_torque_tells_it_from_friction(pair: MachineModel) -> None:
+    stiff = EffectValues(name="gains", joints=("a",), values={"kp": np.array([1.3]), "kd": np.array([1.0])})
+    log = log_of(pair, stiff)
+    result = calibrate(log, pair, CalibrateSettings(effects=("gains",)))
+    found = next(e for e in result.effects if e.name == "gains")
+    assert found.joints == ("a",)
+    assert found.values["kd"] == pytest.approx([1.0])
+    assert "kd" not in found.intervals
+    low, high = found.intervals["kp"][0]
+    assert low < 1.3 < high
+
+
+def test_a_name_beside_which_much_is_left_is_withdrawn_and_kept_once_that_is_named_too(pair: MachineModel) -> None:
+    sticky = EffectValues(name="stribeck", joints=("a",), values={"level": np.array([0.15]), "speed": np.array([0.2])})
+    wave = {"cosine": np.array([0.06]), "sine": np.array([0.0]), "order": np.array([37.0])}
+    log = log_of(pair, sticky, EffectValues(name="cogging", joints=("a",), values=wave))
+    alone = calibrate(log, pair, CalibrateSettings(effects=("stribeck",)))
+    both = calibrate(log, pair, CalibrateSettings(effects=("stribeck", "cogging")))
+    assert [s.added for s in alone.stages if s.added not in ("", "declared")] == []
+    assert any("is left there" in line for line in alone.warnings)
+    assert next(r for r in alone.unexplained if r.joint == "a").verdict != "explained"
+    assert {s.added for s in both.stages} >= {"stribeck", "cogging"}
+    assert not both.warnings
