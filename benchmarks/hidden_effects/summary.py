@@ -7,6 +7,7 @@ How a result is judged:
     or rival     as right, where a rival of the accepted name ("cannot be told from") counts as the name
     first        the first name is a hidden effect
     unexplained  an effect from outside the catalogue: nothing is named, and some affected joint is not "explained"
+    not shown    one effect that changes no joint's positions by a tenth of the noise floor in this motion: nothing can be named
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from mimic.types import JOINTS
 Record = Mapping[str, Any]
 
 BEGIN, END = "<!-- measured: benchmarks/hidden_effects/summary.py -->", "<!-- end of measured -->"
+
+SHOWN = 0.1
+"""Least change of positions, in noise floors, that a motion must show of an effect for the log to tell of it."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "drive": (
@@ -107,6 +111,11 @@ def unexplained(r: Record) -> bool:
     return nothing_named(r) and marked(r)
 
 
+def shown(r: Record) -> bool:
+    """The effect changes some joint's positions by a tenth of the noise floor, root mean square, in this motion."""
+    return max(r.get("change") or [SHOWN]) >= SHOWN
+
+
 def error_after(r: Record) -> float:
     """Held-out error of the last stage over the true noise floor."""
     return float(np.sqrt(np.mean(np.square(r["stages"][-1]["held_out"])))) / r["floor"]
@@ -168,7 +177,8 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
     def of(group: str, *strengths: str) -> list[Record]:
         return [r for r in records if r["group"] == group and (not strengths or r["key"].split("/")[2] in strengths)]
 
-    plain, weak = of("single", "strong", "medium"), of("single", "weak")
+    plain, weak = ([r for r in of("single", *s) if shown(r)] for s in (("strong", "medium"), ("weak",)))
+    hidden = [r for r in of("single") if not shown(r)]
     pairs, triples, clean, aliens = of("pair"), of("triple"), of("clean"), of("alien")
     rows = [
         ("one effect, strong or medium: named, nothing else", "95 %", _share(plain, right)),
@@ -180,6 +190,7 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
             "80 %",
             _share(weak, lambda r: right(r) or right_or_rival(r)),
         ),
+        ("one effect that this motion does not show: nothing named", "", _share(hidden, nothing_named)),
         ("two effects: both named", "80 %", _share(pairs, all_found)),
         ("two effects: both named, nothing else", "", _share(pairs, right)),
         ("three effects: all named", "", _share(triples, all_found)),
@@ -213,7 +224,9 @@ def effect_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for names in dict.fromkeys(
         tuple(r["names"]) for r in records if r["group"] in ("single", "alien", "pair", "triple")
     ):
-        mine = [r for r in records if tuple(r.get("names", ())) == names]
+        mine = [r for r in records if tuple(r.get("names", ())) == names and (len(names) > 1 or shown(r))]
+        if not mine:
+            continue
         judge = unexplained if mine[0]["group"] == "alien" else right
         cells = []
         for strength in ("strong", "medium", "weak"):
@@ -251,7 +264,7 @@ def plot(records: Sequence[Record], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    singles = [r for r in records if r["group"] == "single" and "error" not in r]
+    singles = [r for r in records if r["group"] == "single" and "error" not in r and shown(r)]
     if not singles:
         return
     x = np.array([declared_error(r) for r in singles])

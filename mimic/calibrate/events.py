@@ -170,8 +170,12 @@ def widening(problem: Problem, fitted: Fit, variance: float) -> FloatArray:
 
 
 def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence[_Lateness]) -> float:
-    """Return the covariance of what each group shows with what the others show, over the variance of its own."""
-    shared, own = 0.0, 0.0
+    """Return the covariance of what each group shows with what the others show, over the variance of its own.
+
+    How much of that variance is noise is not sure, since what a linear model leaves counts as noise: it is all the deviations say
+    or less, and the answer is the one nearest to 1 that this allows.
+    """
+    shared, own, all_of_it = 0.0, 0.0, 0.0
     for one, rest in zip(normal, others, strict=True):
         mine = _lateness([one])
         both = (mine.deviation < CERTAIN) & (rest.deviation < CERTAIN)
@@ -180,7 +184,8 @@ def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence
         a, b = mine.value[both] - np.mean(mine.value[both]), rest.value[both] - np.mean(rest.value[both])
         shared += float(np.sum(a * b))
         own += float(np.sum(a * a - mine.deviation[both] ** 2))
-    return shared / own if own > 0.0 else 0.0
+        all_of_it += float(np.sum(a * a))
+    return float(np.clip(1.0, shared / all_of_it, shared / own)) if own > 0.0 < shared else 0.0
 
 
 def _usual_late(problem: Problem) -> float:

@@ -563,7 +563,7 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
 def _in_part(state: _Search, name: str, has: BoolArray) -> tuple[BoolArray, float]:
     """Return the joints (J,) with an effect in whose chain most of what it should explain is left, and the least share taken.
 
-    An effect that others stand in for takes a part of the residual, and the right name nearly all. Measured on 150 hidden
+    An effect that others stand in for takes a part of the residual, and the right name nearly all. Measured on 136 hidden
     machines (docs/calibration.md): wrong names took 38 to 73 %, right ones beside which something was left 86 % and more.
     """
     partly, least, spec = np.zeros_like(has), 1.0, CATALOGUE[name]
