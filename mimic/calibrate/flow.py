@@ -271,14 +271,14 @@ def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
     return _settled(problem, fitted)
 
 
-def _settled(problem: Problem, fitted: Fit) -> Fit:
+def _settled(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
     """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
 
     Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
-    timed = [k for k in fitted.knobs if CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
-    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, FINE_SEGMENT)
+    timed = [k for k in fitted.knobs if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
+    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, FINE_SEGMENT, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
     columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
     settled = _refined(problem, replace(fitted, columns=tuple(columns)), MOST_CORRECTIONS)
@@ -609,7 +609,9 @@ def _polished(state: _Search) -> Fit:
     if "kt_heat" in state.names:
         state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
         _correct(state.problem, state.current.point)
-    return _settled(state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1))
+    return _settled(
+        state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1), every=True
+    )
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:

@@ -27,6 +27,9 @@ REMEMBERED = 4
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
 
+WIDE, NARROW = 0.25, 0.0625
+"""Shares of a knob's step over which one-sided and central differences are taken."""
+
 LEAST_WEIGHT = 1e-4
 """Of a chain of which very much is left."""
 
@@ -264,15 +267,31 @@ class Problem:
         return made
 
     def columns_in_fine_steps(
-        self, point: Point, knobs: Sequence[Knob], times: int, segment: float
+        self, point: Point, knobs: Sequence[Knob], times: int, segment: float, both_sides: bool = False
     ) -> list[FloatArray]:
-        """Return the derivatives (T, C) of each knob by replays with so many times more steps, see :meth:`columns`."""
-        points, groups, sizes = self.difference_points(point, knobs)
+        """Return the derivatives (T, C) of each knob by replays with so many times more steps, see :meth:`columns`.
+
+        With ``both_sides`` they are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
+        derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
+        """
+        points, groups, sizes = self.difference_points(point, knobs, NARROW if both_sides else WIDE)
         if not points:
             return []
-        base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
-        moved = self._whitened(self._replayed(self.replay.finer(times, segment, len(points)), points))
-        return self.columns(base, moved, groups, knobs, sizes)
+        finer = self.replay.finer(times, segment, len(points))
+        moved = self._whitened(self._replayed(finer, points))
+        if not both_sides:
+            base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
+            return self.columns(base, moved, groups, knobs, sizes)
+        low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
+        at = point.read(knobs)
+        back = np.clip(at - sizes, low, high) - at
+        opposite = []
+        for group in groups:
+            by = np.zeros(len(knobs))
+            by[group] = back[group]
+            opposite.append(point.moved(knobs, by))
+        other = self._whitened(self._replayed(finer, opposite))
+        return self.columns(other, moved, groups, knobs, sizes - back)
 
     def warm_up(self, point: Point, times: int, segment: float) -> None:
         """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""
@@ -393,8 +412,10 @@ class Problem:
             found.setdefault((knob.key, place), []).append(i)
         return list(found.values())
 
-    def difference_points(self, point: Point, knobs: Sequence[Knob]) -> tuple[list[Point], list[list[int]], FloatArray]:
-        """Return the points of one-sided differences, the knobs of each, and the step of each knob."""
+    def difference_points(
+        self, point: Point, knobs: Sequence[Knob], share: float = WIDE
+    ) -> tuple[list[Point], list[list[int]], FloatArray]:
+        """Return the points of one-sided differences, a share of each knob's step away, the knobs of each, and how far."""
         groups = self.groups(knobs)
         sizes = np.zeros(len(knobs))
         points = []
@@ -403,7 +424,7 @@ class Problem:
             for i in group:
                 high = knobs[i].bounds[1]
                 value = point.values[knobs[i].key][max(knobs[i].joint, 0)]
-                size = 0.25 * knobs[i].step
+                size = share * knobs[i].step
                 by[i] = size if value + size <= high else -size
                 sizes[i] = by[i]
             points.append(point.moved(knobs, by))
@@ -417,10 +438,13 @@ class Problem:
         knobs: Sequence[Knob],
         sizes: FloatArray,
     ) -> list[FloatArray]:
-        """Return d(prediction)/d(knob) (T, C) of each knob, whitened, zero outside its chain."""
+        """Return d(prediction)/d(knob) (T, C) of each knob, whitened, zero outside its chain.
+
+        From residuals at one point (T, C) or at one for each group (N, T, C), and at points where knobs are larger by sizes.
+        """
         found: list[FloatArray | None] = [None] * len(knobs)
-        for replayed, group in zip(moved, groups, strict=True):
-            change = base - replayed
+        for number, (replayed, group) in enumerate(zip(moved, groups, strict=True)):
+            change = (base if base.ndim == moved.ndim - 1 else base[number]) - replayed
             for i in group:
                 column = change / np.float32(sizes[i])
                 if knobs[i].joint >= 0:
