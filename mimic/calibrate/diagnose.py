@@ -92,6 +92,8 @@ class Tried:
     """Joints where the effect is there (J,)."""
     why: str
     """Why it is not accepted; empty where it is."""
+    allowed: BoolArray
+    """Joints where it was fitted (J,)."""
     timing: Timing | None = None
     """Which targets were late, where that is the effect."""
 
@@ -224,7 +226,15 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
         why = _pushed(problem, incumbent, fitted, there)
     overall, _ = paired(after, before)
     return Tried(
-        name=name, fitted=fitted, squares=after, gain=overall, z=z, improvement=improvement, joints=there, why=why
+        name=name,
+        fitted=fitted,
+        squares=after,
+        gain=overall,
+        z=z,
+        improvement=improvement,
+        joints=there,
+        why=why,
+        allowed=joints,
     )
 
 
@@ -325,7 +335,7 @@ def search(
             point, masks[s.name] = apart
             fits[i] = fit(problem, point, [*names, s.name], {**joints, s.name: masks[s.name]}, most=3)
     tried = [judge(problem, incumbent, before, s.name, f, masks[s.name]) for s, f in zip(picked, fits, strict=True)]
-    hard = [t for t in tried if _astray(problem, t, tried)]
+    hard = [t for t in tried if _astray(problem, incumbent, t, tried)]
     if hard:
         tick(f"refitting {', '.join(CATALOGUE[t.name].title for t in hard)} from the model's numbers")
         everywhere = np.ones(len(problem.machine.joints), dtype=bool)
@@ -458,6 +468,7 @@ def _late(
                 z=z,
                 improvement=improvement,
                 joints=np.ones(len(problem.machine.joints), dtype=bool),
+                allowed=np.ones(len(problem.machine.joints), dtype=bool),
                 why=why,
                 timing=timing,
             )
@@ -509,12 +520,23 @@ def _delay(point: Point) -> float:
     return float(point.values.get(("delay", "time"), np.zeros(1))[0])
 
 
-def _astray(problem: Problem, t: Tried, tried: Sequence[Tried]) -> bool:
-    """Return whether an effect with a threshold may have been fitted from a bad start: it leaves much, and explains
-    nothing, or more than any other."""
-    promising = t.gain < LEAST_GAIN or t.z < LEAST_Z or t.gain == max(o.gain for o in tried)
+def _astray(problem: Problem, incumbent: Fit, t: Tried, tried: Sequence[Tried]) -> bool:
+    """Return whether an effect may have been fitted from a bad start: one with a threshold that leaves much, and explains nothing
+    or more than any other; or the one that explains most, where declared numbers had stopped at their bounds without it."""
+    most = t.gain == max(o.gain for o in tried)
+    if most and _bent(incumbent):
+        return True
     left = np.mean(problem.mean_squares(t.fitted.residual, False))
-    return CATALOGUE[t.name].structural and promising and bool(left > FAR)
+    return CATALOGUE[t.name].structural and (t.gain < LEAST_GAIN or t.z < LEAST_Z or most) and bool(left > FAR)
+
+
+def _bent(fitted: Fit) -> bool:
+    """Return whether a declared number stops at a bound where a machine cannot be."""
+    for knob in fitted.knobs:
+        value = fitted.point.values[knob.key][max(knob.joint, 0)]
+        if CATALOGUE[knob.key[0]].declared and value != 0.0 and min(abs(value - b) for b in knob.bounds) < 1e-9:
+            return True
+    return False
 
 
 def _afresh(problem: Problem, point: Point, joints: BoolArray) -> Point:

@@ -409,12 +409,20 @@ def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
     """Return the accepted effect on the joints where fine steps still show it, and the fit with it there."""
     problem = state.problem
     settled = _settled(problem, pruned(problem, best, state.names, state.joints))
+    if (best.allowed & ~best.joints).any() and earns_its_keep(problem, best.fitted, settled):
+        best = replace(best, joints=best.allowed)  # its numbers were not sure yet, but it is missed where they were not
+        settled = _settled(problem, pruned(problem, best, state.names, state.joints))
     deviation = deviations(settled, problem, left_out(settled, problem)[1])
     there = present(problem, settled, best.name, best.joints, deviation)
     if not there.any() or (there == best.joints).all():
         return best, settled
     fewer = replace(best, fitted=settled, joints=there)
-    return fewer, _settled(problem, pruned(problem, fewer, state.names, state.joints))
+    correction = problem.correction
+    narrow = _settled(problem, pruned(problem, fewer, state.names, state.joints))
+    if earns_its_keep(problem, settled, narrow):  # not sure of any one of these joints, but missed without all of them
+        problem.correction = correction
+        return best, settled
+    return fewer, narrow
 
 
 def _elsewhere_too(state: _Search, best: Tried) -> tuple[Tried, Fit]:
