@@ -200,3 +200,30 @@ def test_a_name_beside_which_much_is_left_is_withdrawn_and_kept_once_that_is_nam
     assert next(r for r in alone.unexplained if r.joint == "a").verdict != "explained"
     assert {s.added for s in both.stages} >= {"stribeck", "cogging"}
     assert not both.warnings
+
+
+def test_a_delay_of_one_joint_is_told_from_that_of_the_machine(pair: MachineModel) -> None:
+    late = EffectValues(name="joint_delay", joints=("a",), values={"time": np.array([0.012])})
+    delay = EffectValues(name="delay", values={"time": np.array([0.011])})
+    result = calibrate(log_of(pair, late, delay, fast=1.0), pair, CalibrateSettings(effects=("joint_delay",)))
+    found = {e.name: e for e in result.effects}
+    assert found["joint_delay"].joints == ("a",)
+    for name, true in (("joint_delay", 0.012), ("delay", 0.011)):
+        low, high = found[name].intervals["time"][0]
+        assert low < true < high
+        assert high - low < 0.002
+
+
+def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: MachineModel) -> None:
+    """Gains, masses, rotors and friction times the same number move alike; a fit may not seem sure of that number."""
+    problem, _ = problem_of(pair, log_of(pair, fast=1.0))
+    names = ["coulomb", "viscous", "link_mass", "armature", "gains"]
+    point = Point.of(names, pair)
+    knobs = problem.knobs(point, {}, names)
+    left = []
+    for both_sides in (False, True):
+        columns = problem.columns_in_fine_steps(point, knobs, 5, 1.0, both_sides)
+        together = sum(value * column for value, column in zip(point.read(knobs), columns, strict=True))
+        left.append(float(np.sqrt(np.nanmean(np.square(together)))))
+    assert left[0] > 1.0
+    assert left[1] < 0.2 * left[0]
