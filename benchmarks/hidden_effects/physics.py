@@ -324,10 +324,9 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     if p[VLAG] > 0.0:
                         f = 1.0 - math.exp(-h / p[VLAG])
                         old = seen[l, j]
+                        # In the middle of the step; else the filter is half a step later.
                         now = vr
-                        vr += 0.5 * (
-                            vr - speed[l, j]
-                        )  # in the middle of the step; else the filter is half a step later
+                        vr += 0.5 * (vr - speed[l, j])
                         speed[l, j] = now
                         seen[l, j] += f * (vr - old)
                         vr = 0.5 * (old + seen[l, j])

@@ -370,7 +370,7 @@ def _grow(state: _Search) -> list[Stage]:
                 stages.append(_nothing(state, replace(found, tried=refused)))
             break
         found = replace(found, best=accepted[0], tried=refused)
-        best, state.current = accepted[1]
+        best = accepted[1]
         state.names.append(best.name)
         state.joints[best.name] = best.joints
         stages.append(
@@ -384,9 +384,9 @@ def _grow(state: _Search) -> list[Stage]:
     return _sure(state, _kept(state, stages))
 
 
-def _first_that_lasts(state: _Search, found: Found) -> tuple[tuple[Tried, tuple[Tried, Fit]] | None, tuple[Tried, ...]]:
-    """Return the first of the effects found that pays when it is fitted to the end, as it was found and with that fit; and
-    all that were tried, those that did not with the reason."""
+def _first_that_lasts(state: _Search, found: Found) -> tuple[tuple[Tried, Tried] | None, tuple[Tried, ...]]:
+    """Return the first of the effects found that pays when it is fitted to the end, as it was found and as it is then, with
+    the search at that fit; and all that were tried, those that did not with the reason."""
     problem, before, tried = state.problem, state.current, found.tried
     correction, weight = problem.correction, problem.weight
     for candidate in (found.best, *found.others)[:MOST_FITTED]:
@@ -398,7 +398,7 @@ def _first_that_lasts(state: _Search, found: Found) -> tuple[tuple[Tried, tuple[
         best, state.current = _where_it_is(state, best)
         best, state.current = _elsewhere_too(state, best)
         if lasts(problem, before, state.current, best):
-            return (candidate, (best, state.current)), tried
+            return (candidate, best), tried
         why = "fitted to the end it leaves no less on blocks that were held out"
         tried = tuple(replace(t, why=why) if t is candidate else t for t in tried)
         state.current, problem.correction, problem.weight = before, correction, weight
