@@ -797,12 +797,16 @@ class MdpSettings:
             )
 
 
+ENDLESS = 100_000_000
+"""Updates that no training makes."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LearnSettings:
     """PPO and the training run."""
 
-    iterations: int = 1500
-    """Policy updates."""
+    iterations: int = 0
+    """Most policy updates; 0 does not limit them where ``minutes`` does, and takes 1500 otherwise."""
     minutes: float = 0.0
     """Stop after this wall-clock time [min]; 0 does not stop."""
     seed: int = 1
@@ -850,8 +854,15 @@ class LearnSettings:
     """Networks of the update in bfloat16."""
 
     def __post_init__(self) -> None:
+        _check_range("iterations", self.iterations, 0, ENDLESS)
+        _check_range("minutes", self.minutes, 0.0, 1e6)
         _check_range("reaching", self.reaching, 0.0, 100.0)
         _check_range("reaching-share", self.reaching_share, 0.001, 1.0)
+
+    @property
+    def updates(self) -> int:
+        """Updates after which a training ends that its time does not end before."""
+        return self.iterations or (ENDLESS if self.minutes > 0 else 1500)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

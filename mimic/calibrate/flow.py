@@ -542,6 +542,9 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
             why = f"{100 * (1 - share):.0f} % of what noise does not explain is left there"
             state.withdrawn.append(_withdrawn(name, partly, why, machine))
             has = has & ~partly
+            if (idle := _idle(state, has)).any():
+                state.withdrawn.append(_withdrawn(name, idle, "nothing was left there without it", machine))
+                has = has & ~idle
         if not (has == had).all():
             fewer[name] = has
     if not fewer:
@@ -586,6 +589,16 @@ def _in_part(state: _Search, name: str, has: BoolArray) -> tuple[BoolArray, floa
             partly |= here
             least = min(least, share)
     return partly, least
+
+
+def _idle(state: _Search, has: BoolArray) -> BoolArray:
+    """Return the joints (J,) in whose chain the declared numbers left nothing that an effect could explain.
+
+    A name may stand there that was found for what is elsewhere, and says nothing once it is withdrawn there.
+    """
+    machine = state.problem.machine
+    left = state.declared[: len(has)] > EXPLAINED**2
+    return has & ~np.isin(machine.chain, machine.chain[left])
 
 
 def _withdrawn(name: str, joints: BoolArray, why: str, machine: MachineModel) -> str:

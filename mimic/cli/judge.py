@@ -13,6 +13,7 @@ from mimic.cli.app import DONE
 from mimic.cli.console import console, matrix, note, progress_bar, table, warn
 from mimic.errors import AssetError, MissingExtra
 from mimic.settings import (
+    ENDLESS,
     EffectsSettings,
     EvaluateSettings,
     LearnSettings,
@@ -213,7 +214,7 @@ def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnS
     figure, unit = ("track/toe_error_cm", "cm toes") if mdp.task == "stand_track" else ("sit_down/lying", "lying")
 
     def report(update: int, row: dict[str, float]) -> None:
-        if update % 10 == 0 or update == learn.iterations - 1:
+        if update % 10 == 0 or update == learn.updates - 1:
             console.print(
                 f"update {update:5d}  {row['steps'] / 1e6:7.1f} M steps  {row['elapsed_s']:6.0f} s  "
                 f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  {row.get(figure, math.nan):5.2f} {unit}"
@@ -221,7 +222,8 @@ def train_policy(out: Path, resume: Path | None, mdp: MdpSettings, learn: LearnS
 
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")
-    note(f"{mdp.worlds} worlds, {learn.iterations} updates; TensorBoard: tensorboard --logdir {out}")
+    length = f"{learn.minutes:g} minutes" if learn.updates == ENDLESS else f"at most {learn.updates} updates"
+    note(f"{mdp.worlds} worlds, {length}; TensorBoard: tensorboard --logdir {out}")
     path = train(out, mdp, learn, resume=resume, report=report)
     note(f"wrote {path}; judge it with: mimic evaluate {path}")
     return DONE

@@ -145,7 +145,7 @@ def train(
                 runner.alg.actor.distribution.log_std_param.clamp_(min=math.log(learn.resume_std))  # type: ignore
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     try:
-        runner.learn(learn.iterations)
+        runner.learn(learn.updates)
     except Enough:
         log.info("stopped after %.1f min", learn.minutes)
     except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite

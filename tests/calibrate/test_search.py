@@ -202,6 +202,17 @@ def test_a_name_beside_which_much_is_left_is_withdrawn_and_kept_once_that_is_nam
     assert not both.warnings
 
 
+@pytest.mark.parametrize(("level", "named"), [(0.015, ()), (0.2, ("b",))])
+def test_a_name_withdrawn_in_one_chain_stays_only_where_something_was_left(pair: MachineModel, level, named) -> None:
+    values = {"level": np.array([0.15, level]), "speed": np.array([0.2, 0.2])}
+    wave = {"cosine": np.array([0.06]), "sine": np.array([0.0]), "order": np.array([37.0])}
+    hidden = [EffectValues(name="stribeck", joints=("a", "b"), values=values)]
+    log = log_of(pair, *hidden, EffectValues(name="cogging", joints=("a",), values=wave))
+    result = calibrate(log, pair, CalibrateSettings(effects=("stribeck",)))
+    assert next((e.joints for e in result.effects if e.name == "stribeck"), ()) == named
+    assert any("nothing was left there without it" in line for line in result.warnings) == (not named)
+
+
 def test_a_delay_of_one_joint_is_told_from_that_of_the_machine(pair: MachineModel) -> None:
     late = EffectValues(name="joint_delay", joints=("a",), values={"time": np.array([0.012])})
     delay = EffectValues(name="delay", values={"time": np.array([0.011])})

@@ -94,6 +94,16 @@ def test_each_update_is_reported_with_its_figures(tmp_path):
     assert {"reward", "episode", "std", "elapsed_s", "learning_rate"} <= set(rows[0][1])
 
 
+def test_a_time_alone_ends_a_training_and_without_one_the_number_of_updates_does(tmp_path):
+    updates = []
+    short = dataclasses.replace(LEARN, iterations=0, minutes=1e-6)
+    train(tmp_path, MDP, short, report=lambda update, row: updates.append(update))
+    assert updates == [0]
+    assert LearnSettings(minutes=9.0).updates > 1_000_000
+    assert LearnSettings(minutes=9.0, iterations=7).updates == 7
+    assert LearnSettings().updates == 1500
+
+
 @pytest.mark.parametrize("size", [1e30, float("inf")])
 def test_a_training_that_is_no_longer_finite_stops_with_a_word(size, tmp_path):
     endless = dataclasses.replace(MDP, rewards=RewardWeights(height=size))
