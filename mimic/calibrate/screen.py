@@ -21,6 +21,10 @@ from mimic.types import BoolArray, FloatArray
 AGREEMENT = 0.5
 """Mean of the unit vectors of the readings from which on they are multiples of a step."""
 
+FINEST_STEP = 2.5
+"""Least step of a coarse encoder that is looked for, in noise floors. Rounding is a 3.5th of a step and in the floor too: where readings
+agree by a half, a step is 2.9 floors."""
+
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
 
@@ -100,7 +104,7 @@ def _step_of(q: FloatArray, noise: float) -> float:
     """
     q = q[:: max(1, len(q) // 3000)]
     q = q - q.mean()
-    around = np.arange(1.0 / 0.1, 1.0 / max(6.0 * noise, 1e-4), 1.0 / (6.0 * max(np.ptp(q), 1e-6)))
+    around = np.arange(1.0 / 0.1, 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(np.ptp(q), 1e-6)))
     if not len(around):
         return 0.0
 
