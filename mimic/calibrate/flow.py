@@ -542,11 +542,10 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
             why = f"{100 * (1 - share):.0f} % of what noise does not explain is left there"
             state.withdrawn.append(_withdrawn(name, partly, why, machine))
             has = has & ~partly
+        if not (has == had).all():
             if (idle := _idle(state, has)).any():
                 state.withdrawn.append(_withdrawn(name, idle, "nothing was left there without it", machine))
-                has = has & ~idle
-        if not (has == had).all():
-            fewer[name] = has
+            fewer[name] = has & ~idle
     if not fewer:
         return stages
     state.tick("withdrawing what is not sure")
