@@ -11,7 +11,7 @@ from mimic.calibrate.arrival import eased
 from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, prior
 from mimic.calibrate.moving_base import BaseMotion, moving_base
-from mimic.calibrate.problem import Key, Point, Problem
+from mimic.calibrate.problem import Key, Knob, Point, Problem
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
@@ -56,6 +56,9 @@ RIVAL_Z = 2.0
 
 TOLD_APART = 10.0
 """Difference of the logarithms of the probabilities of all latenesses from which on one law of them is not the other."""
+
+FAR_BEYOND = 2.0
+"""Steps by which a number would cross its bound, from which on an effect that pushes it there, or stands in its chain, is not named."""
 
 FAR = 4.0
 """Mean square of what is left, in noise floors, from which on the declared numbers may be bent out of shape."""
@@ -258,18 +261,32 @@ def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, there: BoolArray) -> 
     A number that the log hardly determines stays near its prior and says nothing, and one that was at its bound without the
     effect was not pushed there.
     """
-    hessian, gradient = fitted.sums.over(problem.blocks.train)
-    for i, knob in enumerate(fitted.knobs):
+    for knob, bound in stopped(fitted, problem, FAR_BEYOND):
         if not CATALOGUE[knob.key[0]].declared or (knob.joint >= 0 and not there[knob.joint]):
             continue
-        value = fitted.point.values[knob.key][max(knob.joint, 0)]
-        further = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2)
-        had = incumbent.point.values[knob.key][max(knob.joint, 0)]
-        label = f"{knob.key[0]}.{knob.key[1]}" + ("" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}")
-        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            if abs(value - bound) < 1e-9 < abs(had - bound) and sign * further > 2 * knob.step:
-                return f"it pushes {label} onto its bound {bound:g}"
+        if abs(incumbent.point.values[knob.key][max(knob.joint, 0)] - bound) > 1e-9:
+            label = f"{knob.key[0]}.{knob.key[1]}"
+            label += "" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}"
+            return f"it pushes {label} onto its bound {bound:g}"
     return ""
+
+
+def stopped(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
+    """Return numbers at a bound, and the bound, that the log would have cross it by so many steps.
+
+    An effect's bound at which it is none is not one of them: there it ends. The other says how much of it a machine can have.
+    """
+    hessian, gradient = fitted.sums.over(problem.blocks.train)
+    found = []
+    for i, knob in enumerate(fitted.knobs):
+        joint = max(knob.joint, 0)
+        value, none = fitted.point.values[knob.key][joint], neutral(*knob.key, problem.machine)[joint]
+        beyond = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
+        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
+            counts = CATALOGUE[knob.key[0]].declared or abs(none - bound) > 1e-9
+            if counts and abs(value - bound) < 1e-9 and sign * beyond > least:
+                found.append((knob, bound))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -452,6 +469,7 @@ def _late(
             why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
         elif share < LEAST_SHARE:
             why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
+        why = why or _holds_none(timing)
         fitted = replace(incumbent, point=timing.point)
         improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
         if not why and not found:
@@ -459,6 +477,7 @@ def _late(
             replay.set_late(had)
             fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
             improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
+            why = _holds_none(timing)
         found.append(
             Tried(
                 name=timing.name,
@@ -474,6 +493,14 @@ def _late(
             )
         )
     return tuple(found)
+
+
+def _holds_none(timing: Timing) -> str:
+    """Return why a law of lateness is refused whose number is not sure to differ from none, or nothing.
+
+    Where joints are late together for another reason, such as a supply that sags, the mean lateness is one of few targets.
+    """
+    return "" if timing.interval[0] > 0.0 else "the interval of its number holds none"
 
 
 def _likelier(laws: Sequence[Timing]) -> list[Timing]:

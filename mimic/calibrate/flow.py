@@ -10,6 +10,7 @@ import numpy as np
 
 from mimic.calibrate.checks import belongs as targets_belong
 from mimic.calibrate.diagnose import (
+    FAR_BEYOND,
     LEAST_IMPROVEMENT,
     SHARED,
     Found,
@@ -21,6 +22,7 @@ from mimic.calibrate.diagnose import (
     present,
     pruned,
     search,
+    stopped,
     wider,
 )
 from mimic.calibrate.events import Timing, widening
@@ -66,9 +68,6 @@ MOST_FITTED = 3
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
-
-FAR_BEYOND = 2.0
-"""Steps by which a declared number would cross its bound, from which on nothing is named in its chain."""
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; only measured torque tells them from it."""
@@ -206,7 +205,7 @@ def calibrate(
         sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
         belongs=belongs,
         experiments=(*_experiments(stages), *_of_base(state, scale, machine.unit)),
-        warnings=(*state.withdrawn, *(_told(*row, machine) for row in _on_bounds(final, problem))),
+        warnings=(*state.withdrawn, *(_told(*row, machine) for row in stopped(final, problem))),
         not_identifiable=_weak(final, problem),
         traces=traces,
         replays=problem.replay.replays,
@@ -492,24 +491,6 @@ def _without(point: Point, name: str) -> list[Point]:
     return starts
 
 
-def _on_bounds(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
-    """Return numbers at a bound, and the bound, that the log would have cross it by so many steps.
-
-    An effect's bound at which it is none is not one of them: there it ends. The other says how much of it a machine can have.
-    """
-    hessian, gradient = fitted.sums.over(problem.blocks.train)
-    found = []
-    for i, knob in enumerate(fitted.knobs):
-        joint = max(knob.joint, 0)
-        value, none = fitted.point.values[knob.key][joint], neutral(*knob.key, problem.machine)[joint]
-        beyond = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
-        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            counts = CATALOGUE[knob.key[0]].declared or abs(none - bound) > 1e-9
-            if counts and abs(value - bound) < 1e-9 and sign * beyond > least:
-                found.append((knob, bound))
-    return found
-
-
 def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
     """Withdraw effects where something else may stand behind the name, with all that was found in the model.
 
@@ -519,10 +500,8 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
     """
     named = [s for s in stages if s.added and not CATALOGUE[s.added].random]
     machine = state.problem.machine
-    far = _on_bounds(state.current, state.problem, FAR_BEYOND)
-    bent = [
-        row for row in _on_bounds(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0
-    ]
+    far = stopped(state.current, state.problem, FAR_BEYOND)
+    bent = [row for row in stopped(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
     doubtful, elsewhere = _chains(far, machine), ~_chains(bent, machine)
     fewer: dict[str, BoolArray] = {}
     for name in (s.added for s in named):
@@ -609,10 +588,10 @@ def _where_it_stops(knob: Knob, bound: float) -> str:
     return f"{knob.key[0]}.{knob.key[1]} stops at its bound {bound:g} in the same chain"
 
 
-def _chains(stopped: Sequence[tuple[Knob, float]], machine: MachineModel) -> BoolArray:
+def _chains(rows: Sequence[tuple[Knob, float]], machine: MachineModel) -> BoolArray:
     """Return the joints (J,) of the chains where a number stopped."""
     there = np.zeros(len(machine.joints), dtype=bool)
-    for knob, _ in stopped:
+    for knob, _ in rows:
         there |= True if knob.joint < 0 else machine.chain == machine.chain[knob.joint]
     return there
 

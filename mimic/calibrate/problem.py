@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy import signal
 
-from mimic.calibrate.replay import Replay
+from mimic.calibrate.replay import Job, Replay
 from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE, Parameter, scale_of
 from mimic.robot.machine import MachineModel
@@ -260,9 +260,8 @@ class Problem:
         same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
         made = next(same, None)
         if made is None:
-            made = np.concatenate(
-                [self._replayed(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
-            )
+            both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
+            made = np.concatenate(self._all_replayed(both))
             self._fine.append((point, now, made))
         return made
 
@@ -278,8 +277,8 @@ class Problem:
         if not points:
             return []
         finer = self.replay.finer(times, segment, len(points))
-        moved = self._whitened(self._replayed(finer, points))
         if not both_sides:
+            moved = self._whitened(self._replayed(finer, points))
             base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
             return self.columns(base, moved, groups, knobs, sizes)
         low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
@@ -290,8 +289,8 @@ class Problem:
             by = np.zeros(len(knobs))
             by[group] = back[group]
             opposite.append(point.moved(knobs, by))
-        other = self._whitened(self._replayed(finer, opposite))
-        return self.columns(other, moved, groups, knobs, sizes - back)
+        made = self._whitened(self._replayed(finer, [*points, *opposite]))
+        return self.columns(made[len(points) :], made[: len(points)], groups, knobs, sizes - back)
 
     def warm_up(self, point: Point, times: int, segment: float) -> None:
         """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""
@@ -306,19 +305,31 @@ class Problem:
 
     def _replayed(self, replay: Replay, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
+        return self._all_replayed([(replay, points)], pushed)[0]
+
+    def _all_replayed(
+        self, asked: Sequence[tuple[Replay, Sequence[Point]]], pushed: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return the residuals of points by a replay (N, T, C), of each that is asked, side by side."""
         joints = len(self.machine.joints)
-        joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
-        apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
-        for i, point in enumerate(points):
-            apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
-        for rows in apart.values():
-            values = stack([points[i] for i in rows], self.machine)
-            values = values or {("delay", "time"): np.zeros((len(rows), 1))}
-            made = replay.run(values, len(rows), pushed=None if pushed is None else pushed[rows])
+        found, places, jobs = [], [], []
+        for replay, points in asked:
+            joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
+            apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
+            for i, point in enumerate(points):
+                apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
+            for rows in apart.values():
+                values = stack([points[i] for i in rows], self.machine)
+                values = values or {("delay", "time"): np.zeros((len(rows), 1))}
+                own = None if pushed is None else pushed[rows]
+                jobs.append(Job(replay=replay, parameters=values, count=len(rows), pushed=own))
+                places.append((joined, rows))
+            found.append(joined)
+        for (joined, rows), made in zip(places, self.replay.side_by_side(jobs), strict=True):
             joined[rows, :, :joints] = made.residual
             if self.channels > joints:
                 joined[rows, :, joints:] = made.torque_residual
-        return joined
+        return found
 
     def squares(self, points: Sequence[Point]) -> FloatArray:
         """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""

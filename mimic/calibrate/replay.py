@@ -7,7 +7,7 @@ under a position servo forgets its start in that time. So one replay of a long l
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -58,6 +58,18 @@ class Prediction:
     """Measured - predicted position, single precision."""
     torque_residual: FloatArray | None
     """Measured - predicted torque of the motor, its mean since the reading before, where the log has it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """What :meth:`Replay.run` is asked for."""
+
+    replay: Replay
+    parameters: Parameters
+    """Values (count, J) or (count, 1)."""
+    count: int
+    pushed: FloatArray | None = None
+    """Torques on the joints from outside (count, steps, J) [N m]."""
 
 
 @contextmanager
@@ -184,25 +196,33 @@ class Replay:
             targets: Those of each of them (count, ...), instead of the log's.
             pushed: Torques on the joints from outside, in each of them at each physics step (count, steps, J) [N m].
         """
-        size, parts = self.together, []
+        parts = [self._run(*part) for part in self._parts(parameters, count, targets, pushed)]
+        return self._joined(parts, count)
+
+    def _parts(
+        self, parameters: Parameters, count: int, targets: Targets | None, pushed: FloatArray | None
+    ) -> Iterator[tuple[dict[tuple[str, str], FloatArray], Targets, FloatArray | None]]:
+        """Yield parameters, targets and torques from outside of as many parameter sets as are best replayed at once."""
+        size = self.together
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
             values: dict[tuple[str, str], FloatArray] = {
                 k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
             }
-            parts.append(
-                self._run(
-                    values,
-                    self._grid if targets is None else targets.some(rows),
-                    None if pushed is None else pushed[rows],
-                )
-            )
+            own = self._grid if targets is None else targets.some(rows)
+            yield values, own, None if pushed is None else pushed[rows]
+
+    def _joined(self, parts: Sequence[Prediction], count: int) -> Prediction:
         self.replays += count
         joined = np.concatenate([p.residual for p in parts])
         torque = (
             np.concatenate([p.torque_residual for p in parts if p.torque_residual is not None]) if self.torque else None
         )
         return Prediction(residual=joined, torque_residual=torque)
+
+    def side_by_side(self, jobs: Sequence[Job]) -> list[Prediction]:
+        """Return the predictions of several replays on the device of this one, at once where it has room."""
+        return [job.replay.run(job.parameters, job.count, pushed=job.pushed) for job in jobs]
 
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square torque of the motors since the reading before (T, J), with one set of parameters (1, ...)."""

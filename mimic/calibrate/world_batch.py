@@ -52,6 +52,7 @@ class WorldBatch:
             self._static = {name: wp.to_torch(getattr(self.model, name)) for name in STATIC}
             self._gravity = torch.zeros(count, 3, device=device)
             self.model.opt.gravity = wp.from_torch(self._gravity, dtype=wp.vec3)
+            wp.synchronize_device()  # all is there, whatever stream steps it first
         self.step = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
 
     def begin(self, fields: Mapping[str, FloatArray], segments: int, q: torch.Tensor, dq: torch.Tensor) -> None:

@@ -6,14 +6,17 @@ precision, which moves a position by less than a microradian. Nothing leaves the
 
 from __future__ import annotations
 
+from collections.abc import Generator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
 import warp as wp
 from mujoco.batch import Batch
 
-from mimic.calibrate.replay import Prediction, Replay
+from mimic.calibrate.replay import Job, Prediction, Replay
 from mimic.calibrate.targets import Targets, acting
 from mimic.calibrate.world_batch import STATIC, WorldBatch
 from mimic.errors import ConfigError
@@ -24,7 +27,10 @@ from mimic.robot.machine import MachineModel
 from mimic.robot.servo import static_fields, target_shift
 from mimic.types import BoolArray, FloatArray
 
+T = TypeVar("T")
 Values = dict[tuple[str, str], FloatArray]
+Turns = Generator[None, None, T]
+"""Gives others a turn between two steps, returns what was asked for."""
 
 MOST_WORLDS = 65536
 """Worlds stepped together."""
@@ -32,7 +38,7 @@ MOST_WORLDS = 65536
 MEMORY = 0.25
 """Share of the free memory of a GPU that the positions of a replay may take."""
 
-SEGMENT, FINE_SEGMENT = 1.5, 0.4
+SEGMENT, FINE_SEGMENT = 0.8, 0.2
 """Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with its worlds."""
 
 HOST = 256
@@ -97,8 +103,9 @@ class WorldReplay(Replay):
         names = ("kp", "kd", "torque", "flat", "speed", "friction", "armature")
         rows = {name: self._tensor(getattr(d, name)) for name in names}
         self._drives = Drives(**rows, neighbour=self._tensor(d.neighbour, torch.int64))
-        self._worlds: dict[int, WorldBatch] = {}
+        self._worlds: dict[tuple[int, int], WorldBatch] = {}
         self._hosts: dict[int, Batch] = {}
+        self._streams: list[torch.cuda.Stream] = []
         r = self.readings
         self._at = tuple(self._tensor(x, torch.int64) for x in (r.segment, r.step, r.since))
         self._share = self._tensor(r.part)[:, None, None]
@@ -133,9 +140,49 @@ class WorldReplay(Replay):
 
     # ------------------------------------------------------------------ running
 
+    def side_by_side(self, jobs: Sequence[Job]) -> list[Prediction]:
+        """Return the predictions of several replays, on a GPU each on a stream of its own.
+
+        The steps of a few worlds are many short kernels one after another, which leave a GPU nearly idle.
+        """
+        if len(jobs) == 1:
+            return super().side_by_side(jobs)
+        running: dict[int, Turns[Prediction]] = {}
+        for lane, job in enumerate(jobs):
+            assert isinstance(job.replay, WorldReplay)
+            running[lane] = job.replay._running(job, lane)
+        found: dict[int, Prediction] = {}
+        while running:
+            for lane, turns in list(running.items()):
+                with self._stream(lane):
+                    try:
+                        next(turns)
+                    except StopIteration as end:
+                        found[lane] = end.value
+                        del running[lane]
+        return [found[lane] for lane in range(len(jobs))]
+
+    def _stream(self, lane: int) -> AbstractContextManager[object]:
+        if not self._device.startswith("cuda"):
+            return nullcontext()
+        while len(self._streams) <= lane:
+            self._streams.append(torch.cuda.Stream(self._device))
+        return torch.cuda.stream(self._streams[lane])
+
+    def _running(self, job: Job, lane: int) -> Turns[Prediction]:
+        parts = []
+        for parameters, targets, pushed in self._parts(job.parameters, job.count, None, job.pushed):
+            parts.append((yield from self._predicting(parameters, targets, pushed, lane=lane)))
+        return self._joined(parts, job.count)
+
     def _run(self, parameters: Values, targets: Targets, pushed: FloatArray | None, square: bool = False) -> Prediction:
+        return _ended(self._predicting(parameters, targets, pushed, square))
+
+    def _predicting(
+        self, parameters: Values, targets: Targets, pushed: FloatArray | None, square: bool = False, lane: int = 0
+    ) -> Turns[Prediction]:
         sets = _count(parameters)
-        path, torques = self._simulate(parameters, targets, pushed, self.torque or square)
+        path, torques = yield from self._simulate(parameters, targets, pushed, self.torque or square, lane)
         made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
         torque = np.full_like(made, np.nan) if torques is not None else None
         for begin in range(0, sets, RESIDUALS):
@@ -147,7 +194,7 @@ class WorldReplay(Replay):
 
     def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
         sets = _count(parameters)
-        path, _ = self._simulate(parameters, self._grid, None, False)
+        path, _ = _ended(self._simulate(parameters, self._grid, None, False))
         weight = self._tensor(rows[self.readings.row])[:, None, None] / self._tensor(noise) ** 2
         found = []
         for begin in range(0, sets, RESIDUALS):
@@ -183,9 +230,12 @@ class WorldReplay(Replay):
         return torch.where((step >= 0)[:, None, None], residual, 0.0)
 
     def _simulate(
-        self, parameters: Values, targets: Targets, pushed: FloatArray | None, torque: bool
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets."""
+        self, parameters: Values, targets: Targets, pushed: FloatArray | None, torque: bool, lane: int = 0
+    ) -> Turns[tuple[torch.Tensor, torch.Tensor | None]]:
+        """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets.
+
+        What runs at the same time has another ``lane``, and worlds of its own.
+        """
         segments, joints, sets = self.segments, len(self.machine.joints), _count(parameters)
         padded = 1 << (sets - 1).bit_length()  # few sizes, so that few are captured
         index = np.minimum(np.arange(padded), sets - 1)
@@ -198,9 +248,9 @@ class WorldReplay(Replay):
             (n, joints),
             torch,
         )
-        if n not in self._worlds:
-            self._worlds[n] = WorldBatch(self._model(), n, self._device)
-        worlds = self._worlds[n]
+        if (n, lane) not in self._worlds:
+            self._worlds[n, lane] = WorldBatch(self._model(), n, self._device)
+        worlds = self._worlds[n, lane]
         q, dq = (self._tensor(np.tile(x, (padded, 1))) for x in self._starts(self._begin))
         heat = self._heat_at(p)
         law.reset(q, dq, None if heat is None else self._tensor(heat))
@@ -217,7 +267,7 @@ class WorldReplay(Replay):
             pushes=None if pushed is None else self._tensor(pushed),
             push_of=self._tensor(np.repeat(index, segments), torch.int64),
         )
-        self._go(law, worlds, outside, target_shift(p, self.dt), path, torques)
+        yield from self._go(law, worlds, outside, target_shift(p, self.dt), path, torques)
         shape = (padded, segments, joints)
         return path.view(-1, *shape), None if torques is None else torques.view(-1, *shape)
 
@@ -229,8 +279,8 @@ class WorldReplay(Replay):
         shift: FloatArray,
         path: torch.Tensor,
         torques: torch.Tensor | None,
-    ) -> None:
-        """Let law and physics take turns; on a GPU each is a captured graph."""
+    ) -> Turns[None]:
+        """Let law and physics take turns; on a GPU each is a captured graph. Yields between two steps."""
         held, begun, which = outside.targets.held, outside.targets.begun, outside.target_of[:, None]
         begin = self._tensor(np.tile(self._begin, len(which) // self.segments), torch.int64)
         late = self._tensor(shift).expand(len(which) // self.segments, -1).repeat_interleave(self.segments, 0)
@@ -276,6 +326,7 @@ class WorldReplay(Replay):
         for _ in range(self.length - 1):
             worlds.step()
             turn()
+            yield
         worlds.step()
         finish()
 
@@ -306,6 +357,15 @@ class WorldReplay(Replay):
                     values = np.repeat(np.asarray(getattr(self.machine.model, name))[None], size, 0)
                 found[name].append(np.array(values))
         return {name: np.concatenate(values) for name, values in found.items()}
+
+
+def _ended(turns: Turns[T]) -> T:
+    """Return what a replay returns once all its steps are made."""
+    while True:
+        try:
+            next(turns)
+        except StopIteration as end:
+            return end.value
 
 
 def _count(parameters: Parameters) -> int:

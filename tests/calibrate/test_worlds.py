@@ -10,7 +10,7 @@ from mimic.calibrate.fit import fit
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks, stack
 from mimic.calibrate.random_search import random_search
-from mimic.calibrate.replay import Replay
+from mimic.calibrate.replay import Job, Replay
 from mimic.calibrate.simulate import simulate_log
 from mimic.calibrate.targets import Targets
 from mimic.errors import ConfigError
@@ -124,6 +124,21 @@ def test_each_set_may_have_targets_of_its_own(arm: MachineModel, log: MachineLog
         made.append(replay.run(stack([declared(arm)] * 3, arm), 3, grids).residual)
     assert np.nanmax(np.abs(made[0] - made[1])) < SINGLE
     assert np.nanmax(np.abs(made[0][0] - made[0][2])) > 1e-3
+
+
+def test_replays_side_by_side_are_those_one_after_another(arm: MachineModel, log: MachineLog) -> None:
+    _, replay = both(arm, log)
+    finer = replay.finer(2, 0.75)
+    jobs = [
+        Job(replay=which, parameters=stack(tried, arm), count=len(tried))
+        for which, tried in ((replay, points(arm)[:3]), (finer, points(arm)[:3]), (replay, points(arm)[3:6]))
+    ]
+    beside = replay.side_by_side(jobs)
+    alone = [job.replay.run(job.parameters, job.count) for job in jobs]
+    for one, other in zip(beside, alone, strict=True):
+        assert np.array_equal(one.residual, other.residual, equal_nan=True)
+        assert np.array_equal(one.torque_residual, other.torque_residual, equal_nan=True)
+    assert np.nanmax(np.abs(alone[0].residual - alone[1].residual)) > SINGLE  # finer steps are others
 
 
 def test_squares_are_those_of_the_residuals(arm: MachineModel, log: MachineLog) -> None:
