@@ -22,6 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -38,14 +39,14 @@ from mimic.store import plain
 Calibrate = Callable[[MachineLog], Calibration]
 
 
-def calibrate_log(log: MachineLog) -> Calibration:
+def calibrate_log(log: MachineLog, device: str = "cpu") -> Calibration:
     """Calibrate the hung robot against a log, as ``mimic calibrate`` does."""
     from mimic.calibrate.flow import calibrate
     from mimic.robot.description import load_description
     from mimic.robot.machine import hung_robot
     from mimic.settings import CalibrateSettings
 
-    return calibrate(log, hung_robot(load_description()), CalibrateSettings(threads=1))
+    return calibrate(log, hung_robot(load_description()), CalibrateSettings(device=device, threads=1))
 
 
 def truth_record(machine: Machine) -> dict[str, Any]:
@@ -218,6 +219,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", action="append", default=[], help="run keys that contain this; may be repeated")
     parser.add_argument("--rounds", type=int, default=6, help="seeds of everything")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each log")
+    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0, … for the replays")
     parser.add_argument("--list", action="store_true", help="print the keys and stop")
     args = parser.parse_args(argv)
     began = time.monotonic()
@@ -229,7 +231,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     built = build(warm)
     simulate(built.machine, built.motion, 0)  # compiles the physics once, before the workers fork
     limit = min(args.limit, 1e9) - (time.monotonic() - began)
-    done = run_suite(chosen, args.out, args.processes, limit)
+    calibrate = partial(calibrate_log, device=args.device)
+    done = run_suite(chosen, args.out, args.processes, limit, calibrate)
     print(f"{done} of {len(chosen)} scenarios done now; results in {args.out / 'results.jsonl'}")
     return 0
 
