@@ -34,6 +34,9 @@ NEAR = 0.25
 CERTAIN = 0.25
 """Standard deviation of a lateness, in periods, up to which it says something of its own."""
 
+SHARED_Z = 3.0
+"""Standard errors by which what the chains share of the lateness of single targets must differ from nothing."""
+
 ALIKE = 0.5
 """Correlation of the lateness of neighbouring targets from which on it is no jitter: something slow."""
 
@@ -175,17 +178,21 @@ def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence
     How much of that variance is noise is not sure, since what a linear model leaves counts as noise: it is all the deviations say
     or less, and the answer is the one nearest to 1 that this allows.
     """
-    shared, own, all_of_it = 0.0, 0.0, 0.0
+    products, own, all_of_it = [], 0.0, 0.0
     for one, rest in zip(normal, others, strict=True):
         mine = _lateness([one])
         both = (mine.deviation < CERTAIN) & (rest.deviation < CERTAIN)
         if both.sum() < 10:
             continue
         a, b = mine.value[both] - np.mean(mine.value[both]), rest.value[both] - np.mean(rest.value[both])
-        shared += float(np.sum(a * b))
+        products.append(a * b)
         own += float(np.sum(a * a - mine.deviation[both] ** 2))
         all_of_it += float(np.sum(a * a))
-    return float(np.clip(1.0, shared / all_of_it, shared / own)) if own > 0.0 < shared else 0.0
+    product = np.concatenate(products) if products else np.zeros(1)
+    shared = float(product.sum())
+    if shared <= SHARED_Z * np.sqrt(np.sum(product**2)):
+        return 0.0
+    return float(np.clip(1.0, shared / all_of_it, shared / own if own > 0.0 else np.inf))
 
 
 def _usual_late(problem: Problem) -> float:
