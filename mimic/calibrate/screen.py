@@ -7,8 +7,8 @@ from neutral, and are refitted whatever their rank.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -214,14 +214,40 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
         asked.append((knobs, *problem.difference_points(point, knobs)))
     moved = problem.residuals([p for a in asked for p in a[1]])
     before = problem.block_squares(incumbent.residual)[problem.blocks.train]
-    found, at = [], 0
+    found, left_there, at = [], {}, 0
     for (name, point, mask), base, (knobs, differences, groups, sizes) in zip(plans, bases, asked, strict=True):
         made = problem.columns(base, moved[at : at + len(differences)], groups, knobs, sizes)
         at += len(differences)
         everything = (*incumbent.knobs, *knobs)
         columns = [*incumbent.columns, *(np.nan_to_num(c) for c in made)]
         found.append(_predicted(problem, name, point, mask, base, everything, columns, before))
-    return sorted(found, key=lambda s: -s.gain)
+        left_there[name] = base
+    return _where_less_is_left(problem, incumbent, sorted(found, key=lambda s: -s.gain), left_there)
+
+
+def _where_less_is_left(
+    problem: Problem, incumbent: Fit, starts: list[Start], at_begin: Mapping[str, FloatArray]
+) -> list[Start]:
+    """Return the starts, those of effects with a threshold where they began if the step from there leaves more.
+
+    Over such a number the sum of squares is rough, and a derivative says little.
+
+    Args:
+        problem: Log and model.
+        incumbent: Its numbers are free to make up for a change.
+        starts: All.
+        at_begin: Residual of each where it began (T, C).
+    """
+    rough = [s for s in starts if CATALOGUE[s.name].structural]
+    if not rough:
+        return starts
+    made = problem.residuals([s.point for s in rough])
+    worse = set()
+    for start, stepped in zip(rough, made, strict=True):
+        began = _refitted(problem, incumbent, at_begin[start.name]).sum()
+        if not _refitted(problem, incumbent, stepped).sum() < began:  # nor where it blew up
+            worse.add(start.name)
+    return [replace(s, point=s.begin) if s.name in worse else s for s in starts]
 
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
