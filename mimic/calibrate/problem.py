@@ -342,7 +342,9 @@ class Problem:
         there = self.blocks.index >= 0
         squares = np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2
         out = np.zeros((len(self.blocks.held_out), residual.shape[-1]))
-        np.add.at(out, self.blocks.index[there], squares[there])
+        index = self.blocks.index[there]
+        begin = np.flatnonzero(np.diff(index, prepend=-1))  # blocks follow each other
+        out[index[begin]] = np.add.reduceat(squares[there], begin, axis=0)
         return out
 
     def mean_squares(self, residual: FloatArray, held_out: bool) -> FloatArray:

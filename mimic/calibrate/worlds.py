@@ -41,6 +41,9 @@ MEMORY = 0.25
 SEGMENT, FINE_SEGMENT = 0.8, 0.2
 """Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with its worlds."""
 
+TURN = 8
+"""Steps that are begun before another replay that runs side by side has its turn."""
+
 HOST = 256
 """Parameter sets whose masses are worked out together."""
 
@@ -95,6 +98,8 @@ class WorldReplay(Replay):
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
         super().__init__(machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque)
+        if ":" in device:
+            torch.cuda.set_device(device)  # streams and graphs are those of the current device
         wp.config.log_level = wp.LOG_ERROR
         wp.init()
         self._device = device
@@ -323,10 +328,11 @@ class WorldReplay(Replay):
 
         turn = Replayed(between, self._device)
         drive()
-        for _ in range(self.length - 1):
+        for step in range(self.length - 1):
             worlds.step()
             turn()
-            yield
+            if step % TURN == 0:
+                yield
         worlds.step()
         finish()
 

@@ -57,6 +57,7 @@ class ReplayedWarp:
     def __init__(self, function: Callable[[], None], device: str) -> None:
         self._function, self._device = function, device
         self._graph: Any = None
+        self._streams: dict[int, Any] = {}
 
     def __call__(self) -> None:
         """Run the function once."""
@@ -67,9 +68,10 @@ class ReplayedWarp:
         if self._graph is None:
             self._graph = self._captured()
             return
-        stream = wp.stream_from_torch(torch.cuda.current_stream())
-        with wp.ScopedStream(stream):
-            wp.capture_launch(self._graph, stream=stream)
+        stream = torch.cuda.current_stream()
+        if stream.cuda_stream not in self._streams:
+            self._streams[stream.cuda_stream] = wp.stream_from_torch(stream)
+        wp.capture_launch(self._graph, stream=self._streams[stream.cuda_stream])
 
     def _captured(self) -> Any:
         """Run the function once, and return its graph."""

@@ -11,9 +11,12 @@ Arrays are (N, J): N simulations, J joints; parameters of the whole machine are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from mimic.robot.effects import effect
 
@@ -32,8 +35,11 @@ SLOW = 1e-3
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
-HALVINGS = 20
-"""Of the range in which the share of the supply left is looked for."""
+HALVINGS, AT_ONCE = 15, 5
+"""Of the range in which the share of the supply left is looked for; so many at once where little runs side by side on a device."""
+
+LITTLE = 1 << 14
+"""Torques up to which a device takes longer to begin an operation than to do it."""
 
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
@@ -135,6 +141,9 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
+        one = self._zero[None, :1, :1] + 1.0
+        single = xp is np or math.prod(self._shape) > LITTLE
+        self._cuts = xp.concatenate([one * (k + 1) for k in range(1 if single else 2**AT_ONCE - 1)], 0)
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
@@ -343,20 +352,26 @@ class Law:
     def _supply_left(self, asked: Any, omega: Any) -> Any:
         """Return the share of the supply (N, 1) at which motors asked for these torques draw what leaves just that share.
 
-        The more is left, the more they draw: the one root of a falling function, by halving.
+        The more is left, the more they draw: the one root of a falling function, by cutting the range in two, or in many at once.
         """
         if "supply_sag" not in self._has:
             return 1.0
-        xp, drop = self.xp, self.get("supply_sag", "drop")
-        high = self._zero[:, :1] + 1.0
-        low = high * LEAST_SUPPLY
-        for _ in range(HALVINGS):
-            left = (low + high) / 2
-            least, most = self._torque_limits(omega, left)
-            power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[:, None]
-            more = 1.0 - drop * power > left
-            low, high = xp.where(more, left, low), xp.where(more, high, left)
-        return high
+        cuts, rounds = self._cuts, HALVINGS if len(self._cuts) == 1 else HALVINGS // AT_ONCE
+        none = self._zero[:, :1]
+        low, width = none + LEAST_SUPPLY, none + (1.0 - LEAST_SUPPLY)
+        for _ in range(rounds):
+            width = width / (len(cuts) + 1)
+            low = low + width * (self._too_much(low + width * cuts, asked, omega) > 0).sum(0)
+        above, below = self._too_much(low, asked, omega), self._too_much(low + width, asked, omega)
+        above, below = self.xp.clip(above, 0.0, None), self.xp.clip(-below, 0.0, None)
+        return low + width * (above / self.xp.clip(above + below, 1e-30, None))  # straight but for a few kinks
+
+    def _too_much(self, left: Any, asked: Any, omega: Any) -> Any:
+        """Return by how much less than what the motors leave a share of the supply (…, N, 1) is, if it is what they have."""
+        xp = self.xp
+        least, most = self._torque_limits(omega, left)
+        power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
+        return 1.0 - self.get("supply_sag", "drop") * power - left
 
     def _direction(self, dq: Any) -> Any:
         return dq / self.xp.sqrt(dq * dq + SLOW * SLOW)
