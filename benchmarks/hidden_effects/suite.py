@@ -29,10 +29,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import FLOOR, Machine, measured, simulate
-from benchmarks.hidden_effects.scenarios import Scenario, build, ordered
+from benchmarks.hidden_effects.generator import FLOOR, Machine, Truth, measured, simulate
+from benchmarks.hidden_effects.scenarios import Built, Scenario, build, ordered
 from mimic.calibration import Calibration, Errors
 from mimic.machine_log import MachineLog
+from mimic.robot.effect_set import EffectSet
 from mimic.robot.effects import CATALOGUE, DECLARED
 from mimic.store import plain
 
@@ -122,6 +123,20 @@ def result_record(result: Calibration) -> dict[str, Any]:
     }
 
 
+def change(truth: Truth, other: Truth) -> list[float]:
+    """Return how far the positions of each joint are apart, root mean square in noise floors (J,)."""
+    return (np.sqrt(((truth.q - other.q)[100:] ** 2).mean(0)) / FLOOR).tolist()
+
+
+def changes(built: Built, truth: Truth) -> dict[str, list[float]]:
+    """Return how far the positions are apart without each of the hidden effects."""
+    found = {}
+    for name in built.where:
+        rest = EffectSet(tuple(e for e in built.machine.hidden if e.name != name))
+        found[name] = change(truth, simulate(replace(built.machine, hidden=rest), built.motion, built.seed))
+    return found
+
+
 def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> dict[str, Any]:
     """Return one line of the results; an exception of the calibration is a result too."""
     record: dict[str, Any] = {
@@ -139,7 +154,8 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
         if scenario.names:
             bare = replace(built.machine, hidden=type(built.machine.hidden)(), aliens=())
             plain_truth = simulate(bare, built.motion, built.seed)
-            record["change"] = (np.sqrt(((truth.q - plain_truth.q)[100:] ** 2).mean(0)) / FLOOR).tolist()
+            record["change"] = change(truth, plain_truth)
+            record["changes"] = changes(built, truth) if len(scenario.names) > 1 else {}
         log = measured(truth, built.seed)
         start, used = time.perf_counter(), time.process_time()
         result = calibrate(log)

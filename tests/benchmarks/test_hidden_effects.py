@@ -279,6 +279,24 @@ def test_judging_tells_right_from_rival_from_wrong():
     assert not summary.right({"names": ["cogging"], "error": "x"})
 
 
+def test_what_a_motion_does_not_show_is_not_expected():
+    two = {"names": ["cogging", "torque_speed"], "changes": {"cogging": [0.0, 3.0], "torque_speed": [0.0, 0.01]}}
+    one = judged(stages=[("cogging", [])], **two)
+    both = judged(stages=[("cogging", []), ("torque_speed", [])], **two)
+    assert summary.expected(one) == {"cogging"}
+    assert not summary.whole(one)
+    assert [summary.right(r) for r in (one, both)] == [True, False]
+    assert summary.whole(judged(stages=[], names=["cogging", "spring"]))  # not measured: all are expected
+
+
+def test_changes_are_those_of_each_effect_alone():
+    built = build(
+        Scenario(group="pair", names=("torque_speed", "stribeck"), strength="medium", kind="random", seconds=5.0)
+    )
+    found = suite.changes(built, simulate(built.machine, built.motion, built.seed))
+    assert max(found["torque_speed"]) < summary.SHOWN < 1.0 < max(found["stribeck"])
+
+
 def test_coverage_counts_intervals_that_hold_the_truth():
     record = judged(
         stages=[("cogging", [])],
