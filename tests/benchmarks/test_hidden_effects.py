@@ -291,7 +291,7 @@ def test_what_a_motion_does_not_show_is_not_expected():
 
 def test_changes_are_those_of_each_effect_alone():
     built = build(
-        Scenario(group="pair", names=("torque_speed", "stribeck"), strength="medium", kind="random", seconds=5.0)
+        Scenario(group="pair", names=("torque_speed", "stribeck"), strength="medium", kind="random", seconds=10.0)
     )
     found = suite.changes(built, simulate(built.machine, built.motion, built.seed))
     assert max(found["torque_speed"]) < summary.SHOWN < 1.0 < max(found["stribeck"])
