@@ -11,7 +11,7 @@ from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.replay import Replay
-from mimic.calibrate.screen import Motion, starts_of
+from mimic.calibrate.screen import Motion, screen, starts_of
 from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.simulate import simulate_log
 from mimic.machine_log import MachineLog
@@ -251,3 +251,14 @@ def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: M
         left.append(float(np.sqrt(np.nanmean(np.square(together)))))
     assert left[0] > 1.0
     assert left[1] < 0.2 * left[0]
+
+
+def test_backlash_begins_near_its_gap(pair: MachineModel) -> None:
+    """The sum of squares over it is rough: a fit finds it only from nearby, and the derivative there may lead away."""
+    log = log_of(pair, EffectValues(name="backlash", joints=("a",), values={"gap": np.array([0.03])}))
+    problem, point = problem_of(pair, log)
+    fitted = fit(problem, point, DECLARED, {}, most=3)
+    motion = Motion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
+    start = screen(problem, fitted, ["backlash"], motion)[0]
+    assert start.joints[0]
+    assert start.point.values["backlash", "gap"][0] == pytest.approx(0.03, rel=0.2)
