@@ -20,6 +20,8 @@ from mimic.robot.excitation import Excitation, Kind, hung_ranges, probe_targets
 from mimic.types import JOINTS, LEGS
 
 STRENGTHS = ("strong", "medium", "weak")
+FAINT = {"faint": 0.5, "trace": 0.25}
+"""Shares of weak: what they leave is as large as the noise and half as large, about where effects stop being found."""
 KINDS: tuple[Kind, ...] = ("probe", "random")
 WHERE = ("all", "knees", "leg", "joint")
 
@@ -90,7 +92,14 @@ def table() -> dict[str, dict]:
 
 def reachable(name: str, strength: str) -> tuple[str, ...]:
     """Return the parts (abad, hip, knee) where the effect can be this strong."""
-    return tuple(table()[name][strength])
+    return tuple(sizes(name, strength))
+
+
+def sizes(name: str, strength: str) -> dict[str, float]:
+    """Return the size of an effect for each part of a leg where it can be this strong."""
+    if strength in FAINT:
+        return {part: FAINT[strength] * size for part, size in table()[name]["weak"].items()}
+    return table()[name][strength]
 
 
 def build(scenario: Scenario) -> Built:
@@ -114,15 +123,16 @@ def build(scenario: Scenario) -> Built:
             raise ValueError(f"{name} cannot be {scenario.strength}: {table()[name]['why_no_more']}")
         cap = ALIEN_CAPS[name][0] if is_alien else FAMILIES[name].cap
         joints = JOINTS if wide else _some_joints(scenario, place, parts, rng)
-        sizes = {
-            j: min(cap, table()[name][strength][j.split("_")[1] if not wide else parts[0]] * factor)
+        usual = sizes(name, strength)
+        own = {
+            j: min(cap, usual[j.split("_")[1] if not wide else parts[0]] * factor)
             for j, factor in zip(joints, rng.uniform(0.85, 1.2, len(joints)), strict=True)
         }
         where[name] = joints
         if is_alien:
-            aliens += alien(name, sizes)
+            aliens += alien(name, own)
         else:
-            effects.append(hidden_effect(name, sizes, machine, rng))
+            effects.append(hidden_effect(name, own, machine, rng))
     machine = replace(machine, hidden=EffectSet(tuple(effects)), aliens=tuple(aliens))
     ranges = hung_ranges(load_description())
     motion = probe_targets(*ranges, seconds=scenario.seconds, seed=seed % 100_000, kind=scenario.kind)
@@ -166,3 +176,5 @@ def ordered(rounds: int = 6, seconds: float = 60.0) -> Iterator[Scenario]:
         for _ in range(25):
             yield one("clean", seed=clean, kind=KINDS[clean % 2])
             clean += 1
+        for strength in FAINT:
+            yield from (one("single", (n,), strength) for n in FAMILIES if reachable(n, strength))

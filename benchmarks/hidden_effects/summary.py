@@ -22,10 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.hidden_effects.scenarios import FAINT
 from mimic.robot.effects import CATALOGUE
 from mimic.types import JOINTS
 
 Record = Mapping[str, Any]
+STRENGTHS = ("strong", "medium", "weak", *FAINT)
 
 BEGIN, END = "<!-- measured: benchmarks/hidden_effects/summary.py -->", "<!-- end of measured -->"
 
@@ -106,6 +108,10 @@ def all_found(r: Record) -> bool:
 
 def first_right(r: Record) -> bool:
     return "error" not in r and bool(r["named"]) and r["named"][0] in r["names"]
+
+
+def nothing_false(r: Record) -> bool:
+    return "error" not in r and set(r["named"]) <= set(r["names"])
 
 
 def nothing_named(r: Record) -> bool:
@@ -191,7 +197,7 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
         return [r for r in records if r["group"] == group and (not strengths or r["key"].split("/")[2] in strengths)]
 
     plain, weak = ([r for r in of("single", *s) if shown(r)] for s in (("strong", "medium"), ("weak",)))
-    hidden = [r for r in of("single") if not shown(r)]
+    hidden = [r for r in of("single", "strong", "medium", "weak") if not shown(r)]
     pairs, triples = (list(filter(whole, of(group))) for group in ("pair", "triple"))
     partly = [r for r in (*of("pair"), *of("triple")) if not whole(r)]
     clean, aliens = of("clean"), of("alien")
@@ -205,6 +211,11 @@ def goals(records: Sequence[Record]) -> list[tuple[str, str, str]]:
             "80 %",
             _share(weak, lambda r: right(r) or right_or_rival(r)),
         ),
+        *(
+            (f"one effect, {share:g} of weak: named, nothing else", "", _share(of("single", strength), right))
+            for strength, share in FAINT.items()
+        ),
+        ("the same: nothing false named", "", _share(of("single", *FAINT), nothing_false)),
         ("one effect that this motion does not show: nothing named", "", _share(hidden, nothing_named)),
         ("two effects: both named", "80 %", _share(pairs, all_found)),
         ("two effects: both named, nothing else", "", _share(pairs, right)),
@@ -249,7 +260,7 @@ def effect_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
             continue
         judge = unexplained if mine[0]["group"] == "alien" else right
         cells = []
-        for strength in ("strong", "medium", "weak"):
+        for strength in STRENGTHS:
             part = [r for r in mine if r["strength"] == strength]
             cells.append(f"{sum(map(judge, part))} of {len(part)}" if part else "-")
         wrong: dict[str, int] = {}
@@ -266,7 +277,7 @@ def markdown(records: Sequence[Record]) -> str:
     """Return the tables as Markdown."""
     lines = ["| what | goal | measured (95 % interval) |", "|---|---|---|"]
     lines += [f"| {a} | {b} | {c} |" for a, b, c in goals(records)]
-    lines += ["", "| hidden | strong | medium | weak | otherwise named |", "|---|---|---|---|---|"]
+    lines += ["", f"| hidden | {' | '.join(STRENGTHS)} | otherwise named |", f"|{'---|' * (len(STRENGTHS) + 2)}"]
     lines += [f"| {' | '.join(row)} |" for row in effect_rows(records)]
     seconds = [r["cpu_seconds"] for r in records if "cpu_seconds" in r]
     if seconds:

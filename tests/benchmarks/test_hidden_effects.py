@@ -17,7 +17,7 @@ from benchmarks.hidden_effects import physics, suite, summary
 from benchmarks.hidden_effects.agreement import disagreement
 from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
 from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, links, measured, simulate
-from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable
+from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable, sizes
 from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
 from mimic.robot.description import load_description
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -277,6 +277,17 @@ def test_judging_tells_right_from_rival_from_wrong():
     assert not summary.unexplained(nothing)
     assert summary.unexplained(judged(stages=[], unexplained=[{"joint": "FL_knee", "verdict": "periodic"}]))
     assert not summary.right({"names": ["cogging"], "error": "x"})
+
+
+def test_a_trace_is_a_quarter_of_weak():
+    built = build(Scenario(group="single", names=("cogging",), strength="trace", seconds=10.0))
+    (cogging,) = built.machine.hidden
+    made = np.hypot(cogging.values["cosine"], cogging.values["sine"])
+    weak = np.array([sizes("cogging", "weak")[joint.split("_")[1]] for joint in cogging.joints])
+    assert np.all((made > 0.25 * 0.84 * weak) & (made < 0.25 * 1.21 * weak))
+    keys = [s.key for s in ordered(1)]
+    assert "single/cogging/trace/probe/0/60s" in keys
+    assert len(keys) == len(set(keys))
 
 
 def test_what_a_motion_does_not_show_is_not_expected():
