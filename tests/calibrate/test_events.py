@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from mimic.calibrate.arrival import eased
+from mimic.calibrate.events import timings
+from mimic.calibrate.fit import fit
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.replay import Replay
@@ -13,6 +15,7 @@ from mimic.calibrate.simulate import simulate_log
 from mimic.calibration import Calibration
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import DECLARED
 from mimic.robot.machine import MachineModel, read_machine
 from mimic.settings import CalibrateSettings, LogSettings
 
@@ -61,15 +64,24 @@ def test_lost_commands_are_named_with_their_share(pair: MachineModel, share: flo
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
-@pytest.mark.parametrize("spread", [0.012, 0.002])
-def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineModel, spread: float) -> None:
-    """Of 2 ms a joint by itself shows less than its noise; both together show it."""
-    result = calibrated(pair, EffectValues(name="delay_jitter", values={"spread": spread}))
+def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineModel) -> None:
+    result = calibrated(pair, EffectValues(name="delay_jitter", values={"spread": 0.012}))
     assert found(result) == ["delay_jitter"]
     values = {e.name: e.values for e in result.effects}
-    assert values["delay_jitter"]["spread"][0] == pytest.approx(spread, rel=0.15)
+    assert values["delay_jitter"]["spread"][0] == pytest.approx(0.012, rel=0.15)
     assert values["delay"]["time"][0] == pytest.approx(0.011, abs=0.001)
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+def test_joints_agree_on_jitter_of_which_each_by_itself_shows_less_than_its_noise(pair: MachineModel) -> None:
+    log = log_of(pair, EffectValues(name="delay_jitter", values={"spread": 0.002}))
+    replay = Replay(pair, log, timestep=0.0025)
+    problem = Problem(replay, np.full(2, 0.37e-3), None, make_blocks(log.t, replay.counts))
+    fitted = fit(problem, Point.of(DECLARED, pair), DECLARED, {}, most=4)
+    (timing,) = timings(problem, fitted, ["delay_jitter"])
+    assert timing.agreement == pytest.approx(1.0, abs=0.25)
+    assert timing.value == pytest.approx(0.002, rel=0.3)
+    assert timing.interval[0] > 0.001
 
 
 def test_what_one_joint_shows_alone_is_no_late_target(pair: MachineModel) -> None:
