@@ -141,9 +141,10 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
-        one = self._zero[None, :1, :1] + 1.0
-        single = xp is np or math.prod(self._shape) > LITTLE
-        self._cuts = xp.concatenate([one * (k + 1) for k in range(1 if single else 2**AT_ONCE - 1)], 0)
+        if "supply_sag" in has:
+            one = self._zero[None, :1, :1] + 1.0
+            single = xp is np or math.prod(self._shape) > LITTLE
+            self._cuts = xp.concatenate([one * (k + 1) for k in range(1 if single else 2**AT_ONCE - 1)], 0)
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
