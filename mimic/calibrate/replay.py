@@ -203,7 +203,7 @@ class Replay:
             return
         made = Trajectory(self.total)
         values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
-        self._run(values, self._grid, None, trajectory=made)
+        self._stepped(values, self._grid, None, trajectory=made)
         self.replays += 1
         self.trajectory = made if made.finite else None
 
@@ -327,8 +327,18 @@ class Replay:
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
-    @_unheard()
     def _run(
+        self,
+        parameters: dict[tuple[str, str], FloatArray],
+        targets: Targets,
+        pushed: FloatArray | None,
+        square: bool = False,
+    ) -> Prediction:
+        """Return predictions; with ``square`` minus the mean square torque of the motors in place of a residual of it."""
+        return self._stepped(parameters, targets, pushed, square)
+
+    @_unheard()
+    def _stepped(
         self,
         parameters: dict[tuple[str, str], FloatArray],
         targets: Targets,
@@ -336,10 +346,7 @@ class Replay:
         square: bool = False,
         trajectory: Trajectory | None = None,
     ) -> Prediction:
-        """Return predictions; with ``square`` minus the mean square torque of the motors in place of a residual of it.
-
-        The states of one parameter set are written to ``trajectory``.
-        """
+        """Return predictions, see :meth:`_run`; the states of one parameter set are written to ``trajectory``."""
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
