@@ -156,7 +156,7 @@ def fitting(
     knobs = problem.knobs(start, joints, names)
     point = start
     residual = (yield [point])[0]
-    best = _cost(problem, point, residual, knobs)
+    best = chain_costs(problem, point, residual, knobs)
     known: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
         known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
@@ -182,11 +182,11 @@ def fitting(
             answers = yield trials
             steps += tried
             replayed += list(answers)
-            costs += [_cost(problem, p, r, knobs) for p, r in zip(trials, answers, strict=True)]
-        if (mixed := _best_of_chains(problem, knobs, steps, costs)) is not None:  # no one step suits all chains
+            costs += [chain_costs(problem, p, r, knobs) for p, r in zip(trials, answers, strict=True)]
+        if (mixed := best_of_chains(problem, knobs, steps, costs)) is not None:  # no one step suits all chains
             steps.append(mixed)
             replayed.append((yield [point.moved(knobs, mixed)])[0])
-            costs.append(_cost(problem, point.moved(knobs, mixed), replayed[-1], knobs))
+            costs.append(chain_costs(problem, point.moved(knobs, mixed), replayed[-1], knobs))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
         point, residual, best = point.moved(knobs, steps[winner]), replayed[winner], costs[winner]
         if not winner or (1 - best / before < CONVERGED).all():
@@ -195,13 +195,8 @@ def fitting(
     return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
 
 
-def weighed_cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> float:
-    """Return what a fit minimises: the sum of squares and priors of each chain by its weight."""
-    return float(problem.weight @ _cost(problem, point, residual, knobs))
-
-
-def _cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> FloatArray:
-    """Return the sum of squares of each chain (K,), with its priors; those of the whole machine go to the first."""
+def chain_costs(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> FloatArray:
+    """Return what a fit minimises, the sum of squares of each chain (K,) with its priors; those of the whole machine go to the first."""
     cost = np.zeros(int(problem.machine.chain.max()) + 1)
     np.add.at(cost, problem.channel_chain, problem.block_squares(residual)[problem.blocks.train].sum(0))
     chains = [0 if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in knobs]
@@ -210,7 +205,7 @@ def _cost(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[
     return np.minimum(cost, LARGEST)
 
 
-def _best_of_chains(
+def best_of_chains(
     problem: Problem, knobs: Sequence[Knob], steps: Sequence[FloatArray], costs: Sequence[FloatArray]
 ) -> FloatArray | None:
     """Return the step (P,) that takes for each chain the one of steps (P,) with the least of costs (K,).
@@ -292,7 +287,7 @@ def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatAr
     replayed += fitted.residual - replayed[0]  # what a finer replay knows better
     made = np.stack([problem.block_squares(r)[train] for r in replayed])
     costs = np.stack(
-        [_cost(problem, p, r, fitted.knobs) for p, r in zip([fitted.point, *trials], replayed, strict=True)]
+        [chain_costs(problem, p, r, fitted.knobs) for p, r in zip([fitted.point, *trials], replayed, strict=True)]
     )
     chain_of = np.array([k.joint if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in fitted.knobs])
     squares, moves = squares.copy(), moves.copy()
@@ -320,8 +315,13 @@ def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:
     if count < 2 or not fitted.knobs:
         return np.full(len(fitted.knobs), np.inf)
     jackknife = np.sqrt((count - 1) / count * ((moves - moves.mean(0)) ** 2).sum(0))
+    return np.maximum(jackknife, of_white_noise(fitted, problem))
+
+
+def of_white_noise(fitted: Fit, problem: Problem) -> FloatArray:
+    """Return the standard deviation of each knob (P,) were nothing left but white noise."""
     hessian = fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.knobs))
-    return np.maximum(jackknife, np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0)))
+    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0))
 
 
 def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> list[dict[Key, list[int]]]:

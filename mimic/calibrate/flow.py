@@ -26,7 +26,19 @@ from mimic.calibrate.diagnose import (
     wider,
 )
 from mimic.calibrate.events import Timing, widening
-from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, solve, weak_directions, weighed_cost
+from mimic.calibrate.fit import (
+    Fit,
+    best_of_chains,
+    chain_costs,
+    deviations,
+    fit,
+    fit_all,
+    fitting,
+    left_out,
+    of_white_noise,
+    solve,
+    weak_directions,
+)
 from mimic.calibrate.moving_base import BaseMotion
 from mimic.calibrate.problem import Key, Knob, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
@@ -65,6 +77,9 @@ LEAST_FALL = 5e-5
 
 MOST_FITTED = 3
 """Effects that are fitted to the end at a stage before nothing is named."""
+
+MOST_POLISHED, FAR = 4, 2.0
+"""Most times that the last fit begins afresh with new derivatives, and by how many deviations a number has moved then."""
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
@@ -291,7 +306,8 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
     """Return the fit after a few steps from the residuals of fine replays."""
     point, residual = fitted.point, _fine(problem, fitted.point)
     train = problem.blocks.train
-    cost = weighed_cost(problem, point, residual, fitted.knobs)
+    costs = chain_costs(problem, point, residual, fitted.knobs)
+    cost = float(problem.weight @ costs)
     readings = max(int(np.isin(problem.blocks.index, train).sum()) * problem.channels, 1)
     enough = max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
     for _ in range(most):
@@ -301,11 +317,17 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
         promised = float(step @ (2.0 * gradient - hessian @ step))
         moved = point.moved(fitted.knobs, step)
         after = _fine(problem, moved)
-        now = weighed_cost(problem, moved, after, fitted.knobs)
-        if not now < cost:
+        now = chain_costs(problem, moved, after, fitted.knobs)
+        part = best_of_chains(problem, fitted.knobs, [np.zeros_like(step), step], [costs, now])
+        if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
+            moved = point.moved(fitted.knobs, part)
+            after = _fine(problem, moved)
+            now = chain_costs(problem, moved, after, fitted.knobs)
+        before, least = cost, float(problem.weight @ now)
+        if not least < cost:
             break
-        point, residual, cost, before = moved, after, now, cost
-        if max(promised, before - now) < enough:
+        point, residual, costs, cost = moved, after, now, least
+        if max(promised, before - cost) < enough:
             break
     return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
 
@@ -610,9 +632,13 @@ def _polished(state: _Search) -> Fit:
     if "kt_heat" in state.names:
         state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
         _correct(state.problem, state.current.point)
-    return _settled(
-        state.problem, fit(state.problem, state.current.point, state.names, state.joints, most=1), every=True
-    )
+    fitted = fit(state.problem, state.current.point, state.names, state.joints, most=1)
+    for _ in range(MOST_POLISHED):
+        before, fitted = fitted, _settled(state.problem, fitted, every=True)
+        moved = fitted.point.read(fitted.knobs) - before.point.read(fitted.knobs)
+        if np.all(np.abs(moved) <= FAR * of_white_noise(fitted, state.problem)):
+            break  # near enough for the derivatives of where it began
+    return fitted
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
