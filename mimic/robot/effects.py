@@ -319,7 +319,7 @@ _ALL = (
     Effect(
         name="asymmetric_friction",
         title="asymmetric friction",
-        equation="tau = -level |sgn v| - coefficient |v|, beside dry and viscous friction",
+        equation="tau = -level - coefficient |v|, beside dry (at most as much of it, at rest too) and viscous friction",
         parameters=(
             Parameter(name="level", unit="N m", neutral=0.0, low=-50.0, high=50.0, step=0.01),
             Parameter(name="coefficient", unit="N m s/rad", neutral=0.0, low=-500.0, high=500.0, step=0.01),

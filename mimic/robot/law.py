@@ -29,9 +29,6 @@ STIFFEST = 2e-4
 DAMPING_RATIO = 0.2
 """Of the rotor against its transmission; steel gears ring for a few periods."""
 
-SLOW = 1e-3
-"""Below this speed the direction of motion fades, so that friction has no jump [rad/s]."""
-
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
@@ -313,12 +310,14 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
+        load, square = xp.abs(tau), tau * tau
         if parts:
-            one_by_one = self._one_by_one(parts, target, asked, kp, low, high)
-            kp, kd, bias, tau = self._where_limited(*one_by_one, kp, kd, bias, omega, tau)
+            mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
+            kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
         if "heat" in s:
-            s["heat"] = s["heat"] + self.dt * (tau * tau - s["heat"]) / get("kt_heat", "time")
-        friction, applied = self._friction(dq, tau), self._outside(q, dq, time)
+            s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
+        friction, bent = self._friction(dq, load)
+        applied = self._outside(q, dq, time) - bent
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
         if self.rotor is not None:
             kp, kd, bias, low, high = self._through_gear(q, dq, ctrl, kp, kd, bias, low, high, tau)
@@ -328,18 +327,24 @@ class Law:
 
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
-    ) -> tuple[Any, Any]:
-        """Return the mean torque of the targets of a step, each limited by itself, and the share of it inside the limits.
+    ) -> tuple[Any, Any, Any, Any]:
+        """Return means over a step of the torques of its targets, each limited by itself, and the share of it inside the limits.
 
-        The mean of what a motor gives is not what it gives for the mean where a target asks for more than it can.
+        Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean where a
+        target asks for more than it can, and torques of both signs cancel in their mean but not in gears and windings.
         """
         xp, tau, free = self.xp, self._zero, self._zero
+        size, square = self._zero, self._zero
         stiffness = kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
         for share, target in parts:
             one = asked + stiffness * (target - mean)
             limited = xp.minimum(xp.maximum(one, low), high)
             tau, free = tau + share * limited, free + xp.where(limited == one, share + self._zero, self._zero)
-        return tau, free
+            if "load_friction" in self._has:
+                size = size + share * xp.abs(limited)
+            if "kt_heat" in self._has:
+                square = square + share * limited * limited
+        return tau, size, square, free
 
     def _where_limited(
         self, mean: Any, free: Any, kp: Any, kd: Any, bias: Any, omega: Any, tau: Any
@@ -388,18 +393,21 @@ class Law:
         power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
         return 1.0 - self.get("supply_sag", "drop") * power - left
 
-    def _direction(self, dq: Any) -> Any:
-        return dq / self.xp.sqrt(dq * dq + SLOW * SLOW)
+    def _friction(self, dq: Any, load: Any) -> tuple[Any, Any]:
+        """Return dry friction at motor torques of this size, and the torque from outside by which one direction has more of it.
 
-    def _friction(self, dq: Any, tau: Any) -> Any:
-        xp, get, level = self.xp, self.get, self._level
+        Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
+        """
+        xp, get, level, bent = self.xp, self.get, self._level, self._zero
         if "stribeck" in self._has:
             level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
         if "load_friction" in self._has:
-            level = level + get("load_friction", "ratio") * xp.abs(tau)
+            level = level + get("load_friction", "ratio") * load
         if "asymmetric_friction" in self._has:
-            level = xp.clip(level + get("asymmetric_friction", "level") * self._direction(dq), 0.0, None)
-        return level
+            more = get("asymmetric_friction", "level")
+            forward, backward = xp.clip(level + more, 0.0, None), xp.clip(level - more, 0.0, None)
+            level, bent = (forward + backward) / 2, (forward - backward) / 2
+        return level, bent
 
     def _outside(self, q: Any, dq: Any, time: Any) -> Any:
         xp, get, has, applied = self.xp, self.get, self._has, self._zero

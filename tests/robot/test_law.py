@@ -132,6 +132,23 @@ def test_asymmetric_friction_brakes_one_direction_more(bench):
     assert slowed == pytest.approx([0.1 * 0.14 / WHOLE, 0.1 * 0.06 / WHOLE], rel=0.02)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_asymmetric_friction_holds_more_against_one_direction(bench, sign):
+    """At rest too: 0.14 N m forward, 0.06 backward."""
+    effects = {"coulomb": {"level": 0.1}, "asymmetric_friction": {"level": 0.04, "coefficient": 0.0}}
+    holds = 0.1 + 0.04 * sign
+    assert abs(pull(bench(effects, **FREE), sign * (holds - 0.01))["q"][-1]) < 5e-4
+    assert sign * pull(bench(effects, **FREE), sign * (holds + 0.02))["q"][-1] > 0.05
+
+
+def test_asymmetric_friction_never_drives(bench):
+    """More of it than dry friction leaves one direction without."""
+    effects = {"coulomb": {"level": 0.1}, "asymmetric_friction": {"level": 0.3, "coefficient": 0.0}}
+    assert abs(pull(bench(effects, **FREE), 0.0)["q"][-1]) < 5e-4
+    assert bench(effects, **FREE).run(0.1, speed=-2.0)["dq"][-1] == pytest.approx(-2.0, abs=1e-3)
+    assert bench(effects, **FREE).run(0.1, speed=2.0)["dq"][-1] == pytest.approx(2.0 - 0.1 * 0.4 / WHOLE, rel=0.02)
+
+
 def test_asymmetric_viscous_friction_pushes_the_same_way_in_both_directions(bench):
     effects = {"asymmetric_friction": {"level": 0.0, "coefficient": 0.01}}
     ends = [bench(effects, **FREE).run(0.1, speed=v)["dq"][-1] for v in (2.0, -2.0)]
@@ -182,6 +199,18 @@ def test_a_step_shared_by_two_targets_is_limited_in_each_part_of_it(bench, low, 
         assert np.array_equal(inputs.ctrl, alone.ctrl)
     elif low < 0.4:
         assert np.abs(inputs.tau - alone.tau).max() > 0.1
+
+
+def test_torques_of_both_signs_in_one_step_cancel_neither_in_gears_nor_in_windings(bench):
+    made = bench({"load_friction": {"ratio": 0.25}, "kt_heat": {"loss": 0.0, "time": 5.0}})
+    zero = np.zeros((1, 2))
+    made.law.begin(zero, zero)
+    parts = [(np.full((1, 1), 0.6), np.full((1, 2), -0.2)), (np.full((1, 1), 0.4), np.full((1, 2), 0.3))]
+    inputs = made.law.step(zero, zero, zero, 0.0, parts=parts)
+    assert inputs.tau == pytest.approx(np.zeros((1, 2)), abs=1e-12)
+    plain = inputs.friction - 0.25 * (0.6 * 6.0 + 0.4 * 9.0)
+    assert plain == pytest.approx(bench().law.step(zero, zero, zero, 0.0).friction)
+    assert made.law.states["heat"] == pytest.approx(np.full((1, 2), 0.0025 * (0.6 * 36.0 + 0.4 * 81.0) / 5.0))
 
 
 def test_a_motor_brakes_with_its_whole_torque_at_any_speed(bench):
