@@ -420,12 +420,36 @@ def _first_that_lasts(state: _Search, found: Found) -> tuple[tuple[Tried, Tried]
         problem.weigh(best.fitted.residual)
         best, state.current = _where_it_is(state, best)
         best, state.current = _elsewhere_too(state, best)
-        if lasts(problem, before, state.current, best):
-            return (candidate, best), tried
         why = "fitted to the end it leaves no less on blocks that were held out"
+        bare = None
+        if lasts(problem, before, state.current, best):
+            bare = _as_good_without(state, best)
+            if bare is None:
+                return (candidate, best), tried
+            why = "fitted to the end its numbers are those of a machine without it"
         tried = tuple(replace(t, why=why) if t is candidate else t for t in tried)
         state.current, problem.correction, problem.weight = before, correction, weight
+        if bare is not None:  # what it found was a better fit of the others
+            problem.weigh(bare.residual)
+            settled = _settled(problem, bare)
+            if _squares(problem, settled) < _squares(problem, before):
+                state.current = before = settled
+                correction, weight = problem.correction, problem.weight
+            else:
+                problem.correction, problem.weight = correction, weight
     return None, tried
+
+
+def _as_good_without(state: _Search, best: Tried) -> Fit | None:
+    """Return the fit without an effect that is nowhere sure to be there, if that is as good; else None."""
+    problem, current = state.problem, state.current
+    if CATALOGUE[best.name].random:
+        return None
+    deviation = deviations(current, problem, left_out(current, problem)[1])
+    if present(problem, current, best.name, best.joints, deviation).any():
+        return None
+    rest = _best_without(state, best.name, state.names)
+    return None if earns_its_keep(problem, current, rest) else rest
 
 
 def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
@@ -489,14 +513,23 @@ def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
     for name in [n for n in added[:-1] if not CATALOGUE[n].random]:
         state.tick(f"is {CATALOGUE[name].title} still needed")
         rest = [n for n in state.names if n != name]
-        starts = _without(state.current.point, name)
-        fits = fit_all(state.problem, [fitting(state.problem, p, rest, state.joints, most=3) for p in starts])
-        train = state.problem.blocks.train
-        without = min(fits, key=lambda f: state.problem.block_squares(f.residual)[train].sum())
+        without = _best_without(state, name, rest)
         if not earns_its_keep(state.problem, state.current, without):
             state.current, state.names = without, rest
             stages = [s for s in stages if s.added != name]
     return stages
+
+
+def _best_without(state: _Search, name: str, rest: list[str]) -> Fit:
+    """Return the fit of the rest of the effects, from what they are now."""
+    starts = _without(state.current.point, name)
+    fits = fit_all(state.problem, [fitting(state.problem, p, rest, state.joints, most=3) for p in starts])
+    return min(fits, key=lambda f: _squares(state.problem, f))
+
+
+def _squares(problem: Problem, fitted: Fit) -> float:
+    """Return the sum of squares in the fitted blocks."""
+    return float(problem.block_squares(fitted.residual)[problem.blocks.train].sum())
 
 
 def _without(point: Point, name: str) -> list[Point]:
