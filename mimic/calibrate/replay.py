@@ -465,14 +465,16 @@ class Replay:
     def _target(
         self, now: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
     ) -> tuple[FloatArray, list[tuple[Any, Any]]]:
-        """Return what acts at steps now (n,), that much shifted: the mean, and each of the targets with its share.
+        """Return what acts at steps now (n,), that much shifted: the mean, and each of the targets with its share if they are several.
 
         Of several targets (V, ...), those of ``which`` (n,).
         """
         whole, part = shifts
         held, begun = targets.held, targets.begun
         own = () if which is None else (which[:, None],)
-        rows = [np.clip(now[:, None] - whole - back, 0, held.shape[-2] - 1) for back in (2, 1, 0)]
-        joints = np.arange(held.shape[-1])
+        row, last, joints = now[:, None] - whole, held.shape[-2] - 1, np.arange(held.shape[-1])
+        rows = [np.minimum(np.maximum(row - back, 0), last) for back in (2, 1, 0)]
         before, older, newer = (held[(*own, row, joints)] for row in rows)
+        if np.array_equal(before, older) and np.array_equal(older, newer):
+            return older, []
         return acting(before, older, newer, (begun[(*own, rows[1])], begun[(*own, rows[2])]), part, np)

@@ -363,8 +363,8 @@ class Law:
         """Return the least and greatest torque at velocities omega (N, J) with shares of the supply left (N, 1)."""
         xp, (torque, flat, speed) = self.xp, (limit * left for limit in self._limits)
         slope = torque / (speed - flat)
-        high = xp.minimum(xp.clip((speed - omega) * slope, 0.0, None), torque)
-        low = -xp.minimum(xp.clip((speed + omega) * slope, 0.0, None), torque)
+        high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
+        low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
         if self._most is not None:
             low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
         return low, high

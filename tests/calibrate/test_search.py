@@ -215,7 +215,7 @@ def test_a_name_beside_which_much_is_left_is_withdrawn_and_kept_once_that_is_nam
     assert not both.warnings
 
 
-@pytest.mark.parametrize(("level", "named"), [(0.015, ()), (0.2, ("b",))])
+@pytest.mark.parametrize(("level", "named"), [(0.02, ()), (0.2, ("b",))])
 def test_a_name_withdrawn_in_one_chain_stays_only_where_something_was_left(pair: MachineModel, level, named) -> None:
     values = {"level": np.array([0.15, level]), "speed": np.array([0.2, 0.2])}
     wave = {"cosine": np.array([0.06]), "sine": np.array([0.0]), "order": np.array([37.0])}
