@@ -91,6 +91,9 @@ MOST_OF_IT = 0.75
 """Share of what noise does not explain that names take where they act, if more is left than could count; with less, what is there
 may be something else."""
 
+CRUMB = 0.1
+"""Least ratio of what a name takes to what is left in the same chain."""
+
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
@@ -578,6 +581,10 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
             why = f"{100 * (1 - share):.0f} % of what noise does not explain is left there"
             state.withdrawn.append(_withdrawn(name, partly, why, machine))
             has = has & ~partly
+        if (crumbs := _crumbs(state, name, has)).any():
+            why = "much more than it takes is left in the same chain"
+            state.withdrawn.append(_withdrawn(name, crumbs, why, machine))
+            has = has & ~crumbs
         if not (has == had).all():
             if (idle := _idle(state, has)).any():
                 state.withdrawn.append(_withdrawn(name, idle, "nothing was left there without it", machine))
@@ -624,6 +631,21 @@ def _in_part(state: _Search, name: str, has: BoolArray) -> tuple[BoolArray, floa
             partly |= here
             least = min(least, share)
     return partly, least
+
+
+def _crumbs(state: _Search, name: str, has: BoolArray) -> BoolArray:
+    """Return the joints (J,) with an effect that takes little beside what is left in their chain: the model is wrong there."""
+    crumbs, spec = np.zeros_like(has), CATALOGUE[name]
+    if spec.scope == "machine" or all(p.fixed or p.shape for p in spec.parameters):
+        return crumbs
+    chain, before = state.problem.machine.chain, state.declared[: len(has)]
+    after = state.problem.mean_squares(state.current.residual, True)[: len(has)]
+    for c in np.unique(chain[has]):
+        here, leg = has & (chain == c), chain == c
+        takes, left = (before - after)[here].sum(), (after[leg] - 1.0).sum()
+        if after[leg].max() > EXPLAINED**2 and takes < CRUMB * left:
+            crumbs |= here
+    return crumbs
 
 
 def _idle(state: _Search, has: BoolArray) -> BoolArray:
