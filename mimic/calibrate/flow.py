@@ -292,10 +292,8 @@ def _settled(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
     """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
 
     Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
-    others by a few hundredths, and steps were too short and what they did not reach seemed sure. Segments begin where the
-    model is from here on.
+    others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
-    problem.follow(fitted.point)
     timed = [k for k in fitted.knobs if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
     fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, FINE_SEGMENT, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}

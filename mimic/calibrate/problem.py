@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import is_
 
 import numpy as np
 from scipy import signal
@@ -216,7 +215,7 @@ class Problem:
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self._scales = _scales(replay)
-        self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
+        self._fine: deque[tuple[Point, tuple[FloatArray | None, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
@@ -257,8 +256,8 @@ class Problem:
 
     def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return the residuals of a point with so many and twice as many times more steps, in units of the log (2, T, C)."""
-        now = (self.replay.late, self.replay.heat, self.replay.trajectory)
-        same = (m for p, then, m in self._fine if all(map(is_, then, now)) and p.is_at(point))
+        now = (self.replay.late, self.replay.heat)
+        same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
         made = next(same, None)
         if made is None:
             both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
@@ -292,10 +291,6 @@ class Problem:
             opposite.append(point.moved(knobs, by))
         made = self._whitened(self._replayed(finer, [*points, *opposite]))
         return self.columns(made[len(points) :], made[: len(points)], groups, knobs, sizes - back)
-
-    def follow(self, point: Point) -> None:
-        """Let segments begin in the states that the model goes through at this point, from here on."""
-        self.replay.follow(stack([point], self.machine) or {("delay", "time"): np.zeros((1, 1))})
 
     def warm_up(self, point: Point, times: int, segment: float) -> None:
         """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""

@@ -1,14 +1,13 @@
 """Logged commands through the model: what the machine would have done with these parameters. Pure and repeatable.
 
-The log is cut into segments that run side by side, each after a time of settling: a joint under a position servo forgets
-its start in that time. So one replay of a long log is many short ones in one batch. Segments start as measured, or from the
-states that a model goes through (:meth:`Replay.follow`): a joint that sticks forgets the noise of its start only when it moves.
+The log is cut into segments that run side by side, each from its measured position after a time of settling: a joint
+under a position servo forgets its start in that time. So one replay of a long log is many short ones in one batch.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,9 +26,6 @@ from mimic.types import BoolArray, FloatArray, IntArray
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
-
-SETTLE = 0.8
-"""Time in which a joint forgets its start [s]: of the noise of a measured one 2 µrad are left, 40 where it sticks."""
 
 FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
@@ -76,33 +72,6 @@ class Job:
     """Torques on the joints from outside (count, steps, J) [N m]."""
 
 
-class Trajectory:
-    """States that a model goes through, at equal steps of time: those of the links, and those of the law of the drives."""
-
-    def __init__(self, steps: int) -> None:
-        """Make room for one state more than steps."""
-        self.states: dict[str, FloatArray] = {}
-        self._steps = steps
-
-    def write(self, rows: IntArray, law: Law, q: FloatArray, dq: FloatArray) -> None:
-        """Keep the states of simulations (n, J), whose steps these are (n,); -1 leaves one out."""
-        there = rows >= 0
-        for name, values in law.states_with(q, dq).items():
-            own = self.states.setdefault(name, np.full((self._steps + 1, values.shape[1]), np.nan))
-            own[rows[there]] = values[there]
-
-    @property
-    def finite(self) -> bool:
-        """No state is missing."""
-        return all(bool(np.isfinite(values).all()) for values in self.states.values())
-
-    def at(self, steps: FloatArray) -> dict[str, FloatArray]:
-        """Return the states (n, J) at times in steps (n,)."""
-        row = np.clip(np.floor(steps).astype(int), 0, self._steps - 1)
-        part = (steps - row)[:, None]
-        return {name: x[row] * (1 - part) + x[row + 1] * part for name, x in self.states.items()}
-
-
 @contextmanager
 def _unheard() -> Iterator[None]:
     """Keep MuJoCo from telling of simulations that blow up: numbers are tried that are far off. They begin again at zero."""
@@ -112,11 +81,6 @@ def _unheard() -> Iterator[None]:
         yield
     finally:
         mujoco.set_mju_user_warning(before)
-
-
-def forgets(machine: MachineModel, log: MachineLog) -> bool:
-    """Every joint is under a position servo, and so forgets its start."""
-    return log.force is None and bool(np.all(machine.drives.kp > 0))
 
 
 class Replay:
@@ -129,8 +93,7 @@ class Replay:
         *,
         timestep: float = 0.001,
         segment: float = 6.0,
-        settle: float = SETTLE,
-        lead: float | None = None,
+        settle: float = 0.8,
         threads: int = 0,
         torque: bool = False,
     ) -> None:
@@ -141,8 +104,7 @@ class Replay:
             log: Readings of the machine's joints, in its order.
             timestep: Physics step [s].
             segment: Length of a segment [s].
-            settle: Time at the start of the log whose readings do not count [s].
-            lead: Time that a segment runs before its readings [s]; None takes that of settling.
+            settle: Time that a segment runs before its readings count [s].
             threads: Of MuJoCo; 0 takes one for each core.
             torque: Also predict the torque.
         """
@@ -152,7 +114,8 @@ class Replay:
         self.total = math.floor(t[-1] / timestep + 1e-6)
         count = max(1, round(t[-1] / segment))
         edges = np.linspace(0, self.total, count + 1).round().astype(int)
-        self._begin = np.maximum(edges[:-1] - round((settle if lead is None else lead) / timestep), 0)
+        self._lead = round(settle / timestep)
+        self._begin = np.maximum(edges[:-1] - self._lead, 0)
         self._edges = edges
         self.length = int((edges[1:] - self._begin).max())
         self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
@@ -171,9 +134,6 @@ class Replay:
         self.replays = 0
         self.heat: FloatArray | None = None
         """Square torque at each reading (T, J), where it is known."""
-        self.trajectory: Trajectory | None = None
-        """In whose states segments begin, in steps of a replay that is not a finer one; None where they begin as measured."""
-        self._times_finer = 1
         self._batches: dict[int, Batch] = {}
         self._finer: dict[tuple[int, float], Replay] = {}
 
@@ -185,27 +145,13 @@ class Replay:
         fine = self._finer[times, segment]
         if fine.late is not self.late:
             fine.set_late(self.late)
-        fine.heat, fine.trajectory = self.heat, self.trajectory
-        fine._times_finer = times
+        fine.heat = self.heat
         return fine
 
     def _again(self, timestep: float, segment: float) -> Replay:
         return Replay(
             self.machine, self.log, timestep=timestep, segment=segment, threads=self.threads, torque=self.torque
         )
-
-    def follow(self, parameters: Parameters) -> None:
-        """Let segments begin in the states that the model goes through with these parameters (1, ...), from here on.
-
-        Where joints do not forget their start segments still begin as measured, so that errors do not add up.
-        """
-        if not forgets(self.machine, self.log):
-            return
-        made = Trajectory(self.total)
-        values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
-        self._stepped(values, self._grid, None, trajectory=made)
-        self.replays += 1
-        self.trajectory = made if made.finite else None
 
     @property
     def segments(self) -> int:
@@ -327,6 +273,7 @@ class Replay:
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
+    @_unheard()
     def _run(
         self,
         parameters: dict[tuple[str, str], FloatArray],
@@ -335,18 +282,6 @@ class Replay:
         square: bool = False,
     ) -> Prediction:
         """Return predictions; with ``square`` minus the mean square torque of the motors in place of a residual of it."""
-        return self._stepped(parameters, targets, pushed, square)
-
-    @_unheard()
-    def _stepped(
-        self,
-        parameters: dict[tuple[str, str], FloatArray],
-        targets: Targets,
-        pushed: FloatArray | None,
-        square: bool = False,
-        trajectory: Trajectory | None = None,
-    ) -> Prediction:
-        """Return predictions, see :meth:`_run`; the states of one parameter set are written to ``trajectory``."""
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
@@ -357,8 +292,10 @@ class Replay:
         fields = Servo.of_batch(batch)
         begin = np.tile(self._begin, sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
+        start_q, start_dq = self._starts(begin)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        q[:], dq[:] = self._started(law, begin, self._heat_at(parameters), np.asarray)
+        law.reset(start_q, start_dq, self._heat_at(parameters))
+        q[:], dq[:] = law.unread(start_q), start_dq
         late = target_shift(p, self.dt)
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
@@ -367,8 +304,6 @@ class Replay:
         measured = None if square else self.log.tau
         gone, seen = np.zeros((n, joints)), np.zeros((n, joints))
         before = np.array(law.reading(q))  # q is the simulation, and moves on
-        if trajectory is not None:
-            trajectory.write(np.where(begin == 0, 0, -1), law, q, dq)
         order = np.arange(n).reshape(sets, segments)
         own = np.repeat(np.arange(sets), segments)
         which = own if targets.held.ndim > 2 else None
@@ -391,9 +326,6 @@ class Replay:
                 gone += asked
             batch.step()
             law.settle(dq)
-            if trajectory is not None:
-                inside = (now + 1 > self._edges[:-1]) & (now + 1 <= self._edges[1:])
-                trajectory.write(np.where(inside, now + 1, -1), law, q, dq)
             reading = law.reading(q)
             mine = slice(at[k], at[k + 1])
             if mine.start < mine.stop:
@@ -430,19 +362,12 @@ class Replay:
         order = np.argsort(step, kind="stable")
         return Readings(row=row[order], segment=segment[order], step=step[order], part=part[order], since=since[order])
 
-    def _started(self, law: Law, begin: IntArray, heat: Any, tensor: Callable[[FloatArray], Any]) -> tuple[Any, Any]:
-        """Begin the law's runs at steps ``begin`` (n,), and return positions and velocities of the links (n, J)."""
-        if self.trajectory is not None:
-            states = {name: tensor(x) for name, x in self.trajectory.at(begin / self._times_finer).items()}
-            law.begin(states["q"], states["dq"], heat, states=states)
-            return states["q"], states["dq"]
+    def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
         t = self.log.t - self.log.t[0]
         at = begin * self.dt
-        read = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
+        q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
         ahead = np.stack([np.interp(at + 0.02, t, column) for column in self.log.q.T], -1)
-        q, dq = law.unread(tensor(read)), tensor((ahead - read) / 0.02)
-        law.begin(q, dq, heat)
-        return q, dq
+        return q, (ahead - q) / 0.02
 
     def _heat_at(self, p: Parameters) -> FloatArray | None:
         """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).

@@ -16,7 +16,7 @@ import torch
 import warp as wp
 from mujoco.batch import Batch
 
-from mimic.calibrate.replay import Job, Prediction, Replay, forgets
+from mimic.calibrate.replay import Job, Prediction, Replay
 from mimic.calibrate.targets import Targets, acting
 from mimic.calibrate.world_batch import STATIC, WorldBatch
 from mimic.errors import ConfigError
@@ -40,9 +40,6 @@ MEMORY = 0.25
 
 SEGMENT, FINE_SEGMENT = 0.8, 0.2
 """Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with its worlds."""
-
-LEAD = 0.5
-"""Time that a segment runs before its readings [s]: of the error of a start from the states of coarse steps 2 to 12 µrad are left."""
 
 TURN = 8
 """Steps that are begun before another replay that runs side by side has its turn."""
@@ -81,7 +78,6 @@ class WorldReplay(Replay):
         device: str = "cuda",
         timestep: float = 0.001,
         segment: float = SEGMENT,
-        lead: float = LEAD,
         threads: int = 0,
         torque: bool = False,
     ) -> None:
@@ -93,7 +89,6 @@ class WorldReplay(Replay):
             device: ``cuda``, ``cuda:1``, …; ``cpu`` steps worlds on the processor, slowly, for tests.
             timestep: Physics step [s].
             segment: Length of a segment [s].
-            lead: Time that a segment runs before its readings, of joints that forget their start [s].
             threads: For what is worked out on the processor; 0 takes one for each core.
             torque: Also predict the torque.
 
@@ -102,9 +97,7 @@ class WorldReplay(Replay):
         """
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-        own = lead if forgets(machine, log) else None
-        super().__init__(machine, log, timestep=timestep, segment=segment, lead=own, threads=threads, torque=torque)
-        self._own_lead = lead
+        super().__init__(machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque)
         if ":" in device:
             torch.cuda.set_device(device)  # streams and graphs are those of the current device
         wp.config.log_level = wp.LOG_ERROR
@@ -117,7 +110,6 @@ class WorldReplay(Replay):
         self._drives = Drives(**rows, neighbour=self._tensor(d.neighbour, torch.int64))
         self._worlds: dict[tuple[int, int], WorldBatch] = {}
         self._hosts: dict[int, Batch] = {}
-        self._follower: Replay | None = None
         self._streams: list[torch.cuda.Stream] = []
         r = self.readings
         self._at = tuple(self._tensor(x, torch.int64) for x in (r.segment, r.step, r.since))
@@ -132,25 +124,9 @@ class WorldReplay(Replay):
             device=self._device,
             timestep=timestep,
             segment=min(segment, FINE_SEGMENT),
-            lead=self._own_lead,
             threads=self.threads,
             torque=self.torque,
         )
-
-    def follow(self, parameters: Parameters) -> None:
-        """Let segments begin in the states of the model, see :meth:`~mimic.calibrate.replay.Replay.follow`.
-
-        One replay in long segments, on the processor.
-        """
-        if not forgets(self.machine, self.log):
-            return
-        if self._follower is None:
-            self._follower = Replay(self.machine, self.log, timestep=self.dt, threads=self.threads)
-        self._follower.set_late(self.late)
-        self._follower.heat = self.heat
-        self._follower.follow(parameters)
-        self.trajectory = self._follower.trajectory
-        self.replays += 1
 
     def _tensor(self, values: object, dtype: torch.dtype = torch.float64) -> torch.Tensor:
         return torch.as_tensor(np.asarray(values), dtype=dtype, device=self._device)
@@ -280,10 +256,10 @@ class WorldReplay(Replay):
         if (n, lane) not in self._worlds:
             self._worlds[n, lane] = WorldBatch(self._model(), n, self._device)
         worlds = self._worlds[n, lane]
+        q, dq = (self._tensor(np.tile(x, (padded, 1))) for x in self._starts(self._begin))
         heat = self._heat_at(p)
-        warm = None if heat is None else self._tensor(heat)
-        q, dq = self._started(law, np.tile(self._begin, padded), warm, self._tensor)
-        worlds.begin(self._fields(p), segments, q, dq)
+        law.reset(q, dq, None if heat is None else self._tensor(heat))
+        worlds.begin(self._fields(p), segments, law.unread(q), dq)
         path = torch.zeros(self.length + 1, n, joints, device=self._device)
         torques = torch.zeros(self.length, n, joints, device=self._device) if torque else None
         path[0] = law.reading(worlds.q)

@@ -199,27 +199,13 @@ class Law:
         """Begin a run at encoder readings q and velocities dq (N, J); heat is the mean square torque so far."""
         self.begin(self.unread(q), dq, heat)
 
-    def begin(
-        self, q: Any, dq: Any, heat: Any = None, where: Any = None, states: Mapping[str, Any] | None = None
-    ) -> None:
-        """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on.
-
-        The drives begin in ``states``, those of another law at this moment; what is not among them, at rest beside the link.
-        """
-        known = {"velocity": dq, "velocity_before": dq, "theta": q, "omega": dq, "omega_open": dq, **(states or {})}
-        known["heat"] = known.get("heat") if heat is None else heat
+    def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
+        """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
+        known = {"velocity": dq, "velocity_before": dq, "theta": q, "omega": dq, "omega_open": dq, "heat": heat}
         for name, before in self.states.items():
             value = known.get(name)
             value = self._zero + (0.0 if value is None else value)
             self.states[name] = value if where is None else self.xp.where(where, value, before)
-
-    def states_with(self, q: Any, dq: Any) -> dict[str, Any]:
-        """Return all states, and those of the links (N, J), from which another law can begin."""
-        found = {"q": q, "dq": dq, **self.states}
-        if self.rotor is not None:
-            for name, link in (("theta", q), ("omega", dq), ("omega_open", dq)):
-                found[name] = self.xp.where(self.rotor["there"], self.states[name], link)
-        return found
 
     def unread(self, reading: Any) -> Any:
         """Return the position at which the encoders read this, steps of the encoder left out."""

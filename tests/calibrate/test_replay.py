@@ -96,37 +96,3 @@ def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> N
     late = torque[np.searchsorted(twice, 1.0) :]
     assert np.array_equal(late[1:-1:2], late[2::2])
     assert np.all(late != 0.0)
-
-
-@pytest.mark.parametrize("effect", ["stribeck", "backlash"])
-def test_segments_begin_where_the_model_is(tmp_path: Path, effect: str) -> None:
-    """A joint that sticks, or a motor in its play, forgets a start slowly: none is to be forgotten."""
-    (tmp_path / "robot.xml").write_text(PENDULUM)
-    machine = read_machine(tmp_path / "robot.xml")
-    t = np.arange(0.0, 12.0, 0.02)
-    values = {"level": np.array([0.6]), "speed": np.array([0.1])} if effect == "stribeck" else {"gap": np.array([0.04])}
-    truth = EffectSet((EffectValues(name=effect, joints=("hinge",), values=values),))
-    log = simulate_log(machine, t, 0.1 * np.sin(2.0 * t)[:, None], truth, LogSettings(noise=0.001, resolution=0.0))
-    numbers = {(effect, name): row[None] for name, row in values.items()}
-    whole = Replay(machine, log, timestep=0.001, segment=60.0, threads=1).run(numbers, 1).residual
-    cut = Replay(machine, log, timestep=0.001, segment=0.2, lead=0.1, threads=1)
-    measured = np.nanstd(cut.run(numbers, 1).residual - whole)
-    long = Replay(machine, log, timestep=0.001, segment=6.0, threads=1)
-    long.follow(numbers)
-    cut.trajectory = long.trajectory
-    followed = np.nanstd(cut.run(numbers, 1).residual - whole)
-    assert followed < 0.1 * measured
-    assert measured > 1e-4
-
-
-def test_joints_without_a_servo_begin_as_measured(tmp_path: Path) -> None:
-    """They forget nothing: errors of a model would add up over the log."""
-    (tmp_path / "robot.xml").write_text(PENDULUM.replace('kp="30" kv="1.5"', 'kp="0" kv="1.5"'))
-    machine = read_machine(tmp_path / "robot.xml", {"kp": 0.0, "kd": 1.5})
-    t = np.arange(0.0, 6.0, 0.02)
-    log = MachineLog(joints=machine.joints, t=t, q=0.1 * np.sin(t)[:, None], force=np.cos(t)[:, None])
-    replay = Replay(machine, log, timestep=0.0025, segment=2.0, threads=1)
-    numbers = {("viscous", "coefficient"): np.array([[0.1]])}
-    before = replay.run(numbers, 1).residual
-    replay.follow(numbers)
-    assert np.array_equal(replay.run(numbers, 1).residual, before, equal_nan=True)
