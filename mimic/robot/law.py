@@ -296,10 +296,11 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        load, square = xp.abs(tau), tau * tau
         if parts:
             mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
+        else:
+            load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(dq, load)
