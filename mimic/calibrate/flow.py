@@ -66,8 +66,14 @@ FINE = 5
 FINE_SEGMENT = 1.0
 """Length of its segments [s]; they are few, so that short ones are faster."""
 
+MANY_SEGMENT = 3.0
+"""That of the many for central differences [s]: less time is spent on settling."""
+
 MOST_CORRECTIONS = 8
 """Most steps of a fit from fine replays."""
+
+ROUNDS = 3
+"""Most times that it finds anew what steps without length would change."""
 
 SETTLED = 1.0
 """Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
@@ -295,7 +301,8 @@ def _settled(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
     timed = [k for k in fitted.knobs if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
-    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, FINE_SEGMENT, every)
+    segment = MANY_SEGMENT if every else FINE_SEGMENT
+    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, segment, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
     columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
     settled = _refined(problem, replace(fitted, columns=tuple(columns)), MOST_CORRECTIONS)
@@ -304,25 +311,61 @@ def _settled(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
 
 
 def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
-    """Return the fit after a few steps from the residuals of fine replays."""
-    point, residual = fitted.point, _fine(problem, fitted.point)
+    """Return the fit after a few steps from the residuals of fine replays.
+
+    Where the steps are many, what an extrapolation to steps without length changes is taken for the same on the way, and found
+    anew where they settle.
+    """
+    fitted = replace(fitted, residual=_fine(problem, fitted.point))
+    if most == 1:
+        fitted = _stepped(problem, fitted, lambda point: _fine(problem, point), 1, 0.0)
+    for again in range(ROUNDS if most > 1 else 0):
+        beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
+        there = _stepped(
+            problem,
+            fitted,
+            lambda point, beyond=beyond: problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond,
+            most,
+            _enough(problem, fitted) if again else 0.0,
+        )
+        if there.point.is_at(fitted.point):
+            break
+        there = replace(there, residual=_fine(problem, there.point))
+        if not _cost(problem, there) < _cost(problem, fitted):
+            break
+        fitted = there
+    return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.knobs))
+
+
+def _stepped(problem: Problem, fitted: Fit, replayed: Callable[[Point], FloatArray], most: int, worth: float) -> Fit:
+    """Return where steps along the derivatives of a fit lead, with its sums as they were.
+
+    Args:
+        problem: Log and model.
+        fitted: Where to begin.
+        replayed: Returns the residual at a point.
+        most: Most steps.
+        worth: Fall of the sum of squares that a linear model must promise for the first of them.
+    """
     train = problem.blocks.train
+    point, residual = fitted.point, fitted.residual
     costs = chain_costs(problem, point, residual, fitted.knobs)
     cost = float(problem.weight @ costs)
-    readings = max(int(np.isin(problem.blocks.index, train).sum()) * problem.channels, 1)
-    enough = max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
+    enough = _enough(problem, fitted)
     for _ in range(most):
         sums = problem.sums(residual, fitted.columns, fitted.knobs)
         hessian, gradient = sums.weighed_over(train)
         step = solve(sums, train, fitted.knobs, point.read(fitted.knobs), 0.0)
         promised = float(step @ (2.0 * gradient - hessian @ step))
+        if promised < worth:
+            break
         moved = point.moved(fitted.knobs, step)
-        after = _fine(problem, moved)
+        after = replayed(moved)
         now = chain_costs(problem, moved, after, fitted.knobs)
         part = best_of_chains(problem, fitted.knobs, [np.zeros_like(step), step], [costs, now])
         if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
             moved = point.moved(fitted.knobs, part)
-            after = _fine(problem, moved)
+            after = replayed(moved)
             now = chain_costs(problem, moved, after, fitted.knobs)
         before, least = cost, float(problem.weight @ now)
         if not least < cost:
@@ -330,7 +373,18 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
         point, residual, costs, cost = moved, after, now, least
         if max(promised, before - cost) < enough:
             break
-    return replace(fitted, point=point, residual=residual, sums=problem.sums(residual, fitted.columns, fitted.knobs))
+    return replace(fitted, point=point, residual=residual)
+
+
+def _cost(problem: Problem, fitted: Fit) -> float:
+    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.knobs))
+
+
+def _enough(problem: Problem, fitted: Fit) -> float:
+    """Return the fall of the sum of squares in a step that is worth another."""
+    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()) * problem.channels, 1)
+    cost = _cost(problem, fitted)
+    return max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
 
 
 def _motion(problem: Problem, fitted: Fit) -> Motion:

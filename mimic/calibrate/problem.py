@@ -254,16 +254,26 @@ class Problem:
         once, twice = self._whitened(self._fine_pair(point, times, segment).copy())
         return 2.0 * twice - once
 
+    def in_steps_of_columns(self, point: Point, times: int, segment: float) -> FloatArray:
+        """Return whitened residuals (T, C) of so many times more steps as they are: a third of what :meth:`in_fine_steps` takes."""
+        made = self._known_pair(point)
+        if made is None:
+            return self._whitened(self._replayed(self.replay.finer(times, segment), [point])[0])
+        return self._whitened(made[0].copy())
+
     def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return the residuals of a point with so many and twice as many times more steps, in units of the log (2, T, C)."""
-        now = (self.replay.late, self.replay.heat)
-        same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
-        made = next(same, None)
+        made = self._known_pair(point)
         if made is None:
             both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
             made = np.concatenate(self._all_replayed(both))
-            self._fine.append((point, now, made))
+            self._fine.append((point, (self.replay.late, self.replay.heat), made))
         return made
+
+    def _known_pair(self, point: Point) -> FloatArray | None:
+        now = (self.replay.late, self.replay.heat)
+        same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
+        return next(same, None)
 
     def columns_in_fine_steps(
         self, point: Point, knobs: Sequence[Knob], times: int, segment: float, both_sides: bool = False
