@@ -92,6 +92,21 @@ def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
     assert np.nanmax(np.abs(problem.in_fine_steps(point, 2, 1.0) - once)) > 1.0
 
 
+def test_the_shorter_of_two_fine_replays_is_the_same_whether_both_were_made_or_not(pair: MachineModel) -> None:
+    """What the extrapolation adds hardly depends on the point: so steps on the way take the shorter one alone."""
+    problem, point = problem_of(pair, log_of(pair))
+    near = point.moved([], np.zeros(0)).with_effect("coulomb", pair, {"level": 0.051})
+    alone = problem.in_steps_of_columns(point, 5, 1.0)
+    both = problem.in_fine_steps(point, 5, 1.0)
+    made = problem.replay.replays
+    assert np.array_equal(problem.in_steps_of_columns(point, 5, 1.0), alone, equal_nan=True)
+    assert problem.replay.replays == made
+    there = problem.in_steps_of_columns(near, 5, 1.0)
+    assert problem.replay.replays == made + 5
+    moved = np.nanstd(there - alone)
+    assert np.nanstd(problem.in_fine_steps(near, 5, 1.0) - (there + both - alone)) < 0.1 * moved
+
+
 def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
     """Two thirds of a wave in the range of motion is near enough for the fit that begins there."""
     ripple = {"cosine": np.array([0.03, 0.05]), "sine": np.array([0.04, -0.02]), "order": np.array([37.0, 61.0])}
