@@ -31,6 +31,7 @@ def _row(effect: Effect) -> str:
             ("declared", effect.declared),
             ("always refitted", effect.structural),
             ("read off target by target", effect.random),
+            ("read off the readings", effect.read_off and not effect.random),
         )
         if has
     ]

@@ -12,7 +12,9 @@ from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, prior
 from mimic.calibrate.moving_base import BaseMotion, moving_base
 from mimic.calibrate.problem import Key, Knob, Point, Problem
+from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
+from mimic.calibrate.unread import read
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
@@ -44,6 +46,9 @@ ALIKE = 0.25
 
 LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
+
+LEAST_ROUNDING = 0.25
+"""What a coarse encoder rounds off, over what is left of its joint; less may be in the encoder, but is not what is missing."""
 
 LEAST_MISSED = 0.1
 """What an effect at a joint must take of the error of its chain, in noise floors; less is a crumb."""
@@ -328,6 +333,10 @@ def search(
         refine: Returns a fit judged at finer steps.
     """
     before, _ = left_out(incumbent, problem)
+    if "encoder_step" in candidates:
+        rounded = _rounded(problem, incumbent, before, names, joints)
+        if rounded is not None:  # a fact of the readings, and everything else is judged better with it
+            return Found(tried=(rounded,), best=rounded, rivals=())
     random = [n for n in candidates if CATALOGUE[n].random]
     late: tuple[Tried, ...] = ()
     if random:
@@ -337,7 +346,7 @@ def search(
             rivals = tuple(t.name for t in late[1:] if not _told_apart(late[0], t))
             return Found(tried=late, best=late[0], rivals=rivals)
     tick("screening")
-    picked = _pick(screen(problem, incumbent, [n for n in candidates if n not in random], motion))
+    picked = _pick(screen(problem, incumbent, [n for n in candidates if not CATALOGUE[n].read_off], motion))
     masks = {s.name: s.joints for s in picked}
     tick(f"refitting {len(picked)} effects")
     fits = fit_all(
@@ -442,6 +451,25 @@ def _of_the_base(base: BaseMotion, tried: Tried) -> str:
         return ""
     at = " and ".join(f"{f:.2f}" for f in base.frequencies)
     return f"one motion of the base at {at} Hz explains {'as much' if z > -RIVAL_Z else 'more'}, with {base.numbers} numbers"
+
+
+def _rounded(
+    problem: Problem, incumbent: Fit, before: FloatArray, names: Sequence[str], joints: dict[str, BoolArray]
+) -> Tried | None:
+    """Return coarse encoders where readings are multiples of a step, and its rounding is a good part of what is left; else None.
+
+    Whether a replay follows them is not asked: a servo hunts between two steps, in no order that a replay could foretell.
+    """
+    machine, log = problem.machine, problem.replay.log
+    count = len(machine.joints)
+    angle = coarse_steps(log.q[read(log)], problem.noise[:count])
+    left = np.sqrt(problem.mean_squares(incumbent.residual, False)[:count]) * problem.noise[:count]
+    there = angle / np.sqrt(12.0) > np.maximum(LEAST_IMPROVEMENT * problem.noise[:count], LEAST_ROUNDING * left)
+    if not there.any():
+        return None
+    point = incumbent.point.with_effect("encoder_step", machine, {"angle": np.where(there, angle, 0.0)})
+    fitted = fit(problem, point, names, joints, most=3)
+    return replace(judge(problem, incumbent, before, "encoder_step", fitted, there), joints=there, why="")
 
 
 def _late(
@@ -605,7 +633,7 @@ def further(problem: Problem, fitted: Fit, name: str, joints: BoolArray) -> Bool
     """Return joints (J,) that lack an effect which others have, and where more is left than could count."""
     left = problem.mean_squares(fitted.residual, False)[: len(joints)] > 1.0 + LEAST_IMPROVEMENT**2
     spec = CATALOGUE[name]
-    return left & ~joints & (spec.scope != "machine" and not spec.random)
+    return left & ~joints & (spec.scope != "machine" and not spec.read_off)
 
 
 def wider(
@@ -646,8 +674,7 @@ def lasts(problem: Problem, before: Fit, after: Fit, tried: Tried) -> bool:
 
     What is read off the log is not asked.
     """
-    spec = CATALOGUE[tried.name]
-    if spec.random or all(p.fixed or p.shape for p in spec.parameters):
+    if CATALOGUE[tried.name].read_off:
         return True
     channels = tried.joints[problem.channel_joint]
     left, had = (problem.mean_squares(f.residual, True)[channels].sum() for f in (after, before))

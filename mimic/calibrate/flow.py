@@ -565,7 +565,7 @@ def _nothing(state: _Search, found: Found) -> Stage:
 def _kept(state: _Search, stages: list[Stage]) -> list[Stage]:
     """Drop effects that no longer pay beside those found after them."""
     added = [s.added for s in stages if s.added]
-    for name in [n for n in added[:-1] if not CATALOGUE[n].random]:
+    for name in [n for n in added[:-1] if not CATALOGUE[n].read_off]:
         state.tick(f"is {CATALOGUE[name].title} still needed")
         rest = [n for n in state.names if n != name]
         without = _best_without(state, name, rest)
@@ -610,7 +610,7 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
     that the log would have it cross puts in doubt what they are in this chain: there they are withdrawn, elsewhere they stay. So
     are they where most of what is there is left.
     """
-    named = [s for s in stages if s.added and not CATALOGUE[s.added].random]
+    named = [s for s in stages if s.added and not CATALOGUE[s.added].read_off]
     machine = state.problem.machine
     far = stopped(state.current, state.problem, FAR_BEYOND)
     bent = [row for row in stopped(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
@@ -672,8 +672,6 @@ def _in_part(state: _Search, name: str, has: BoolArray) -> tuple[BoolArray, floa
     machines (docs/calibration.md): wrong names took 38 to 73 %, right ones beside which something was left 86 % and more.
     """
     partly, least, spec = np.zeros_like(has), 1.0, CATALOGUE[name]
-    if all(p.fixed or p.shape for p in spec.parameters):  # read off the log
-        return partly, least
     chain = state.problem.machine.chain
     before = state.declared[: len(has)]
     after = state.problem.mean_squares(state.current.residual, True)[: len(has)]
@@ -688,7 +686,7 @@ def _in_part(state: _Search, name: str, has: BoolArray) -> tuple[BoolArray, floa
 def _crumbs(state: _Search, name: str, has: BoolArray) -> BoolArray:
     """Return the joints (J,) with an effect that takes little beside what is left in their chain: the model is wrong there."""
     crumbs, spec = np.zeros_like(has), CATALOGUE[name]
-    if spec.scope == "machine" or all(p.fixed or p.shape for p in spec.parameters):
+    if spec.scope == "machine":
         return crumbs
     chain, before = state.problem.machine.chain, state.declared[: len(has)]
     after = state.problem.mean_squares(state.current.residual, True)[: len(has)]

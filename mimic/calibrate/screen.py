@@ -18,19 +18,6 @@ from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
-AGREEMENT = 0.5
-"""Mean of the unit vectors of the readings from which on they are multiples of a step."""
-
-FINEST_STEP = 2.5
-"""Least step of a coarse encoder that is looked for, in noise floors. Rounding is a 3.5th of a step and in the floor too: where readings
-agree by a half, a step is 2.9 floors."""
-
-COARSEST_STEP = 0.1
-"""Greatest step that is looked for [rad]."""
-
-WINDS = 8.0
-"""Bins in the finest step."""
-
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
 
@@ -77,9 +64,6 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: Motion) -> li
         peak, fast = np.abs(motion.tau).max(0), np.abs(motion.dq).max(0)
         grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
         return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
-    if name == "encoder_step":
-        angle = np.array([_step_of(problem.replay.log.q[:, j], problem.noise[j]) for j in range(len(machine.joints))])
-        return [_clipped(incumbent.point.with_effect(name, machine, {"angle": angle}))] if angle.any() else []
     if name == "cogging":
         best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
@@ -101,28 +85,6 @@ def _clipped(point: Point) -> Point:
         p = CATALOGUE[name].parameter(parameter)
         values[name, parameter] = np.clip(row, p.low, p.high)
     return Point(values)
-
-
-def _step_of(q: FloatArray, noise: float) -> float:
-    """Return the step of a coarse encoder whose readings q have noise added, 0 where no step is seen.
-
-    Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
-    """
-    q = q[:: max(1, len(q) // 3000)]
-    q = q - q.mean()
-    most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
-    if most <= 1.0 / COARSEST_STEP:
-        return 0.0
-    width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
-    counts = np.bincount(((q - q.min()) / width).astype(int))
-    size = int(2 ** np.ceil(np.log2(max(1.0 / (spacing * width), len(counts)))))
-    around = np.fft.rfftfreq(size, width)
-    agreement = np.abs(np.fft.rfft(counts, size)) / len(q)
-    agreement[(around < 1.0 / COARSEST_STEP) | (around > most)] = 0.0
-    best = around[int(np.argmax(agreement))]
-    near = best + np.linspace(-1, 1, 41) * spacing
-    agree = [abs(np.mean(np.exp(2j * np.pi * f * q))) for f in near]
-    return float(1.0 / near[int(np.argmax(agree))]) if max(agree) >= AGREEMENT else 0.0
 
 
 def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:

@@ -83,6 +83,11 @@ class Effect:
     """How it enters MuJoCo."""
     source: str
 
+    @property
+    def read_off(self) -> bool:
+        """Whether its size is read off the log, not fitted."""
+        return self.random or all(p.fixed or p.shape for p in self.parameters)
+
     def parameter(self, name: str) -> Parameter:
         """Return a parameter by name.
 
@@ -411,7 +416,6 @@ _ALL = (
         title="coarse encoder",
         equation="reading = angle round(q / angle)",
         parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=0.0, high=0.1, step=0.001, fixed=True),),
-        structural=True,
         signature="steps of equal size in the reading",
         experiment="slow ramps",
         enters="reading and actuator bias at every step",

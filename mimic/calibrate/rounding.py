@@ -1,0 +1,62 @@
+"""Steps of a coarse encoder, read off a log: its readings are multiples of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimic.types import FloatArray
+
+AGREEMENT = 0.5
+"""Mean of the unit vectors of the readings from which on they are multiples of a step."""
+
+FINEST_STEP = 2.5
+"""Least step of a coarse encoder that is looked for, in noise floors. Rounding is a 3.5th of a step and in the floor too: where readings
+agree by a half, a step is 2.9 floors."""
+
+COARSEST_STEP = 0.1
+"""Greatest step that is looked for [rad]."""
+
+WINDS = 8.0
+"""Bins in the finest step."""
+
+MOVING = 4.0
+"""Change between the readings before and after, in noise floors, from which on a joint moves: where it rests, readings agree with each
+other whatever the encoder."""
+
+LEAST_LEVELS = 6
+"""Fewest steps in the range of motion: few places of a slow joint agree by themselves."""
+
+
+def coarse_steps(q: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the step of each encoder [rad] from its readings (T, J) and their noise floors (J,); 0 where none is seen."""
+    return np.array([_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)])
+
+
+def _step_of(q: FloatArray, noise: float) -> float:
+    """Return the step of a coarse encoder whose readings q (T,) have noise added, 0 where no step is seen.
+
+    Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
+    """
+    every = max(1, len(q) // 3000)
+    there = np.zeros(len(q), dtype=bool)
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > MOVING * noise
+    moving, q = (q - q.mean())[there], (q - q.mean())[::every]
+    most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
+    if most <= 1.0 / COARSEST_STEP or not len(moving):
+        return 0.0
+    width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
+    counts = np.bincount(((q - q.min()) / width).astype(int))
+    size = int(2 ** np.ceil(np.log2(max(1.0 / (spacing * width), len(counts)))))
+    around = np.fft.rfftfreq(size, width)
+    agreement = np.abs(np.fft.rfft(counts, size)) / len(q)
+    agreement[(around < 1.0 / COARSEST_STEP) | (around > most)] = 0.0
+    best = around[int(np.argmax(agreement))]
+    near = best + np.linspace(-1, 1, 41) * spacing
+    agree = [_agreement(q, f) for f in near]
+    found = float(near[int(np.argmax(agree))])
+    sure = max(agree) >= AGREEMENT and _agreement(moving, found) >= AGREEMENT
+    return 1.0 / found if sure and np.ptp(moving) * found >= LEAST_LEVELS else 0.0
+
+
+def _agreement(q: FloatArray, around: float) -> float:
+    return float(abs(np.mean(np.exp(2j * np.pi * around * q))))
