@@ -26,6 +26,9 @@ LEAST_GAIN = 0.01
 LEAST_Z = 3.0
 """Gain over its standard error; about Holm's correction over 25 candidates at 5 %."""
 
+LATE_Z = 2.0
+"""The same for single late targets: that the chains agree on them is tested target by target, and a short log has few blocks."""
+
 LEAST_IMPROVEMENT = 0.35
 """What leaves the error of some joint, over its noise floor. Smaller crumbs are differences between integrators."""
 
@@ -493,8 +496,8 @@ def _late(
             why = f"the chains share {100 * timing.agreement:.0f} % of the lateness that each shows"
         elif gain < LEAST_GAIN:
             why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
-        elif z < LEAST_Z:
-            why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
+        elif z < LATE_Z:
+            why = f"gain is {z:.1f} standard errors, below {LATE_Z:.0f}"
         elif share < LEAST_SHARE:
             why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
         why = why or _holds_none(timing)
