@@ -205,3 +205,20 @@ def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel
     assert added(result) == []
     assert any("spring.stiffness stops at its bound 0.25" in line for line in result.warnings)
     assert "Nothing in the catalogue explains what is left" in result.sentence
+
+
+def test_a_name_that_takes_little_beside_what_is_left_in_its_chain_is_withheld(arm: MachineModel) -> None:
+    """Shaken by something that is not looked for, the shoulder says nothing sure of a weak spring in the elbow."""
+    shaken = {"cosine": np.array([0.5]), "sine": np.array([0.0]), "frequency": np.array([2.7])}
+    weak = {"stiffness": np.array([0.15]), "moment": np.array([0.03])}
+    log = log_of(
+        arm,
+        EffectValues(name="periodic_force", joints=("shoulder",), values=shaken),
+        EffectValues(name="spring", joints=("elbow",), values=weak),
+    )
+    result = calibrate(log, arm, CalibrateSettings(effects=("spring",), most_effects=1))
+    assert added(result) == []
+    assert [r.verdict for r in result.unexplained] == ["state-dependent", "state-dependent"]
+    assert any(
+        "spring" in line and "elbow" in line and "much more than it takes is left" in line for line in result.warnings
+    )
