@@ -28,7 +28,7 @@ FLOOR = math.hypot(NOISE, ENCODER / math.sqrt(12.0))
 """Standard deviation of both together [rad]."""
 RATE = 200.0
 """Readings per second [Hz]."""
-STEP = 0.0625e-3
+STEP = 0.03125e-3
 """Physics step [s]."""
 SETTLE = 1.0
 """Time at the first target before the log begins [s]."""

@@ -226,6 +226,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
     legs = par.shape[0]
     q, v = held.copy(), np.zeros((legs, 3))
     th, om = np.zeros((legs, 3)), np.zeros((legs, 3))
+    v_old, om_old = np.zeros((legs, 3)), np.zeros((legs, 3))  # of the step before
     tau, lagged, seen, heat = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3))
     speed = np.zeros((legs, 3))  # of the step before, as the drive measures it
     travel, hyst, imp = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 6))
@@ -301,6 +302,9 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     is_own = own[l, j]
                     vj = v[l, j]
                     vm = om[l, j] if is_own else vj
+                    # Velocities in the middle of the step, for what does not go with them in a straight line.
+                    vj_mid = vj + 0.5 * (vj - v_old[l, j])
+                    vm_mid = vm + 0.5 * (vm - om_old[l, j]) if is_own else vj_mid
                     xm = th[l, j] + 0.5 * h * vm if is_own else qh[j]
                     # Target in effect, averaged over the step.
                     last = arrival.shape[2] - 1
@@ -337,6 +341,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     stiff *= factor
                     damp *= factor
                     if p[TLAG] > 0.0:
+                        cmd -= damp * (vm_mid - vm)
                         f = 1.0 - math.exp(-h / p[TLAG])
                         old = lagged[l, j]
                         lagged[l, j] += f * (cmd - old)
@@ -344,8 +349,8 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         jump *= 0.5 * f
                         stiff = 0.0
                         damp = 0.0
-                    asked[l, j], at_speed[l, j] = cmd, vm
-                    down, up = _limits(p, left, vm)
+                    asked[l, j], at_speed[l, j] = cmd - damp * (vm_mid - vm), vm_mid
+                    down, up = _limits(p, left, vm_mid)
                     first, second = cmd - share * jump, cmd + (1.0 - share) * jump
                     if share > 0.0 and max(first, second) > down and min(first, second) < up:
                         # Each target of the step meets the limits by itself.
@@ -357,6 +362,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     elif cmd < down:
                         cmd, stiff, damp = down, 0.0, 0.0
                     tau[l, j] = cmd
+                    cmd_mid = cmd - damp * (vm_mid - vm)
                     heat[l, j] += h * (cmd * cmd - heat[l, j]) / p[HTIME]
                     # Inertia of the rotor; it may depend on the angle (not in the catalogue).
                     inertia = p[JA]
@@ -371,8 +377,8 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     load = -bias[j]
                     d = p[D]
                     other = j + 1 if j < 2 else 1
-                    load -= p[COUP] * v[l, other]
-                    load -= p[D2] * vj * abs(vj) + p[DA] * abs(vj)
+                    load -= p[COUP] * (v[l, other] + 0.5 * (v[l, other] - v_old[l, other]))
+                    load -= p[D2] * vj_mid * abs(vj_mid) + p[DA] * abs(vj_mid)
                     load += p[COGC] * math.cos(p[COGN] * x) + p[COGS] * math.sin(p[COGN] * x)
                     load += p[MOM] - p[SPR] * x
                     if p[PC] != 0.0 or p[PS] != 0.0:
@@ -400,11 +406,11 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         load -= STOP_STIFFNESS * (x - p[LOW]) + STOP_DAMPING * vj
                     # Dry and viscous friction, on the link or on the motor.
                     f = s if p[MSIDE] > 0.0 else j
-                    vf = vm if p[MSIDE] > 0.0 else vj
+                    vf = vm_mid if p[MSIDE] > 0.0 else vj_mid
                     bound = p[FC] * (1.0 + p[WEAR] * math.exp(-travel[l, j] / p[WEARS]))
                     if p[FS] > 0.0:
                         bound += p[FS] * math.exp(-((vf / p[VS]) ** 2))
-                    bound += p[MU] * abs(cmd)
+                    bound += p[MU] * abs(cmd_mid)
                     travel[l, j] += h * abs(vf)
                     low[j], high[j] = 0.0, 0.0
                     if is_own:
@@ -413,7 +419,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     a[f, f] += 0.5 * h * d
                     if is_own:
                         rhs[j] = load
-                        rhs[f] -= d * vf
+                        rhs[f] -= d * (vm if p[MSIDE] > 0.0 else vj)
                         # Between motor and link.
                         k = 1.0 / p[COMP] if p[COMP] > 0.0 else FLANK
                         c = 0.0 if p[COMP] > 0.0 else 2.0 * FLANK_DAMPING * math.sqrt(k * p[JA])
@@ -446,6 +452,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                 _stick_or_slide(w, low, high, new, imp[l], n)
                 for j in range(3):
                     q[l, j] = qh[j] + 0.5 * h * new[j]
+                    v_old[l, j], om_old[l, j] = v[l, j], om[l, j]
                     v[l, j] = new[j]
                     if own[l, j]:
                         th[l, j] += 0.5 * h * (om[l, j] + new[slot[j]])
