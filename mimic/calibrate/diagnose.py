@@ -620,6 +620,12 @@ def _pick(starts: Sequence[Start]) -> list[Start]:
     return [s for i, s in enumerate(starts) if (i < REFINED and s.gain > 0.004) or CATALOGUE[s.name].structural]
 
 
+def whole_chains(problem: Problem, name: str, joints: BoolArray) -> BoolArray:
+    """Return joints (J,) with an effect, and all others of their chains where it is one that they have together."""
+    chain = problem.machine.chain
+    return np.isin(chain, chain[joints]) if CATALOGUE[name].together else joints
+
+
 def pruned(problem: Problem, best: Tried, names: Sequence[str], joints: dict[str, BoolArray]) -> Fit:
     """Return the accepted fit with the effect only where it is there."""
     spec = CATALOGUE[best.name]

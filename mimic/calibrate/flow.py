@@ -23,6 +23,7 @@ from mimic.calibrate.diagnose import (
     pruned,
     search,
     stopped,
+    whole_chains,
     wider,
 )
 from mimic.calibrate.events import Timing, widening
@@ -510,12 +511,13 @@ def _as_good_without(state: _Search, best: Tried) -> Fit | None:
 def _where_it_is(state: _Search, best: Tried) -> tuple[Tried, Fit]:
     """Return the accepted effect on the joints where fine steps still show it, and the fit with it there."""
     problem = state.problem
+    best = replace(best, joints=whole_chains(problem, best.name, best.joints))
     settled = _settled(problem, pruned(problem, best, state.names, state.joints))
     if (best.allowed & ~best.joints).any() and earns_its_keep(problem, best.fitted, settled):
         best = replace(best, joints=best.allowed)  # its numbers were not sure yet, but it is missed where they were not
         settled = _settled(problem, pruned(problem, best, state.names, state.joints))
     deviation = deviations(settled, problem, left_out(settled, problem)[1])
-    there = present(problem, settled, best.name, best.joints, deviation)
+    there = whole_chains(problem, best.name, present(problem, settled, best.name, best.joints, deviation))
     if not there.any() or (there == best.joints).all():
         return best, settled
     fewer = replace(best, fitted=settled, joints=there)
@@ -537,7 +539,7 @@ def _elsewhere_too(state: _Search, best: Tried) -> tuple[Tried, Fit]:
     found = wider(problem, state.current, best.name, [*state.names, best.name], joints, more)
     if found is None:
         return best, state.current
-    best = replace(best, fitted=found[0], joints=found[1])
+    best = replace(best, fitted=found[0], joints=whole_chains(problem, best.name, found[1]))
     _correct(problem, best.fitted.point)
     return best, _settled(problem, pruned(problem, best, state.names, state.joints))
 

@@ -73,6 +73,9 @@ class Effect:
     """A threshold or an added state: a derivative at neutral does not see it, so it is always refitted."""
     tip: bool = False
     """Only the last joint of a chain can have it."""
+    together: bool = False
+    """All joints of a chain have it or none. A factor common to these numbers, masses and friction hardly changes the motion, so
+    that any one of them may seem to be none, and would fix that factor were it left out."""
     random: bool = False
     """Drawn anew for each target, so a replay needs what was drawn: it is read off the log, not fitted."""
     signature: str
@@ -169,6 +172,7 @@ _ALL = (
             Parameter(name="kp", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
             Parameter(name="kd", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
         ),
+        together=True,
         signature="as friction and mass together; without measured torque kd is not told from viscous friction and stays 1",
         experiment="two logs with gains that differ by a known factor",
         enters="actuator_gainprm, actuator_biasprm",
@@ -220,6 +224,7 @@ _ALL = (
         title="torque constant",
         equation="tau = factor tau_cmd",
         parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.02, spread=15),),
+        together=True,
         signature="in proportion to torque; the same motion as other masses and friction",
         experiment="a known mass, or measured torque",
         enters="actuator_gainprm, actuator_biasprm",

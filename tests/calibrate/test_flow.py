@@ -128,6 +128,19 @@ def test_a_hidden_effect_is_named_with_its_numbers(arm: MachineModel, hidden: Ef
     assert np.all(result.stages[-1].errors.held_out < 1.2 * result.noise)
 
 
+def test_gains_of_one_joint_are_told_of_its_whole_chain(arm: MachineModel) -> None:
+    """Gains, masses and friction times a factor move alike: a joint left out since it seems to have none would fix that factor."""
+    stiff = {"kp": np.array([1.3]), "kd": np.array([1.0])}
+    hidden = EffectValues(name="gains", joints=("shoulder",), values=stiff)
+    result = calibrate(log_of(arm, hidden), arm, CalibrateSettings(effects=("gains",)))
+    assert added(result) == ["gains"]
+    gains = next(e for e in result.effects if e.name == "gains")
+    assert gains.joints == ("shoulder", "elbow")
+    low, high = gains.intervals["kp"].T
+    assert np.all(low < [1.3, 1.0]), gains.intervals
+    assert np.all(high > [1.3, 1.0]), gains.intervals
+
+
 def test_targets_in_another_order_do_not_belong_to_the_log(arm: MachineModel) -> None:
     log = log_of(arm)
     assert log.q_des is not None
