@@ -306,27 +306,30 @@ def _settled(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
     fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, segment, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
     columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
-    settled = _refined(problem, replace(fitted, columns=tuple(columns)), MOST_CORRECTIONS)
+    settled = _converged(problem, replace(fitted, columns=tuple(columns)))
     problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
     return settled
 
 
-def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
-    """Return the fit after a few steps from the residuals of fine replays.
+def _refined(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit after a step from the residuals of fine replays."""
+    begun = replace(fitted, residual=_fine(problem, fitted.point))
+    return _summed(problem, _stepped(problem, begun, lambda point: _fine(problem, point), 1))
 
-    Where the steps are many, what an extrapolation to steps without length changes is taken for the same on the way, and found
-    anew where they settle.
+
+def _converged(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit where steps from the residuals of fine replays settle.
+
+    What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they settle.
     """
     fitted = replace(fitted, residual=_fine(problem, fitted.point))
-    if most == 1:
-        fitted = _stepped(problem, fitted, lambda point: _fine(problem, point), 1, 0.0)
-    for again in range(ROUNDS if most > 1 else 0):
+    for again in range(ROUNDS):
         beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
         there = _stepped(
             problem,
             fitted,
             lambda point, beyond=beyond: problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond,
-            most,
+            MOST_CORRECTIONS,
             _enough(problem, fitted) if again else 0.0,
         )
         if there.point.is_at(fitted.point):
@@ -335,10 +338,16 @@ def _refined(problem: Problem, fitted: Fit, most: int = 1) -> Fit:
         if not _cost(problem, there) < _cost(problem, fitted):
             break
         fitted = there
+    return _summed(problem, fitted)
+
+
+def _summed(problem: Problem, fitted: Fit) -> Fit:
     return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.knobs))
 
 
-def _stepped(problem: Problem, fitted: Fit, replayed: Callable[[Point], FloatArray], most: int, worth: float) -> Fit:
+def _stepped(
+    problem: Problem, fitted: Fit, replayed: Callable[[Point], FloatArray], most: int, worth: float = 0.0
+) -> Fit:
     """Return where steps along the derivatives of a fit lead, with its sums as they were.
 
     Args:

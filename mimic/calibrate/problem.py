@@ -215,7 +215,7 @@ class Problem:
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self._scales = _scales(replay)
-        self._fine: deque[tuple[Point, tuple[FloatArray | None, ...], FloatArray]] = deque(maxlen=REMEMBERED)
+        self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
@@ -256,24 +256,27 @@ class Problem:
 
     def in_steps_of_columns(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return whitened residuals (T, C) of so many times more steps as they are: a third of what :meth:`in_fine_steps` takes."""
-        made = self._known_pair(point)
+        made = self._known_pair(point, times, segment)
         if made is None:
             return self._whitened(self._replayed(self.replay.finer(times, segment), [point])[0])
         return self._whitened(made[0].copy())
 
     def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return the residuals of a point with so many and twice as many times more steps, in units of the log (2, T, C)."""
-        made = self._known_pair(point)
+        made = self._known_pair(point, times, segment)
         if made is None:
             both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
             made = np.concatenate(self._all_replayed(both))
-            self._fine.append((point, (self.replay.late, self.replay.heat), made))
+            self._fine.append((point, (self.replay.late, self.replay.heat, (times, segment)), made))
         return made
 
-    def _known_pair(self, point: Point) -> FloatArray | None:
-        now = (self.replay.late, self.replay.heat)
-        same = (m for p, then, m in self._fine if then[0] is now[0] and then[1] is now[1] and p.is_at(point))
-        return next(same, None)
+    def _known_pair(self, point: Point, times: int, segment: float) -> FloatArray | None:
+        """Return what :meth:`_fine_pair` has made of a point, with the targets and the heat that the replay has now."""
+        for known, (late, heat, steps), made in self._fine:
+            same = late is self.replay.late and heat is self.replay.heat and steps == (times, segment)
+            if same and known.is_at(point):
+                return made
+        return None
 
     def columns_in_fine_steps(
         self, point: Point, knobs: Sequence[Knob], times: int, segment: float, both_sides: bool = False

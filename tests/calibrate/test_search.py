@@ -11,7 +11,9 @@ from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.problem import Point, Problem, make_blocks
 from mimic.calibrate.replay import Replay
+from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion, screen, starts_of
+from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.simulate import simulate_log
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -115,6 +117,13 @@ def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
     motion = Motion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
     order = starts_of("cogging", fitted, problem, motion)[0].values["cogging", "order"]
     assert order == pytest.approx(ripple["order"], abs=4.0 / np.ptp(log.q, axis=0).max())
+
+
+def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel) -> None:
+    log = log_of(pair, EffectValues(name="encoder_step", joints=("a",), values={"angle": np.array([0.0025])}))
+    noise = noise_floor(log.q, log.rate)
+    assert noise[0] > 1.3 * noise[1]
+    assert coarse_steps(log.q, noise) == pytest.approx([0.0025, 0.0], abs=1e-5)
 
 
 @pytest.mark.parametrize(("also", "joints"), [("torque_speed", [True, True]), ("spring", [True, False])])
