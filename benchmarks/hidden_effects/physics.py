@@ -188,6 +188,12 @@ def _stick_or_slide(w, low, high, v, impulse, n):
 
 
 @njit(cache=True)
+def _between(torque, damp, v, v_mid):
+    """Torque in the middle of a step, of one at its beginning that damping takes from."""
+    return torque - damp * (v_mid - v)
+
+
+@njit(cache=True)
 def _limits(p, left, v):
     """Least and greatest torque of a motor at speed v with a share of its supply left."""
     tmax, vmax, flat = p[TMAX] * left, p[VMAX] * left, p[VFLAT] * left
@@ -341,7 +347,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     stiff *= factor
                     damp *= factor
                     if p[TLAG] > 0.0:
-                        cmd -= damp * (vm_mid - vm)
+                        cmd = _between(cmd, damp, vm, vm_mid)
                         f = 1.0 - math.exp(-h / p[TLAG])
                         old = lagged[l, j]
                         lagged[l, j] += f * (cmd - old)
@@ -349,7 +355,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         jump *= 0.5 * f
                         stiff = 0.0
                         damp = 0.0
-                    asked[l, j], at_speed[l, j] = cmd - damp * (vm_mid - vm), vm_mid
+                    asked[l, j], at_speed[l, j] = _between(cmd, damp, vm, vm_mid), vm_mid
                     down, up = _limits(p, left, vm_mid)
                     first, second = cmd - share * jump, cmd + (1.0 - share) * jump
                     if share > 0.0 and max(first, second) > down and min(first, second) < up:
@@ -362,7 +368,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     elif cmd < down:
                         cmd, stiff, damp = down, 0.0, 0.0
                     tau[l, j] = cmd
-                    cmd_mid = cmd - damp * (vm_mid - vm)
+                    cmd_mid = _between(cmd, damp, vm, vm_mid)
                     heat[l, j] += h * (cmd * cmd - heat[l, j]) / p[HTIME]
                     # Inertia of the rotor; it may depend on the angle (not in the catalogue).
                     inertia = p[JA]

@@ -86,6 +86,9 @@ def _unheard() -> Iterator[None]:
 class Replay:
     """Replays of one log in one model."""
 
+    longest_fine: float = math.inf
+    """Greatest length of a segment of a finer replay [s]."""
+
     def __init__(
         self,
         machine: MachineModel,
@@ -140,6 +143,7 @@ class Replay:
     def finer(self, times: int, segment: float, count: int = 1) -> Replay:
         """Return this replay in so many times more steps and segments of another length [s]; ``count`` are counted here."""
         self.replays += times * count
+        segment = min(segment, self.longest_fine)
         if (times, segment) not in self._finer:
             self._finer[times, segment] = self._again(self.dt / times, segment)
         fine = self._finer[times, segment]

@@ -70,6 +70,8 @@ class _Outside:
 class WorldReplay(Replay):
     """Replays of one log in one model, on the worlds of a device."""
 
+    longest_fine = FINE_SEGMENT
+
     def __init__(
         self,
         machine: MachineModel,
@@ -123,7 +125,7 @@ class WorldReplay(Replay):
             self.log,
             device=self._device,
             timestep=timestep,
-            segment=min(segment, FINE_SEGMENT),
+            segment=segment,
             threads=self.threads,
             torque=self.torque,
         )
