@@ -12,9 +12,7 @@ from mimic.calibrate.events import Timing, timings
 from mimic.calibrate.fit import Fit, deviations, fit, fit_all, fitting, left_out, prior
 from mimic.calibrate.moving_base import BaseMotion, moving_base
 from mimic.calibrate.problem import Key, Knob, Point, Problem
-from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion, Start, least_order, on_harmonic, screen
-from mimic.calibrate.unread import read
 from mimic.calibration import Candidate
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
@@ -49,9 +47,6 @@ ALIKE = 0.25
 
 LEAST_PARAMETER = 3.0
 """How far an effect's number is from none, in standard deviations."""
-
-LEAST_ROUNDING = 0.25
-"""What a coarse encoder rounds off, over what is left of its joint; less may be in the encoder, but is not what is missing."""
 
 LEAST_MISSED = 0.1
 """What an effect at a joint must take of the error of its chain, in noise floors; less is a crumb."""
@@ -336,10 +331,6 @@ def search(
         refine: Returns a fit judged at finer steps.
     """
     before, _ = left_out(incumbent, problem)
-    if "encoder_step" in candidates:
-        rounded = _rounded(problem, incumbent, before, names, joints)
-        if rounded is not None:  # a fact of the readings, and everything else is judged better with it
-            return Found(tried=(rounded,), best=rounded, rivals=())
     random = [n for n in candidates if CATALOGUE[n].random]
     late: tuple[Tried, ...] = ()
     if random:
@@ -454,25 +445,6 @@ def _of_the_base(base: BaseMotion, tried: Tried) -> str:
         return ""
     at = " and ".join(f"{f:.2f}" for f in base.frequencies)
     return f"one motion of the base at {at} Hz explains {'as much' if z > -RIVAL_Z else 'more'}, with {base.numbers} numbers"
-
-
-def _rounded(
-    problem: Problem, incumbent: Fit, before: FloatArray, names: Sequence[str], joints: dict[str, BoolArray]
-) -> Tried | None:
-    """Return coarse encoders where readings are multiples of a step, and its rounding is a good part of what is left; else None.
-
-    Whether a replay follows them is not asked: a servo hunts between two steps, in no order that a replay could foretell.
-    """
-    machine, log = problem.machine, problem.replay.log
-    count = len(machine.joints)
-    angle = coarse_steps(log.q[read(log)], problem.noise[:count])
-    left = np.sqrt(problem.mean_squares(incumbent.residual, False)[:count]) * problem.noise[:count]
-    there = angle / np.sqrt(12.0) > np.maximum(LEAST_IMPROVEMENT * problem.noise[:count], LEAST_ROUNDING * left)
-    if not there.any():
-        return None
-    point = incumbent.point.with_effect("encoder_step", machine, {"angle": np.where(there, angle, 0.0)})
-    fitted = fit(problem, point, names, joints, most=3)
-    return replace(judge(problem, incumbent, before, "encoder_step", fitted, there), joints=there, why="")
 
 
 def _late(

@@ -19,6 +19,7 @@ from mimic.calibrate.diagnose import (
     earns_its_keep,
     further,
     lasts,
+    paired,
     present,
     pruned,
     search,
@@ -45,10 +46,11 @@ from mimic.calibrate.problem import Key, Knob, Point, Problem, make_blocks
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import EXPLAINED, remainders
 from mimic.calibrate.replay import Replay
+from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion
 from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.unread import read
-from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
+from mimic.calibration import Calibration, Candidate, Errors, Remainder, Stage, Traces
 from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
@@ -97,6 +99,9 @@ SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 MOST_OF_IT = 0.75
 """Share of what noise does not explain that names take where they act, if more is left than could count; with less, what is there
 may be something else."""
+
+LEAST_ROUNDING = 0.25
+"""What a coarse encoder rounds off, over what is left of its joint; less may be in the encoder, but is not what is missing."""
 
 CRUMB = 0.1
 """Least ratio of what a name takes to what is left in the same chain."""
@@ -193,12 +198,14 @@ def calibrate(
     if settings.method == "least-squares" and belongs:
         stages += _grow(state)
         final = _polished(state)
-    stages[-1] = replace(stages[-1], errors=_errors(problem, final.residual))
+        stages = _with_encoders(state, stages, final)
+    left = _as_read(state, final)
+    stages[-1] = replace(stages[-1], errors=_errors(problem, left))
     motion = _motion(problem, final)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
     rest = remainders(
         machine.joints,
-        final.residual[:, :joints],
+        left[:, :joints],
         motion,
         target,
         problem.blocks.index,
@@ -215,9 +222,9 @@ def calibrate(
         dq=motion.dq,
         tau=motion.tau,
         before=before.residual[:, :joints] * scale,
-        after=final.residual[:, :joints] * scale,
+        after=left[:, :joints] * scale,
         torque_before=before.residual[:, joints:] * problem.noise[joints:] if measured else None,
-        torque_after=final.residual[:, joints:] * problem.noise[joints:] if measured else None,
+        torque_after=left[:, joints:] * problem.noise[joints:] if measured else None,
     )
     return Calibration(
         joints=machine.joints,
@@ -243,8 +250,12 @@ def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings
     step = settings.timestep or physics_step(log.rate)
     replay = _replay(log, machine, settings, step)
     noise = np.maximum(noise_floor(log.q, log.rate, read(log)), 1e-9)
+    steps = np.zeros_like(noise)
+    if not settings.effects or "encoder_step" in settings.effects:
+        steps, noise = coarse_steps(log.q[read(log)], noise)
     torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
     problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
+    problem.encoder_steps = steps
     if torque is None and "viscous" in settings.declared:
         problem.pinned = frozenset(SAME_AS_VISCOUS)
     return problem
@@ -757,6 +768,54 @@ def _polished(state: _Search) -> Fit:
     return fitted
 
 
+def _as_read(state: _Search, fitted: Fit) -> FloatArray:
+    """Return the residual of a fit (T, C) with the coarse encoders that were found, in chains where a replay with them leaves less.
+
+    Numbers are fitted without them, and what they round off is noise: a servo hunts between two steps, in an order that no replay
+    foretells for long, and derivatives of a replay that hunts are those of its steps.
+    """
+    problem = state.problem
+    if (has := state.joints.get("encoder_step")) is None:
+        return fitted.residual
+    angle = np.where(has, problem.encoder_steps, 0.0)
+    point = fitted.point.with_effect("encoder_step", problem.machine, {"angle": angle})
+    rounded = problem.in_steps_of_columns(point, FINE, FINE_SEGMENT)
+    costs = [problem.mean_squares(r, False) for r in (rounded, fitted.residual)]
+    chains = np.unique(problem.channel_chain)
+    less = [
+        c for c in chains if costs[0][problem.channel_chain == c].sum() < costs[1][problem.channel_chain == c].sum()
+    ]
+    return np.where(np.isin(problem.channel_chain, less), rounded, fitted.residual)
+
+
+def _with_encoders(state: _Search, stages: list[Stage], final: Fit) -> list[Stage]:
+    """Return the stages with one more, where readings are multiples of a step whose rounding is a good part of what is left."""
+    problem, machine = state.problem, state.problem.machine
+    count, train = len(machine.joints), problem.blocks.train
+    left = np.sqrt(problem.mean_squares(final.residual, False)[:count]) * problem.noise[:count]
+    has = problem.encoder_steps / np.sqrt(12.0) > LEAST_ROUNDING * left
+    if not has.any():
+        return stages
+    state.tick("rounding as the encoders do")
+    state.joints["encoder_step"] = has
+    residual = _as_read(state, final)
+    before, after = (problem.block_squares(r)[train] for r in (final.residual, residual))
+    fell = problem.mean_squares(final.residual, False) - problem.mean_squares(residual, False)
+    gain, z = paired(after, before, has[problem.channel_joint])
+    found = Candidate(
+        name="encoder_step",
+        gain=gain,
+        z=z,
+        improvement=float(np.sqrt(np.maximum(fell, 0.0)).max()),
+        values={"angle": np.where(has, problem.encoder_steps, 0.0)},
+        joints=tuple(np.array(machine.joints)[has]),
+        accepted=True,
+    )
+    others = tuple(c for s in stages if not s.added for c in s.candidates)
+    stage = Stage(added="encoder_step", errors=_errors(problem, residual), candidates=(found, *others))
+    return [*(s for s in stages if s.added), stage]
+
+
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
     deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
     if (late := state.problem.replay.late) is not None and "delay_jitter" in state.names:
@@ -782,6 +841,10 @@ def _effect_set(state: _Search, final: Fit) -> EffectSet:
                 intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
         joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)
         effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
+    if (has := state.joints.get("encoder_step")) is not None:
+        joints = tuple(np.array(state.problem.machine.joints)[has])
+        angle = {"angle": state.problem.encoder_steps[has]}
+        effects.append(EffectValues(name="encoder_step", joints=joints, values=angle, intervals={}, role="fitted"))
     return EffectSet(tuple(effects))
 
 

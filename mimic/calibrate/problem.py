@@ -214,6 +214,8 @@ class Problem:
         """Of each chain (K,), see :meth:`weigh`."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
+        self.encoder_steps = np.zeros(joints)
+        """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""
         self._scales = _scales(replay)
         self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None

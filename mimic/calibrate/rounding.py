@@ -27,13 +27,21 @@ LEAST_LEVELS = 6
 """Fewest steps in the range of motion: few places of a slow joint agree by themselves."""
 
 
-def coarse_steps(q: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the step of each encoder [rad] from its readings (T, J) and their noise floors (J,); 0 where none is seen."""
-    return np.array([_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)])
+def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the step of each encoder [rad], 0 where none is seen, and its noise floor with all that the step rounds off (J,).
+
+    Args:
+        q: Readings (T, J) [rad].
+        noise: Noise floors (J,) [rad]; they have a part of the rounding, as far as joints move in the time that they are taken from.
+    """
+    found = [_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)]
+    step, agreement = (np.array(row) for row in zip(*found, strict=True))
+    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, AGREEMENT, 1.0)))  # of a wrapped normal
+    return step, np.maximum(noise, np.hypot(step / np.sqrt(12.0), beside))
 
 
-def _step_of(q: FloatArray, noise: float) -> float:
-    """Return the step of a coarse encoder whose readings q (T,) have noise added, 0 where no step is seen.
+def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
+    """Return the step of a coarse encoder whose readings q (T,) have noise added, 0 where no step is seen, and how they agree.
 
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
@@ -43,7 +51,7 @@ def _step_of(q: FloatArray, noise: float) -> float:
     moving, q = (q - q.mean())[there], (q - q.mean())[::every]
     most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
     if most <= 1.0 / COARSEST_STEP or not len(moving):
-        return 0.0
+        return 0.0, 1.0
     width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
     counts = np.bincount(((q - q.min()) / width).astype(int))
     size = int(2 ** np.ceil(np.log2(max(1.0 / (spacing * width), len(counts)))))
@@ -55,7 +63,7 @@ def _step_of(q: FloatArray, noise: float) -> float:
     agree = [_agreement(q, f) for f in near]
     found = float(near[int(np.argmax(agree))])
     sure = max(agree) >= AGREEMENT and _agreement(moving, found) >= AGREEMENT
-    return 1.0 / found if sure and np.ptp(moving) * found >= LEAST_LEVELS else 0.0
+    return (1.0 / found, max(agree)) if sure and np.ptp(moving) * found >= LEAST_LEVELS else (0.0, 1.0)
 
 
 def _agreement(q: FloatArray, around: float) -> float:

@@ -235,3 +235,26 @@ def test_a_name_that_takes_little_beside_what_is_left_in_its_chain_is_withheld(a
     assert any(
         "spring" in line and "elbow" in line and "much more than it takes is left" in line for line in result.warnings
     )
+
+
+def test_what_a_coarse_encoder_rounds_off_is_noise_to_all_else(arm: MachineModel) -> None:
+    """Its step is read off; numbers are fitted without it, and what hides below it is still found."""
+    hidden = (
+        both("encoder_step", angle=0.006),
+        EffectValues(name="armature", joints=("elbow",), values={"inertia": np.array([0.012])}),
+    )
+    settings = CalibrateSettings(effects=("encoder_step", "armature", "stribeck", "joint_delay"))
+    result = calibrate(log_of(arm, *hidden), arm, settings)
+    assert added(result) == ["armature", "encoder_step"]
+    effects = {e.name: e for e in result.effects}
+    assert effects["encoder_step"].values["angle"] == pytest.approx([0.006, 0.006], rel=1e-3)
+    assert result.noise == pytest.approx(np.hypot(0.35e-3, 0.006 / np.sqrt(12.0)), rel=0.02)
+    assert all(r.verdict == "explained" for r in result.unexplained)
+    off = []
+    for true in (*DECLARED, hidden[1]):
+        found = effects[true.name]
+        for name, row in found.intervals.items():
+            truth = np.resize(true.values[name], len(row))
+            off += list((found.values[name] - truth) / ((row[:, 1] - row[:, 0]) / 3.92))
+    assert np.max(np.abs(off)) < 4.0
+    assert np.mean(np.abs(off)) < 1.6
