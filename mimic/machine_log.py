@@ -1,8 +1,8 @@
 """Logs of any machine with joints: what was asked, what was measured. The format is in docs/log-format.md.
 
 Parquet or CSV, a row a reading: ``t`` [s], ``q.<joint>`` [rad or m], and for each joint ``q_des.<joint>`` (target of a
-position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, gravity
-and notes stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name. Other columns of
+position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, gravity,
+units and notes stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name. Other columns of
 numbers (times of sending and receiving, temperatures, voltages) are kept as they are.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +26,9 @@ _KEY = b"mimic_log"
 
 CHANNELS = ("q", "dq", "tau", "q_des", "force")
 """What a log can hold for each joint."""
+
+UNITS = "units"
+"""Note of a log: its angles are in degrees, "deg", or in radians, "rad"; without it they should be in radians."""
 
 HELD = "held"
 """Note of a log in which joints that were held still were not read in every row: {"rows": n, "within": step}."""
@@ -50,7 +54,7 @@ class MachineLog:
     extra: Mapping[str, FloatArray] = field(default_factory=dict)
     """Other columns of the file by name (T,), such as ``temperature.FL_knee``."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes, and free notes."""
+    """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes [m/s^2], and free notes."""
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) < len(self.joints):
@@ -144,6 +148,10 @@ def read_log(path: Path) -> MachineLog:
     if strays:
         raise CalibrationError(f"{path} has {strays[0]}, but no q.{strays[0].split('.', 1)[1]} that it belongs to")
     extra = {name: column for name, column in columns.items() if name not in taken}
+    _check_gains(metadata, joints, path)
+    if metadata.get(UNITS) == "deg":
+        metadata = {**metadata, UNITS: "rad"}
+        found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
     return _carried(MachineLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
 
 
@@ -207,7 +215,7 @@ def write_log(log: MachineLog, path: Path) -> Path:
 
 
 def _notes(text: bytes, where: str) -> dict[str, Any]:
-    """Return the metadata of a log; gains must be numbers.
+    """Return the metadata of a log; gains, units and gravity must be what they can be.
 
     Raises:
         CalibrationError: If it is something else.
@@ -225,7 +233,31 @@ def _notes(text: bytes, where: str) -> dict[str, Any]:
                 raise CalibrationError(
                     f"{where}: {name} is {gains!r}; give a number of at least 0, or one for each joint by name"
                 )
+    if (units := found.get(UNITS, "rad")) not in ("rad", "deg"):
+        raise CalibrationError(f'{where}: {UNITS} is {units!r}; expected "rad" or "deg", of all angles of the log')
+    gravity = found.get("gravity", [0.0, 0.0, 0.0])
+    numbers = isinstance(gravity, list) and all(isinstance(g, int | float) and abs(g) < 100.0 for g in gravity)
+    if not numbers or len(gravity) != 3:
+        raise CalibrationError(f"{where}: gravity is {gravity!r}; expected [x, y, z] in the axes of the base, in m/s^2")
     return found
+
+
+def _check_gains(notes: Mapping[str, Any], joints: Sequence[str], path: Path) -> None:
+    """Refuse gains by joint that are not those of the joints.
+
+    Raises:
+        CalibrationError: If one is missing, or belongs to no joint.
+    """
+    for key in ("kp", "kd"):
+        gains = notes.get(key)
+        if not isinstance(gains, dict):
+            continue
+        for which, names in (("no", set(joints) - set(gains)), ("a", set(gains) - set(joints))):
+            if names:
+                raise CalibrationError(
+                    f"the notes of {path} have {which} {key} for {min(names)}; give one number for all, or one for each of"
+                    f" {_some(joints)}"
+                )
 
 
 def _some(columns: Iterable[str]) -> str:
@@ -237,9 +269,16 @@ def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             header = [name.strip() for name in next(csv.reader(file))]
-        values = np.genfromtxt(path, delimiter=",", skip_header=1, dtype=np.float64, encoding="utf-8-sig", ndmin=2)
-    except (OSError, ValueError, StopIteration) as reason:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # no rows: told below
+            values = np.genfromtxt(path, delimiter=",", skip_header=1, dtype=np.float64, encoding="utf-8-sig", ndmin=2)
+    except StopIteration:
+        raise CalibrationError(f"{path} is empty; a log is a header line and a row for each reading") from None
+    except (OSError, ValueError) as reason:
         raise CalibrationError(f"{path} cannot be read as CSV with a header line: {reason}") from None
+    if not values.size:
+        raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
+    if len(header) == 1 and ";" in header[0]:
+        raise CalibrationError(f"{path} has semicolons between its columns; commas are expected, and points in numbers")
     if values.shape[1] != len(header):
         raise CalibrationError(f"{path} has {len(header)} names in its header, but {values.shape[1]} columns")
     return {name: values[:, i] for i, name in enumerate(header)}, {}

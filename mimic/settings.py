@@ -891,8 +891,13 @@ class CalibrateSettings:
     """Seed of the random search."""
 
     def __post_init__(self) -> None:
+        for option, names in (("declared", self.declared), ("effects", self.effects)):
+            if len(set(names)) < len(names):
+                raise ConfigError(f"--{option} names an effect twice: {', '.join(names)}")
         _check_range("most-effects", self.most_effects, 0, 20)
         _check_range("samples", self.samples, 1, 10_000_000)
+        _check_range("threads", self.threads, 0, 1024)
+        _check_range("seed", self.seed, 0, 2**63)
         _check_range("timestep", self.timestep, 0.0, 0.005, "s")
         if self.device != "cpu" and not self.device.startswith("cuda"):
             raise ConfigError(f"device is {self.device}; it must be cpu, cuda or, of several GPUs, cuda:0, cuda:1, …")
@@ -915,14 +920,15 @@ class LogSettings:
     jitter: float = 0.0
     """Standard deviation of the times of the readings [s]."""
     timestep: float = 0.0002
-    """Physics step [s]. A calibration works out what steps without length would leave. With 0.5 ms the torques of a log were up
-    to 16 standard deviations of their noise away from that where targets jump, and intervals missed the truth."""
+    """Physics step [s], 0.0001 to 0.005. A calibration finds what steps without length would leave: with long ones the log is off."""
     seed: int = 0
     """Seed of noise and losses."""
 
     def __post_init__(self) -> None:
         _check_range("noise", self.noise, 0.0, 0.1, "rad")
         _check_range("resolution", self.resolution, 0.0, 0.1, "rad")
+        _check_range("torque-noise", self.torque_noise, 0.0, 100.0, "N m")
+        _check_range("seed", self.seed, 0, 2**63)
         _check_range("rate", self.rate, 20.0, 2000.0, "Hz")
         _check_range("lost-samples", self.lost_samples, 0.0, 0.9)
         _check_range("jitter", self.jitter, 0.0, 0.01, "s")

@@ -11,6 +11,7 @@ import hashlib
 import itertools
 import json
 import os
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,24 @@ from mimic.types import Provenance, Record
 R = TypeVar("R", bound=Record)
 
 _HEADER = b"mimic"
+
+
+def check_writable(folder: Path) -> None:
+    """Make sure that files can be written into a folder that may not exist yet, before work is spent on them.
+
+    Raises:
+        AssetError: If they cannot.
+    """
+    there = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    try:
+        if not there.is_dir():
+            raise NotADirectoryError(20, "it is a file")
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as reason:
+        raise AssetError(
+            f"nothing can be written to {folder}: {there}: {reason.strerror}; name another place"
+        ) from None
 
 
 @contextmanager

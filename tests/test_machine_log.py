@@ -110,10 +110,14 @@ def test_notes_beside_a_parquet_file_win(log: MachineLog, tmp_path: Path) -> Non
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.parquet").write_text("not parquet")
     (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "header.csv").write_text("t,q.a,q_des.a\n")
+    (tmp_path / "semicolons.csv").write_text("t;q.a;q_des.a\n0;1;2\n")
     pq.write_table(pa.table([pa.array([0.0]), pa.array([0.0])], names=["t", "t"]), tmp_path / "twice.parquet")
     for name, reason in (
         ("text.parquet", "cannot be read as Parquet"),
-        ("empty.csv", "cannot be read as CSV"),
+        ("empty.csv", "is empty; a log is a header line"),
+        ("header.csv", "has a header line, but no rows"),
+        ("semicolons.csv", "has semicolons between its columns"),
         ("twice.parquet", "cannot be read as Parquet"),
         ("missing.csv", "does not exist"),
         ("", "folder without joints.parquet"),
@@ -176,3 +180,39 @@ def test_the_rate_is_that_of_the_clock_without_gaps() -> None:
     t[2000:] += 0.7
     log = MachineLog(joints=("a",), t=t, q=np.zeros((3000, 1)), q_des=np.zeros((3000, 1)))
     assert log.rate == pytest.approx(1000.0, rel=1e-5)
+
+
+def test_angles_in_degrees_are_told_by_a_note(log: MachineLog, tmp_path: Path) -> None:
+    assert log.q_des is not None
+    degrees = replace(log, q=np.rad2deg(log.q), q_des=np.rad2deg(log.q_des), metadata={**log.metadata, "units": "deg"})
+    found = read_log(write_log(degrees, tmp_path / "log.parquet"))
+    assert found.q == pytest.approx(log.q)
+    assert found.q_des == pytest.approx(log.q_des)
+    assert read_log(write_log(found, tmp_path / "again.parquet")).q == pytest.approx(log.q)
+
+
+@pytest.mark.parametrize(
+    ("note", "reason"),
+    [
+        ('{"units": "grad"}', "units is 'grad'; expected"),
+        ('{"gravity": 9.81}', r"gravity is 9.81; expected \[x, y, z\]"),
+        ('{"gravity": [0, 0]}', "gravity is"),
+    ],
+)
+def test_notes_of_units_and_gravity_must_be_such(log: MachineLog, tmp_path: Path, note: str, reason: str) -> None:
+    path = write_log(log, tmp_path / "log.csv")
+    (tmp_path / "log.json").write_text(note)
+    with pytest.raises(CalibrationError, match=reason):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("kp", "reason"),
+    [({"a": 5.0}, "have no kp for b"), ({"a": 5.0, "b": 5.0, "c": 5.0}, "have a kp for c")],
+)
+def test_gains_by_joint_are_those_of_the_joints(tmp_path: Path, kp: dict[str, float], reason: str) -> None:
+    t = np.arange(3.0)
+    q = np.zeros((3, 2))
+    path = write_log(MachineLog(joints=("a", "b"), t=t, q=q, q_des=q, metadata={"kp": kp}), tmp_path / "log.csv")
+    with pytest.raises(CalibrationError, match=reason):
+        read_log(path)

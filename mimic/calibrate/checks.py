@@ -157,26 +157,39 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
     if empty:
         log = replace(log, **dict.fromkeys(empty))
+    if log.tau is not None and not np.nanmax(np.ptp(log.tau, axis=0)) > 0:
+        warnings.append("the measured torque never changes: the drives do not report it; left out")
+        log = replace(log, tau=None)
     ok, told = np.isfinite(log.t), np.zeros(len(log.t), dtype=bool)
     for name in CHANNELS:
         value = getattr(log, name)
-        if value is None:
+        if value is None or name == "dq":  # which nothing is fitted to
             continue
         finite = np.isfinite(value)
         for i in np.flatnonzero(finite.mean(axis=0) < 0.5):
             share = 1.0 - finite[:, i].mean()
+            what = f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; log it, or "
             raise CalibrationError(
-                f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; leave the joint out, or log it"
+                what + ("leave tau out for all joints" if name == "tau" else "take the joint out of log and model")
             )
         told |= ~finite.all(axis=1)
         if name in ("q_des", "force"):
             ok &= finite.all(axis=1)
     lost = float((told | ~ok).mean())
-    if lost > MOST_LOST:
-        raise CalibrationError(f"{lost:.0%} of the rows hold something that is not a number; expected readings")
     if lost > 0:
-        warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) hold something that is not a number; left out")
+        what = f"hold something that is not a number, the first of them {_first_gap(log)}"
+        if lost > MOST_LOST:
+            raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
+        warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
         log = log.part(ok)
+    if (spiked := unread.spikes(log)).any():
+        i, j = (int(x[0]) for x in np.nonzero(spiked))
+        rows = spiked.any(axis=1)
+        warnings.append(
+            f"{int(rows.sum())} rows ({rows.mean():.1%}) have a reading far off those around it, as corrupt frames have, such as"
+            f" q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
+        )
+        log = replace(log, q=np.where(spiked, np.nan, log.q))
     gone = unread.missing(log)
     odd = unread.at_odd_times(log, MOST_LOST) & ~gone
     if odd.any():
@@ -202,11 +215,21 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"
         )
-    if log.duration < SHORTEST:
+    if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 10 s ends a target before
         raise CalibrationError(
             f"the log lasts {log.duration:.2f} s by its column t (in seconds); {SHORTEST:g} s are needed, 120 s are good"
         )
     return log, warnings
+
+
+def _first_gap(log: MachineLog) -> str:
+    """Return column and time of the first value that is not a number."""
+    for name in ("q", "tau", "q_des", "force"):
+        value = getattr(log, name)
+        if value is not None and not np.isfinite(value).all():
+            i, j = (int(x[0]) for x in np.nonzero(~np.isfinite(value)))
+            return f"{name}.{log.joints[j]} at t = {log.t[i]:.3f} s"
+    return "t"
 
 
 def _stretches(t: FloatArray) -> tuple[slice, ...]:

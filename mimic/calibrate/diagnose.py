@@ -117,7 +117,7 @@ class Tried:
             joints=names,
             accepted=best is self,
             why="" if best is self else self.why or "another effect explains more",
-            rival_z=0.0 if best is None or best is self else paired(best.squares, self.squares)[1],
+            rival_z=0.0 if best is None or best is self else _apart(problem, best, self)[1],
         )
 
 
@@ -583,9 +583,13 @@ def _afresh(problem: Problem, point: Point, joints: BoolArray) -> Point:
 
 
 def _rivals(problem: Problem, best: Tried, other: Tried) -> bool:
-    channels = (best.joints | other.joints)[problem.channel_joint]
-    gain, z = paired(best.squares, other.squares, channels)
+    gain, z = _apart(problem, best, other)
     return z < RIVAL_Z or gain < LEAST_GAIN
+
+
+def _apart(problem: Problem, best: Tried, other: Tried) -> tuple[float, float]:
+    """Return gain and z of one effect over another, where either acts."""
+    return paired(best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
 
 
 def _pick(starts: Sequence[Start]) -> list[Start]:
@@ -614,7 +618,8 @@ def further(problem: Problem, fitted: Fit, name: str, joints: BoolArray) -> Bool
     """Return joints (J,) that lack an effect which others have, and where more is left than could count."""
     left = problem.mean_squares(fitted.residual, False)[: len(joints)] > 1.0 + LEAST_IMPROVEMENT**2
     spec = CATALOGUE[name]
-    return left & ~joints & (spec.scope != "machine" and not spec.read_off)
+    can = problem.machine.last if spec.tip else np.ones(len(joints), dtype=bool)
+    return left & ~joints & can & (spec.scope != "machine" and not spec.read_off)
 
 
 def wider(

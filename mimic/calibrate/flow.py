@@ -51,11 +51,12 @@ from mimic.calibrate.screen import Motion
 from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.unread import read
 from mimic.calibration import Calibration, Candidate, Errors, Remainder, Stage, Traces
-from mimic.errors import MissingExtra
+from mimic.errors import CalibrationError, MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.machine import MachineModel, with_gains
+from mimic.robot.effects import CATALOGUE, effect
+from mimic.robot.law import STIFFEST
+from mimic.robot.machine import MachineModel, as_logged
 from mimic.robot.servo import neutral
 from mimic.settings import CalibrateSettings
 from mimic.types import BoolArray, FloatArray
@@ -106,11 +107,17 @@ LEAST_ROUNDING = 0.25
 CRUMB = 0.1
 """Least ratio of what a name takes to what is left in the same chain."""
 
+SOFT = 0.1
+"""Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an elasticity of its own."""
+
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
 LONGEST_STEP = 0.0025
 """[s]"""
+
+LEAST_NOISE = 1e-9
+"""Noise floor where no reading shows any [rad or m]."""
 
 
 def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
@@ -144,6 +151,16 @@ class _Search:
         self.progress(text, self.problem.replay.replays)
 
 
+def check_names(settings: CalibrateSettings) -> None:
+    """Make sure that all effects that the settings name exist.
+
+    Raises:
+        ConfigError: If one does not.
+    """
+    for name in (*settings.declared, *settings.effects):
+        effect(name)
+
+
 def calibrate(
     log: MachineLog, model: MachineModel, settings: CalibrateSettings, progress: Progress | None = None
 ) -> Calibration:
@@ -156,15 +173,21 @@ def calibrate(
         progress: Called with what is being done and the number of replays so far.
 
     Raises:
-        CalibrationError: If log and model do not fit together in joints, or the log cannot be used.
+        CalibrationError: If log and model do not fit together in joints, the log cannot be used, or the model has a number that
+            is not fitted so large.
+        ConfigError: If the settings name an effect that does not exist.
     """
     began = time.monotonic()
+    check_names(settings)
     report = progress or (lambda text, replays: None)
     log = log.of(model.joints)
-    machine = with_gains(model, log.metadata)
+    machine = as_logged(model, log.metadata, by_force=log.q_des is None)
     problem = _problem(log, machine, settings)
     names = list(settings.declared)
     start = Point.of(names, machine)
+    _check_bounds(start, machine)
+    moves = np.ptp(log.q, axis=0) > 0
+    where = {} if moves.all() else {n: moves for n in names if effect(n).scope == "joint"}
     report("replaying", 0)
     first = problem.residuals([start])[0]
     problem.leave_out(~np.isfinite(first).all(-1))
@@ -174,7 +197,7 @@ def calibrate(
         fitted = random_search(problem, start, settings.samples, settings.seed, report)
     else:
         report("fitting the declared model", problem.replay.replays)
-        fitted = fit(problem, start, names, {}, most=5)
+        fitted = fit(problem, start, names, where, most=5)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(_errors(problem, fitted.residual).train / np.maximum(spread, 1e-9))
@@ -182,12 +205,12 @@ def calibrate(
     belongs = together and error < UNRELATED
     if settings.method == "least-squares" and belongs:
         report("comparing with fine steps", problem.replay.replays)
-        fitted = _compared(problem, fitted, names)
+        fitted = _compared(problem, fitted, names, where)
     state = _Search(
         problem=problem,
         settings=settings,
         progress=report,
-        joints={},
+        joints=where,
         names=names,
         current=fitted,
         declared=problem.mean_squares(fitted.residual, True),
@@ -234,7 +257,7 @@ def calibrate(
         stages=tuple(stages),
         effects=effects,
         unexplained=rest,
-        sentence=_sentence(stages, rest, scale, machine, belongs, effects, why),
+        sentence=_sentence(stages, rest, scale, machine, belongs, effects, why, settings.method != "random"),
         belongs=belongs,
         experiments=(*_experiments(stages), *_of_base(state, scale, machine.unit)),
         warnings=(*state.withdrawn, *(_told(*row, machine) for row in stopped(final, problem))),
@@ -246,19 +269,42 @@ def calibrate(
     )
 
 
+def _check_bounds(start: Point, machine: MachineModel) -> None:
+    """Refuse a model whose own numbers are none that can be fitted.
+
+    Raises:
+        CalibrationError: If one is outside its bounds.
+    """
+    for (name, parameter), row in start.values.items():
+        spec = effect(name).parameter(parameter)
+        for j in np.flatnonzero((row < spec.low) | (row > spec.high)):
+            raise CalibrationError(
+                f"the model has {name}.{parameter} {row[j]:g} {spec.unit} in {machine.joints[j]}; it can be {spec.low:g} to"
+                f" {spec.high:g}: correct the model, or leave {name} out with --declared"
+            )
+
+
 def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     step = settings.timestep or physics_step(log.rate)
     replay = _replay(log, machine, settings, step)
-    noise = np.maximum(noise_floor(log.q, log.rate, read(log)), 1e-9)
+    noise = _of_moving(log.q[read(log)], noise_floor(log.q, log.rate, read(log)))
     steps = np.zeros_like(noise)
     if not settings.effects or "encoder_step" in settings.effects:
         steps, noise = coarse_steps(log.q[read(log)], noise)
-    torque = np.maximum(noise_floor(log.tau, log.rate), 1e-9) if log.tau is not None and replay.torque else None
+    torque = None
+    if log.tau is not None and replay.torque:
+        torque = _of_moving(log.tau, noise_floor(log.tau, log.rate))
     problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
     problem.encoder_steps = steps
     if torque is None and "viscous" in settings.declared:
         problem.pinned = frozenset(SAME_AS_VISCOUS)
     return problem
+
+
+def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return noise floors (J,) in which a channel that never changes (T, J), and shows no noise, has the greatest of the others'."""
+    moves = (np.ptp(readings, axis=0) > 0) & (noise > 0)
+    return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
 
 
 def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
@@ -289,20 +335,20 @@ def _correct(problem: Problem, point: Point) -> None:
     problem.correction = _fine(problem, point) - problem.uncorrected([point])[0]
 
 
-def _compared(problem: Problem, fitted: Fit, names: list[str]) -> Fit:
+def _compared(problem: Problem, fitted: Fit, names: list[str], where: dict[str, BoolArray]) -> Fit:
     """Return the declared fit again, its coarse steps corrected by fine ones."""
     joints = len(problem.machine.joints)
     for _ in range(2):
         if not problem.weigh(fitted.residual):
             break
-        fitted = fit(problem, fitted.point, names, {}, most=3)
+        fitted = fit(problem, fitted.point, names, where, most=3)
     if problem.channels > joints:
         _correct(problem, fitted.point)
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         problem.coarsen_torque(unsure)
         _correct(problem, fitted.point)
-        fitted = fit(problem, fitted.point, names, {}, most=3)
+        fitted = fit(problem, fitted.point, names, where, most=3)
     return _settled(problem, fitted)
 
 
@@ -428,10 +474,17 @@ def _motion(problem: Problem, fitted: Fit) -> Motion:
 
 def _candidates(state: _Search) -> list[str]:
     allowed = state.settings.effects or tuple(CATALOGUE)
-    timed = any(CATALOGUE[n].random for n in state.names)  # one law of late targets is enough
-    return [
-        n for n in allowed if n not in state.names and not CATALOGUE[n].declared and not (timed and CATALOGUE[n].random)
-    ]
+    machine = state.problem.machine
+    out = set(state.names)
+    if any(CATALOGUE[n].random for n in state.names):  # one law of late targets is enough
+        out |= {n for n in allowed if CATALOGUE[n].random}
+    if (np.asarray(machine.drives.neighbour) == np.arange(len(machine.joints))).all():
+        out.add("coupling")  # to itself it is viscous friction
+    if len(machine.joints) == 1:
+        out.add("joint_delay")  # the delay of the machine
+    if np.max(machine.drives.kp) * STIFFEST > SOFT:
+        out |= {"backlash", "compliance"}
+    return [n for n in allowed if n not in out and not CATALOGUE[n].declared]
 
 
 def _explained(state: _Search) -> bool:
@@ -618,9 +671,9 @@ def _without(point: Point, name: str) -> list[Point]:
     """
     bare = point.without(name)
     starts = [bare]
-    for (effect, parameter), shared in SHARED.items():
-        if effect == name and shared in bare.values:
-            alike = bare.values[shared] + np.median(point.values[effect, parameter])
+    for (name_of, parameter), shared in SHARED.items():
+        if name_of == name and shared in bare.values:
+            alike = bare.values[shared] + np.median(point.values[name_of, parameter])
             starts.append(Point({**bare.values, shared: alike}))
     return starts
 
@@ -637,19 +690,21 @@ def _sure(state: _Search, stages: list[Stage]) -> list[Stage]:
     far = stopped(state.current, state.problem, FAR_BEYOND)
     bent = [row for row in stopped(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
     doubtful, elsewhere = _chains(far, machine), ~_chains(bent, machine)
+
+    def stops(joints: BoolArray) -> str:
+        return _where_it_stops(next(row for row in (*far, *bent) if (joints & _chains([row], machine)).any()), machine)
+
     fewer: dict[str, BoolArray] = {}
     for name in (s.added for s in named):
         had = state.joints[name]
         if (had & doubtful).any() or not (had & elsewhere).any():
-            state.withdrawn.append(
-                f"{CATALOGUE[name].title} explains something, but is not named: {_where_it_stops(*(far or bent)[0])}"
-            )
+            state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {stops(had)}")
             fewer[name] = np.zeros_like(had)
             continue
         has = had
         if CATALOGUE[name].scope != "machine" and (had & ~elsewhere).any():
             has = had & elsewhere
-            state.withdrawn.append(_withdrawn(name, had & ~has, _where_it_stops(*bent[0]), machine))
+            state.withdrawn.append(_withdrawn(name, had & ~has, stops(had & ~has), machine))
         partly, share = _in_part(state, name, has)
         if partly.any():
             why = f"{100 * (1 - share):.0f} % of what noise does not explain is left there"
@@ -735,8 +790,10 @@ def _withdrawn(name: str, joints: BoolArray, why: str, machine: MachineModel) ->
     return f"{CATALOGUE[name].title} explains something in {where}, but is not named there: {why}"
 
 
-def _where_it_stops(knob: Knob, bound: float) -> str:
-    return f"{knob.key[0]}.{knob.key[1]} stops at its bound {bound:g} in the same chain"
+def _where_it_stops(row: tuple[Knob, float], machine: MachineModel) -> str:
+    knob, bound = row
+    where = "" if knob.joint < 0 else f" of {machine.joints[knob.joint]}, in the same chain,"
+    return f"{knob.key[0]}.{knob.key[1]}{where} stops at its bound {bound:g}"
 
 
 def _chains(rows: Sequence[tuple[Knob, float]], machine: MachineModel) -> BoolArray:
@@ -838,7 +895,8 @@ def _effect_set(state: _Search, final: Fit) -> EffectSet:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
                 half = np.hypot(half, state.unsure.get((name, p.name), 0.0))
                 low, high = values[p.name] - half, values[p.name] + half
-                intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
+                if np.isfinite(half).all():
+                    intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
         joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)
         effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
     if (has := state.joints.get("encoder_step")) is not None:
@@ -897,6 +955,7 @@ def _sentence(
     belongs: bool,
     effects: EffectSet,
     why: str,
+    searched: bool,
 ) -> str:
     if not belongs:
         return f"Log and model do not belong together: {why or 'what was asked does not explain what was measured'}."
@@ -906,6 +965,9 @@ def _sentence(
     added = [s for s in stages if s.added not in ("", "declared")]
     left = [r for r in rest if r.verdict != "explained"]
     unexplained = _left(left)
+    if not searched:
+        rest = f" Unexplained: {unexplained}." if left else ""
+        return f"The declared numbers were fitted ({errors}). Effects that it may lack were not looked for.{rest}"
     if not added:
         if not left:
             return f"The model lacks nothing that this log shows ({errors})."

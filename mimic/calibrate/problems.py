@@ -6,15 +6,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mimic.calibrate.signals import reversals, speed
+from mimic.calibrate.signals import noise_floor, reversals, speed
 from mimic.errors import CalibrationError
-from mimic.machine_log import MachineLog
+from mimic.machine_log import UNITS, MachineLog
 from mimic.types import BoolArray, FloatArray
 
 GAP = 1.5
 """Two readings further apart than this many usual distances have others missing between them."""
 ANSWERED = 0.1
 """A joint that does not read otherwise so long after its target moved does not answer [s]."""
+STILL = 3.0
+"""A joint whose positions spread by no more than so many noise floors does not move."""
 FOLLOWS, STRANGER = 0.9, 0.5
 """Correlation of a joint with a target that it certainly follows, and certainly does not."""
 
@@ -58,20 +60,22 @@ def units(log: MachineLog, limits: FloatArray | None, unit: str) -> Iterator[str
             if limits is not None:
                 bound = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
                 bound[~np.isfinite(limits).any(axis=1)] = np.inf
-            far = furthest > np.where(np.isfinite(bound), 3.0 * bound + 1.0, 20.0)
-            if far.any() and np.median(furthest) > 6.3:
+            turns_far = np.inf if log.metadata.get(UNITS) == "rad" else 20.0
+            far = furthest > np.where(np.isfinite(bound), 3.0 * bound + 1.0, turns_far)
+            if (far := far & (np.ptp(value, axis=0) > 2 * np.pi)).any():
                 i = int(np.argmax(np.where(far, furthest, 0.0)))
                 limit = (
                     f"the limit of the joint is {bound[i]:.2f} rad" if np.isfinite(bound[i]) else "a turn is 6.28 rad"
                 )
                 yield (
                     f"{name}.{log.joints[i]} reaches {furthest[i]:.1f}, and {limit}: the log seems to be in degrees;"
-                    " multiply by pi/180"
+                    ' multiply by pi/180, or write "units": "deg" into its notes ("rad" if that is right)'
                 )
     if log.q_des is None:
         return
     spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
-    ratio = np.where((spread > 0) & (wanted > 0), spread / np.maximum(wanted, 1e-300), 1.0)
+    moves = (spread > STILL * noise_floor(log.q, log.rate)) & (wanted > 0)
+    ratio = np.where(moves, spread / np.maximum(wanted, 1e-300), 1.0)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
             found = [joint for joint, r in zip(log.joints, of, strict=True) if abs(r / factor - 1.0) < 0.3]

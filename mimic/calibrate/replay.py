@@ -72,6 +72,20 @@ class Job:
     """Torques on the joints from outside (count, steps, J) [N m]."""
 
 
+UNSEEN, UNUSUAL = 0.05, 2.5
+"""Readings further apart than this [s] and than so many usual distances: targets may have come and gone between them."""
+
+AROUND = 0.01
+"""The velocity that a segment begins with is that between readings so long before and after [s]."""
+
+
+def _begun(t: FloatArray) -> FloatArray:
+    """Return when the stretch without gaps began that each reading is in (T,), from their times (T,)."""
+    between = np.diff(t)
+    gap = between > max(UNSEEN, UNUSUAL * float(np.median(between)))
+    return np.maximum.accumulate(np.where(np.concatenate([[True], gap]), t, -np.inf))
+
+
 @contextmanager
 def _unheard() -> Iterator[None]:
     """Keep MuJoCo from telling of simulations that blow up: numbers are tried that are far off. They begin again at zero."""
@@ -123,8 +137,8 @@ class Replay:
         self.length = int((edges[1:] - self._begin).max())
         self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
         self._part = t / timestep - self._rows
-        self.counts = t >= settle
-        """Readings that count: all but those of the first settling (T,)."""
+        self.counts = t - _begun(t) >= settle
+        """Readings that count: all but those of the settling at the beginning and after each gap (T,)."""
         asked = log.q_des if log.q_des is not None else log.q * 0.0
         self.sent = np.flatnonzero(np.concatenate([[True], (np.diff(asked, axis=0) != 0).any(1)]))
         """Rows at which a new target was sent (K,)."""
@@ -370,8 +384,9 @@ class Replay:
         t = self.log.t - self.log.t[0]
         at = begin * self.dt
         q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
-        ahead = np.stack([np.interp(at + 0.02, t, column) for column in self.log.q.T], -1)
-        return q, (ahead - q) / 0.02
+        around = np.clip(at + np.array([[-AROUND], [AROUND]]), 0.0, t[-1])
+        before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
+        return q, (after - before) / (around[1] - around[0])[:, None]
 
     def _heat_at(self, p: Parameters) -> FloatArray | None:
         """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).

@@ -95,7 +95,12 @@ def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
 def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
     """Order whose sine and cosine over position explain most of the residual."""
     r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
-    orders = np.arange(least_order(q), 2 * np.pi * MOST_PERIODS / max(np.ptp(q), 1e-9), FINEST_ORDER / np.ptp(q))
+    bounds = CATALOGUE["cogging"].parameter("order")
+    span = max(float(np.ptp(q)), 1e-9)
+    most = min(2 * np.pi * MOST_PERIODS / span, bounds.high)
+    orders = np.arange(max(least_order(q), bounds.low), most, FINEST_ORDER / span)
+    if not len(orders):
+        return bounds.high
     calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
     if not calm.any():
         return float(orders[0])

@@ -22,6 +22,23 @@ LEAST_ODD = 0.5e-3
 """[s]; what is less hardly matters."""
 
 
+SPIKE = 100.0
+"""Speed to a single reading and back from it, from which on no machine moved so [rad/s or m/s]."""
+
+
+def spikes(log: MachineLog) -> BoolArray:
+    """Return the readings of positions (T, J) that are far off those before and after, which agree: frames that were corrupted."""
+    t, q = log.t, log.q
+    found = np.zeros(q.shape, dtype=bool)
+    if len(t) < 3:
+        return found
+    up, down = np.diff(q[:-1], axis=0), -np.diff(q[1:], axis=0)
+    times = np.maximum(np.diff(t)[:-1], np.diff(t)[1:])[:, None]
+    least = np.minimum(np.abs(up), np.abs(down))
+    found[1:-1] = (up * down > 0) & (least > SPIKE * times) & (np.abs(up - down) < 0.2 * least)
+    return found
+
+
 def missing(log: MachineLog) -> BoolArray:
     """Return the rows (T,) in which some reading is not a number."""
     rows = np.asarray(~np.isfinite(log.q).all(axis=1))

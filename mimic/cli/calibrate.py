@@ -17,6 +17,7 @@ from mimic.settings import CalibrateSettings, LogSettings
 
 if TYPE_CHECKING:
     from mimic.calibration import Calibration
+    from mimic.machine_log import MachineLog
     from mimic.robot.machine import MachineModel
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
@@ -55,29 +56,44 @@ def calibrate_log(path: Path, model: Path | None, out: Path, settings: Calibrate
     """Explain a log, print what was found, and write report, numbers and effects."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; name a folder with --out")
+    store.check_writable(out)
     with working("replays") as tell:
         tell("reading", 0)
         import numpy as np
 
         from mimic.calibrate.checks import check_log
-        from mimic.calibrate.flow import calibrate
+        from mimic.calibrate.flow import calibrate, check_names
         from mimic.machine_log import read_log
 
+        check_names(settings)
         log = read_log(path)
         machine = machine_of(model, log.metadata)
         log = log.of(machine.joints)
+        told = _gains_of_the_model(log, machine)
         tell("checking the log", 0)
         limits = np.stack([machine.low, machine.high], -1)
         facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
         result = calibrate(facts.log, machine, settings, tell)
     inputs = {"log": path} | ({"model": model} if model else {})
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
-    warnings = tuple(dict.fromkeys((*facts.warnings, *result.warnings)))
+    warnings = tuple(dict.fromkeys((*told, *facts.warnings, *result.warnings)))
     metadata = {"name": path.name, **result.metadata, "provenance": store.plain(made_by)}
     result = replace(result, warnings=warnings, metadata=metadata, repeatability=facts.repeatability)
     written = _write(result, out)
     _tell(result, written)
     return DONE if result.belongs else USER
+
+
+def _gains_of_the_model(log: MachineLog, machine: MachineModel) -> list[str]:
+    """Return a line where the log does not tell gains that its targets need."""
+    lacking = [key for key in ("kp", "kd") if key not in log.metadata]
+    if log.q_des is None or not lacking:
+        return []
+    from mimic.view.svg import number
+
+    own = ((key, sorted(set(map(float, getattr(machine.drives, key))))) for key in lacking)
+    values = " and ".join(f"{key} {', '.join(map(number, row[:3]))}{' …' if len(row) > 3 else ''}" for key, row in own)
+    return [f"the notes of the log do not tell {' and '.join(lacking)}: those of the model are taken, {values}"]
 
 
 def _write(result: Calibration, out: Path) -> list[Path]:
@@ -164,8 +180,12 @@ def simulate_to(
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"{out} is neither .parquet nor .csv; name a log that can be written")
+    store.check_writable(out.parent)
     hidden = read_effects(effects) if effects else EffectSet()
     given = {"kp": motion.kp, "kd": motion.kd}
+    for name, value in given.items():
+        if value is not None and not 0.0 <= value < 1e9:
+            raise ConfigError(f"{name} is {value:g}; a gain is a number of at least 0")
     machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
     if model is None:
         low, high, centre = hung_ranges(load_description())

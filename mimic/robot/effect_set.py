@@ -54,15 +54,18 @@ class EffectValues:
             raise ConfigError(f"effect {self.name!r} belongs to the whole machine; leave out its joints")
         if spec.scope == "joint" and not self.joints:
             raise ConfigError(f'effect {self.name!r} belongs to joints; name them, such as joints = ["FL_knee"]')
+        if len(set(self.joints)) < len(self.joints):
+            raise ConfigError(f"effect {self.name!r} has a joint twice: {', '.join(self.joints)}")
         count = max(1, len(self.joints))
         values = {name: _row(self.name, name, value, count) for name, value in self.values.items()}
         for name, row in values.items():
             parameter = spec.parameter(name)
             for value in row:
                 if not np.isfinite(value) or not parameter.low <= value <= parameter.high:
+                    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
                     raise ConfigError(
-                        f"{self.name}.{name} is {value:g} {parameter.unit}; "
-                        f"it must be from {parameter.low:g} to {parameter.high:g} {parameter.unit}"
+                        f"{self.name}.{name} is {value:g}{unit}; "
+                        f"it must be from {parameter.low:g} to {parameter.high:g}{unit}"
                     )
         for name, rows in self.intervals.items():
             spec.parameter(name)
@@ -132,6 +135,19 @@ def read_effects(path: Path) -> EffectSet:
     return EffectSet(tuple(_effect(path, row) for row in rows))
 
 
+def _joints(names: Any) -> tuple[str, ...]:
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f'joints is {names!r}; it is a list of names, such as ["FL_knee"]')
+    return tuple(names)
+
+
+def _numbers_of(name: str, value: Any) -> FloatArray:
+    for number in value if isinstance(value, list) else [value]:
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise TypeError(f"{name} is {value!r}; it is a number, or a list of one for each joint")
+    return np.asarray(value, dtype=np.float64)
+
+
 def _effect(path: Path, row: Any) -> EffectValues:
     if not isinstance(row, dict) or "name" not in row:
         raise ConfigError(f"{path}: an [[effect]] has no name")
@@ -139,10 +155,10 @@ def _effect(path: Path, row: Any) -> EffectValues:
     try:
         return EffectValues(
             name=row["name"],
-            joints=tuple(row.get("joints", ())),
+            joints=_joints(row.get("joints", [])),
             role=row.get("role", "fixed"),
             source=row.get("source", ""),
-            values={k: np.asarray(v, dtype=np.float64) for k, v in row.items() if k not in known},
+            values={k: _numbers_of(k, v) for k, v in row.items() if k not in known},
             intervals=row.get("interval", {}),
         )
     except ConfigError as reason:

@@ -26,6 +26,9 @@ Kind = Literal["probe", "random"]
 SHORTEST = 10.0
 """Below this no section has room to show anything [s]."""
 
+LONGEST = 1e5
+"""[s]"""
+
 _HOLD, _BLEND = 0.5, 0.4
 """Rest at the centre before each multisine, and the way from one section to the next [s]."""
 
@@ -89,10 +92,10 @@ def probe_targets(
     low, high, centre = (np.asarray(v, dtype=np.float64) for v in (low, high, centre))
     if not np.all((low < centre) & (centre < high)):
         raise ConfigError("the centre of a joint must lie between its low and its high")
-    if seconds < SHORTEST or rate_hz < 20.0 or not 0.0 < size <= 1.0:
+    if not SHORTEST <= seconds < LONGEST or rate_hz < 20.0 or not 0.0 < size <= 1.0:
         raise ConfigError(
             f"an excitation of {seconds:g} s at {rate_hz:g} Hz and size {size:g} is not possible; "
-            f"it takes at least {SHORTEST:g} s, 20 Hz and a size above 0 and up to 1"
+            f"it takes {SHORTEST:g} s to {LONGEST:g} s, 20 Hz and a size above 0 and up to 1"
         )
     rng = np.random.default_rng(seed)
     draw = _Draw(len(low), rate_hz, rng)

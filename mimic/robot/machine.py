@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
             actuators; without these, joints are driven by force alone.
 
     Raises:
-        AssetError: If the file cannot be compiled, or a joint is free or a ball.
+        AssetError: If the file cannot be compiled, a joint is free or a ball, or joints are tied to each other.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -96,18 +97,42 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
             )
     if not original.njnt:
         raise AssetError(f"{path} has no joints")
+    tied = [n for n, count in (("equality", original.neq), ("tendon", original.ntendon)) if count]
+    if tied:
+        raise AssetError(
+            f"{path} has elements of {' and '.join(tied)}, which a replay of single joints lacks; take them out of the model"
+        )
     names = [original.joint(j).name for j in range(original.njnt)]
-    kp, kd, torque = np.zeros(len(names)), np.zeros(len(names)), np.full(len(names), UNLIMITED)
+    kp, kd, most = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(names))
     for a in range(original.nu):
         if original.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
             continue
-        j = int(original.actuator_trnid[a, 0])
-        if original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE:
-            kp[j], kd[j] = original.actuator_gainprm[a, 0], -original.actuator_biasprm[a, 2]
-        if original.actuator_forcelimited[a]:
-            torque[j] = original.actuator_forcerange[a, 1]
+        j, gear = int(original.actuator_trnid[a, 0]), abs(float(original.actuator_gear[a, 0]))
+        if original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE:  # a position and a velocity servo add up
+            kp[j] -= original.actuator_biasprm[a, 1] * gear**2
+            kd[j] -= original.actuator_biasprm[a, 2] * gear**2
+        most[j] += original.actuator_forcerange[a, 1] * gear if original.actuator_forcelimited[a] else UNLIMITED
+    torque = np.where(most > 0.0, np.minimum(most, UNLIMITED), UNLIMITED)
+    limited = original.jnt_actfrclimited.astype(bool)
+    torque = np.where(limited, np.minimum(torque, original.jnt_actfrcrange[:, 1]), torque)
     far = np.full(len(names), UNLIMITED)
     return with_gains(_machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far), gains or {})
+
+
+def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = False) -> MachineModel:
+    """Return the machine with what the notes of a log say of it: gains, and gravity in base axes [m/s^2].
+
+    Args:
+        machine: The model.
+        notes: ``kp``, ``kd`` and ``gravity`` (see docs/log-format.md).
+        by_force: Only forces were asked for, and no targets: drives have no gains then.
+    """
+    machine = with_gains(machine, {"kp": 0.0, "kd": 0.0} if by_force else notes)
+    if "gravity" not in notes:
+        return machine
+    model = copy(machine.model)
+    model.opt.gravity[:] = notes["gravity"]
+    return replace(machine, model=model)
 
 
 def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:

@@ -147,10 +147,10 @@ def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, 
             )
         for parameter in spec.parameters:
             row = neutral(e.name, parameter.name, machine)
+            index = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
             if parameter.fixed and parameter.starts:
-                row = np.full_like(row, parameter.starts[0])
+                row[index] = parameter.starts[0]
             if parameter.name in e.values:
-                index = [machine.joints.index(j) for j in e.joints] if e.joints else [0]
                 row[index] = e.values[parameter.name]
             found[e.name, parameter.name] = row[None]
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from mimic.calibrate.checks import belongs, check_log
+from mimic.calibrate.problems import units
 from mimic.calibrate.signals import period
 from mimic.calibrate.unread import read
 from mimic.errors import CalibrationError
@@ -123,7 +125,8 @@ def test_the_lag_is_that_of_the_drive(log: MachineLog) -> None:
 
 def test_too_short(log: MachineLog) -> None:
     with pytest.raises(CalibrationError, match=r"lasts 9\.9\d s .* 10 s are needed"):
-        check_log(log.part(slice(0, 1999)))
+        check_log(log.part(slice(0, 1990)))
+    check_log(log.part(slice(0, 1997)))  # what `mimic log simulate --seconds 10` makes
 
 
 def test_one_row(log: MachineLog) -> None:
@@ -260,6 +263,58 @@ def test_degrees(log: MachineLog) -> None:
     assert "wraps" not in str(refusal.value)
     with pytest.raises(CalibrationError, match="in degrees"):
         check_log(degrees)
+
+
+def test_many_turns_are_no_degrees_if_the_notes_say_so(log: MachineLog) -> None:
+    far = replace(log, q=60 * log.q, q_des=60 * log.q_des)  # type: ignore[operator]
+    with pytest.raises(CalibrationError, match='"units": "deg" into its notes'):
+        check_log(far)
+    check_log(replace(far, metadata={**log.metadata, "units": "rad"}))
+
+
+def test_a_torque_that_never_changes_is_none(log: MachineLog) -> None:
+    facts = check_log(replace(log, tau=np.zeros_like(log.q)))
+    assert facts.log.tau is None
+    assert any("torque never changes" in w for w in facts.warnings)
+
+
+def test_a_single_corrupt_reading_is_left_out_and_told(log: MachineLog) -> None:
+    q = np.array(log.q)
+    q[501, 1] = 1e6
+    q[900, 0] += 2.0
+    facts = check_log(replace(log, q=q), LIMITS)
+    assert any("2 rows" in w and "such as q.knee 1e+06 at t = 2.505 s" in w for w in facts.warnings)
+    assert not read(facts.log)[[501, 900]].any()
+    assert read(facts.log).sum() == len(log.t) - 2
+    assert np.abs(facts.log.q).max() < 1.0
+
+
+def test_fast_moves_are_no_corrupt_readings(log: MachineLog) -> None:
+    assert read(check_log(log, LIMITS).log).all()
+
+
+def test_what_is_not_a_number_is_told_by_its_first_place(log: MachineLog) -> None:
+    gap = changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 400, np.nan, x))
+    assert any("first of them q_des.knee at t = 2.000 s" in w for w in check_log(gap, LIMITS).warnings)
+
+
+def test_joints_that_do_not_move_are_in_no_other_unit(log: MachineLog) -> None:
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(log.q.shape)
+    with contextlib.suppress(CalibrationError):
+        assert not any("thousandths" in w for w in check_log(replace(log, q=noise), LIMITS).warnings)
+    assert not list(units(replace(log, q=noise), LIMITS, "rad"))
+
+
+def test_one_joint_in_degrees(log: MachineLog) -> None:
+    knee = changed(changed(log, "q", "knee", np.rad2deg), "q_des", "knee", np.rad2deg)
+    with pytest.raises(CalibrationError, match=r"q\.knee reaches .* seems to be in degrees"):
+        check_log(knee, LIMITS)
+
+
+def test_velocities_that_are_missing_lose_no_rows(log: MachineLog) -> None:
+    facts = check_log(replace(log, dq=np.where(np.arange(len(log.t))[:, None] % 3, np.nan, log.q)))
+    assert len(facts.log.t) == len(log.t)
+    assert not any("not a number" in w for w in facts.warnings)
 
 
 def test_degrees_in_one_channel(log: MachineLog) -> None:

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from mimic.calibration import Calibration
 from mimic.errors import MissingExtra
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.machine import MachineModel, read_machine
+from mimic.robot.effects import CATALOGUE, UnknownEffect
+from mimic.robot.machine import MachineModel, read_machine, with_gains
 from mimic.settings import CalibrateSettings, LogSettings
 
 ARM = """
@@ -161,6 +162,49 @@ def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) 
         np.mean(ours.stages[0].errors.held_out ** 2)
     )
 
+    assert "Effects that it may lack were not looked for" in random.sentence
+    assert all(not e.intervals for e in random.effects)
+
+
+def test_effects_that_do_not_exist_are_told_before_anything_is_fitted(arm: MachineModel) -> None:
+    told: list[str] = []
+    for settings in (CalibrateSettings(effects=("stribek",)), CalibrateSettings(declared=("coulom",))):
+        with pytest.raises(UnknownEffect, match="coulomb, viscous"):
+            calibrate(log_of(arm), arm, settings, lambda text, replays: told.append(text))
+    assert not told
+
+
+def test_nothing_is_fitted_to_a_joint_that_never_moves(arm: MachineModel) -> None:
+    """Its reading has no noise, and would count more than all others."""
+    log = log_of(arm)
+    still = replace(log, q=np.where([True, False], 0.1, log.q), q_des=np.where([True, False], 0.1, log.q_des))
+    result = calibrate(still, arm, CalibrateSettings(most_effects=0))
+    assert result.noise[0] == result.noise[1]
+    assert [e.joints for e in result.effects] == [("elbow",)] * 3 + [()]
+
+
+def test_a_joint_alone_is_not_coupled_to_itself(tmp_path: Path) -> None:
+    """Where viscous friction stops at nothing, a coupling to itself would go on below."""
+    path = tmp_path / "one.xml"
+    path.write_text(
+        ARM.replace('<joint name="elbow" axis="0 1 0" armature="0.003" damping="0.04" frictionloss="0.05"/>', "")
+    )
+    one = read_machine(path, {"kp": 20.0, "kd": 0.8})
+    t, q_des = targets()
+    log = replace(simulate_log(one, t, q_des[:, :1], EffectSet(), LogSettings(seed=1)), tau=None)
+    stiffer = replace(log, metadata={"kp": 20.0, "kd": 1.0})
+    result = calibrate(stiffer, one, CalibrateSettings(effects=("coupling", "joint_delay", "quadratic_drag")))
+    assert {c.name for s in result.stages for c in s.candidates} <= {"quadratic_drag"}
+
+
+def test_a_log_of_forces_is_replayed_without_a_servo(arm: MachineModel) -> None:
+    """Whatever gains the model has: there are no targets that they could pull to."""
+    log = log_of(arm)
+    forces = MachineLog(joints=log.joints, t=log.t, q=log.q, force=0.05 * np.sin(3.0 * log.t)[:, None] + 0.0 * log.q)
+    free = calibrate(forces, with_gains(arm, {"kp": 0.0, "kd": 0.0}), CalibrateSettings(most_effects=0))
+    held = calibrate(forces, arm, CalibrateSettings(most_effects=0))
+    assert np.array_equal(free.nominal.held_out, held.nominal.held_out)
+
 
 def test_declared_numbers_that_stop_at_a_bound_are_told(arm: MachineModel) -> None:
     """A drive that brakes less than its gains say asks for less than no friction."""
@@ -186,7 +230,7 @@ def test_nothing_is_named_where_a_declared_number_stops_at_its_bound(arm: Machin
     assert "Nothing in the catalogue explains what is left" in result.sentence
     tried = next(c for c in result.stages[-1].candidates if c.name == "stribeck")
     assert not tried.accepted
-    assert "viscous.coefficient stops at its bound 0" in tried.why
+    assert "viscous.coefficient of shoulder, in the same chain, stops at its bound 0" in tried.why
 
 
 def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
@@ -216,7 +260,9 @@ def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel
     monkeypatch.setitem(CATALOGUE, "spring", replace(spec, parameters=narrow))
     result = calibrate(log, arm, CalibrateSettings(effects=("spring",), most_effects=1))
     assert added(result) == []
-    assert any("spring.stiffness stops at its bound 0.25" in line for line in result.warnings)
+    assert any(
+        "spring.stiffness of elbow, in the same chain, stops at its bound 0.25" in line for line in result.warnings
+    )
     assert "Nothing in the catalogue explains what is left" in result.sentence
 
 

@@ -17,7 +17,7 @@ from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.simulate import simulate_log
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import DECLARED
+from mimic.robot.effects import CATALOGUE, DECLARED
 from mimic.robot.machine import MachineModel, read_machine
 from mimic.robot.servo import neutral
 from mimic.settings import CalibrateSettings, LogSettings
@@ -119,6 +119,34 @@ def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
     assert order == pytest.approx(ripple["order"], abs=4.0 / np.ptp(log.q, axis=0).max())
 
 
+def test_cogging_is_not_looked_for_beyond_its_bound(pair: MachineModel) -> None:
+    """The range of motion would allow orders up to 180; here ripple of another 700 is left."""
+    log = log_of(pair)
+    problem, point = problem_of(pair, log)
+    fitted = fit(problem, point, DECLARED, {}, most=1)
+    left = replace(fitted, residual=np.cos(700.0 * log.q))
+    slow = 0.1 * log.q
+    motion = Motion(t=log.t, q=slow, dq=np.gradient(slow, log.t, axis=0), tau=np.zeros_like(log.q))
+    order = starts_of("cogging", left, problem, motion)[0].values["cogging", "order"]
+    assert np.all(order <= CATALOGUE["cogging"].parameter("order").high)
+
+
+def test_a_payload_is_extended_to_ends_of_chains_only(pair: MachineModel, tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    inner = '<body name="b" pos="0 1 0">'
+    path.write_text(
+        PAIR.replace("</body>\n" + inner, inner.replace("0 1 0", "0 0 -0.1")).replace(
+            "</body></world", "</body></body></world"
+        )
+    )
+    arm = read_machine(path, {"kp": 20.0, "kd": 0.8})
+    assert arm.last.tolist() == [False, True]
+    problem, declared = problem_of(arm, log_of(arm, EffectValues(name="payload", joints=("b",), values={"mass": 0.4})))
+    unfitted = fit(problem, declared, list(DECLARED), {}, most=1)
+    assert further(problem, unfitted, "armature", np.array([False, False])).tolist() == [True, True]
+    assert further(problem, unfitted, "payload", np.array([False, False])).tolist() == [False, True]
+
+
 def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel) -> None:
     log = log_of(pair, EffectValues(name="encoder_step", joints=("a",), values={"angle": np.array([0.0025])}))
     noise = noise_floor(log.q, log.rate)
@@ -173,7 +201,9 @@ def test_where_a_declared_number_stops_at_its_bound_an_effect_is_named_elsewhere
     result = calibrate(log, pair, CalibrateSettings(effects=("stribeck",), most_effects=1))
     assert [(e.name, e.joints) for e in result.effects][-1] == ("stribeck", ("a",))
     assert any(
-        line.startswith("Stribeck friction explains something in b, but is not named there: link_mass.factor stops")
+        line.startswith(
+            "Stribeck friction explains something in b, but is not named there: link_mass.factor of b, in the same"
+        )
         for line in result.warnings
     )
     assert "Stribeck friction in a (" in result.sentence

@@ -79,6 +79,7 @@ def test_an_effect_replaces_the_one_of_its_name_and_leaves_the_set_as_it_was():
         ({"values": {"level": float("nan")}}, "stribeck.level is nan"),
         ({"values": {"level": [1.0, 2.0, 3.0]}}, "has 3 values for 2 joints"),
         ({"joints": ()}, "belongs to joints; name them"),
+        ({"joints": ("FL_knee", "FL_knee")}, "has a joint twice"),
         ({"role": "frozen"}, "a role is off, fixed or fitted"),
         ({"intervals": {"level": [[0.1, 0.2]]}}, r"shape \(1, 2\), expected \(2, 2\)"),
         ({"name": "delay", "values": {"time": 0.01}}, "belongs to the whole machine"),
@@ -102,6 +103,8 @@ def test_an_effect_twice_is_refused():
         ("", "is not an effects file"),
         ("[[effect]]\nlevel = 1", "has no name"),
         ("[[effect]]\nname = 'delay'\ntime = 'late'", "effect 'delay'"),
+        ("[[effect]]\nname = 'delay'\ntime = true", "time is True; it is a number"),
+        ("[[effect]]\nname = 'coulomb'\njoints = 'FL_knee'\nlevel = 0.1", "joints is 'FL_knee'; it is a list"),
         ("[[effect]]\nname = 'delay'\ntime = 3.0", "effects.toml: delay.time is 3 s"),
     ],
 )
@@ -115,3 +118,17 @@ def test_a_file_that_is_no_set_of_effects_is_told(tmp_path: Path, text, told):
 def test_a_joint_that_the_robot_lacks_is_told():
     with pytest.raises(ConfigError, match="names joint 'tail'; the model has FL_abad"):
         parameters_of(EffectSet((stribeck(joints=("tail", "FR_knee")),)), hung_robot(load_description()))
+
+
+def test_joints_without_an_effect_are_as_the_model_has_them() -> None:
+    machine = hung_robot(load_description())
+    line = EffectValues(name="torque_speed", joints=("FL_knee",), values={"torque": 8.0, "speed": 9.0, "flat": 0.0})
+    found, at = parameters_of(EffectSet((line,)), machine), machine.joints.index("FL_knee")
+    for name, own in (
+        ("torque", machine.drives.torque),
+        ("speed", machine.drives.speed),
+        ("flat", machine.drives.flat),
+    ):
+        row = found["torque_speed", name][0]
+        assert row[at] == {"torque": 8.0, "speed": 9.0, "flat": 0.0}[name]
+        assert np.array_equal(np.delete(row, at), np.delete(own, at))

@@ -87,8 +87,10 @@ def test_no_two_parts_come_near_each_other_anywhere_in_the_ranges():
 
 
 def test_impossible_motions_are_refused_with_the_reason():
-    with pytest.raises(ConfigError, match="at least 10 s"):
+    with pytest.raises(ConfigError, match="takes 10 s to"):
         probe_targets(LOW, HIGH, CENTRE, seconds=5.0)
+    with pytest.raises(ConfigError, match="of nan s"):
+        probe_targets(LOW, HIGH, CENTRE, seconds=float("nan"))
     with pytest.raises(ConfigError, match="between its low and its high"):
         probe_targets(LOW, HIGH, HIGH)
     with pytest.raises(ConfigError, match="probe or random"):

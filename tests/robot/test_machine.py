@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.errors import AssetError
-from mimic.robot.machine import MachineModel, hung_robot, inertias, read_machine, tilted_gravity
+from mimic.robot.machine import MachineModel, as_logged, hung_robot, inertias, read_machine, tilted_gravity
 from mimic.robot.servo import static_model
 from mimic.types import JOINTS
 
@@ -119,3 +119,45 @@ def test_the_hung_robot_is_four_legs_with_toes_at_their_ends(description) -> Non
         pytest.approx(description.q_min, abs=1e-3),
         pytest.approx(description.q_max, abs=1e-3),
     )
+
+
+ONE = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"{joint}/><geom size="0.1"/>
+<body pos="0 0 -1"><joint name="b" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>{more}</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("joint", "actuators", "kp", "kd", "torque"),
+    [
+        ("", '<position joint="a" kp="50" kv="2" forcerange="-4 4"/>', 50.0, 2.0, 4.0),
+        ("", '<position joint="a" kp="50"/><velocity joint="a" kv="3"/>', 50.0, 3.0, np.inf),
+        ("", '<position joint="a" kp="50" kv="2" gear="3" forcerange="-4 4"/>', 450.0, 18.0, 12.0),
+        (' actuatorfrcrange="-5 5"', '<position joint="a" kp="50"/>', 50.0, 0.0, 5.0),
+        ("", '<motor joint="a" forcerange="-7 7"/>', 0.0, 0.0, 7.0),
+        ("", "", 0.0, 0.0, np.inf),
+    ],
+)
+def test_actuators_are_read_as_they_act_on_the_joint(tmp_path: Path, joint, actuators, kp, kd, torque) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(ONE.format(joint=joint, more=f"<actuator>{actuators}</actuator>" if actuators else ""))
+    drives = read_machine(path).drives
+    assert (drives.kp[0], drives.kd[0]) == pytest.approx((kp, kd))
+    assert drives.torque[0] == pytest.approx(torque) if np.isfinite(torque) else drives.torque[0] >= 1e6
+    assert (drives.kp[1], drives.kd[1]) == (0.0, 0.0)
+    assert drives.torque[1] >= 1e6
+
+
+def test_joints_that_are_tied_to_each_other_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(ONE.format(joint="", more='<equality><joint joint1="a" joint2="b"/></equality>'))
+    with pytest.raises(AssetError, match="elements of equality"):
+        read_machine(path)
+
+
+def test_the_notes_of_a_log_tell_gains_and_gravity(tmp_path: Path) -> None:
+    machine = arm(tmp_path)
+    notes = {"kp": 7.0, "gravity": [0.0, 9.81, 0.0]}
+    noted = as_logged(machine, notes)
+    assert noted.model.opt.gravity == pytest.approx([0.0, 9.81, 0.0])
+    assert machine.model.opt.gravity == pytest.approx([0.0, 0.0, -9.81])
+    assert np.all(np.asarray(noted.drives.kp) == 7.0)
+    assert np.all(np.asarray(as_logged(machine, notes, by_force=True).drives.kp) == 0.0)
