@@ -34,9 +34,9 @@ class Candidate:
 
     name: str
     gain: float
-    """Mean over the blocks of log(error without / error with), each block judged without itself; 0.01 is 1 %."""
+    """log(error without / error with) over all blocks, each judged without itself; 0.01 is 1 %."""
     z: float
-    """Gain over its standard error."""
+    """How sure that is, in standard errors: by the mean over the blocks, or by the ranks of blocks of single joints."""
     improvement: float
     """What leaves the error (root of the difference of the mean squares) over the noise floor."""
     values: Mapping[str, FloatArray]

@@ -89,7 +89,7 @@ MOST_FITTED = 3
 """Effects that are fitted to the end at a stage before nothing is named."""
 
 MOST_POLISHED, FAR = 4, 2.0
-"""Most times that the last fit begins afresh with new derivatives, and by how many deviations a number has moved then."""
+"""Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where another is needed."""
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""

@@ -64,6 +64,7 @@ def calibrate_log(path: Path, model: Path | None, out: Path, settings: Calibrate
         from mimic.calibrate.checks import check_log
         from mimic.calibrate.flow import calibrate, check_names
         from mimic.machine_log import read_log
+        from mimic.robot.effect_set import EffectSet
 
         check_names(settings)
         log = read_log(path)
@@ -78,7 +79,8 @@ def calibrate_log(path: Path, model: Path | None, out: Path, settings: Calibrate
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
     warnings = tuple(dict.fromkeys((*told, *facts.warnings, *result.warnings)))
     metadata = {"name": path.name, **result.metadata, "provenance": store.plain(made_by)}
-    result = replace(result, warnings=warnings, metadata=metadata, repeatability=facts.repeatability)
+    effects = EffectSet(tuple(replace(e, source=f"calibration of {path.name}") for e in result.effects))
+    result = replace(result, warnings=warnings, metadata=metadata, repeatability=facts.repeatability, effects=effects)
     written = _write(result, out)
     _tell(result, written)
     return DONE if result.belongs else USER

@@ -29,7 +29,7 @@ class UnknownEffect(ConfigError):
 
 
 GAPS = tuple(2.5 * 1.2**k for k in range(19))
-"""Starts of a backlash, in differences that matter (10 to 270 mrad): a fit finds one only from within a sixth of it."""
+"""Starts of a backlash, in differences that matter: a fit finds one only from within a sixth of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
