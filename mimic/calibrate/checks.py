@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,14 +26,8 @@ class LogFacts:
 
     log: MachineLog
     """The log without repeated and unreadable rows: the one to fit."""
-    rate: float
-    """Readings per second [Hz]."""
-    duration: float
-    """[s]"""
     noise: FloatArray
     """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
-    noise_tau: FloatArray | None
-    """The same for the measured torque."""
     step: FloatArray
     """Smallest step of the reading; 0 where none is seen."""
     lag: FloatArray
@@ -43,8 +36,6 @@ class LogFacts:
     """Of the position with its target at that lag; NaN in a log of forces."""
     moves: BoolArray
     """Joints that are excited."""
-    stretches: tuple[slice, ...]
-    """Rows between two gaps of more than a quarter of a second."""
     repeat: Repeat | None
     """An excitation that comes twice."""
     repeatability: FloatArray | None
@@ -68,7 +59,6 @@ def check_log(
         CalibrationError: If nothing can be fitted to it; a line for each reason.
     """
     log, warnings = _readable(log)
-    rate = log.rate
     warnings += problems.gaps(log)
     wrong = [*problems.units(log, limits, unit)] or [*problems.turns(log, unit)]
     if wrong:
@@ -81,7 +71,7 @@ def check_log(
             raise CalibrationError("\n".join(wrong))
         warnings += problems.weak_following(log, found.correlation, found.lag, found.moves)
     known = unread.read(log)
-    noise = noise_floor(log.q, rate, known)
+    noise = noise_floor(log.q, log.rate, known)
     step = np.array([resolution(c) for c in log.q[known].T])
     asked = target if target is not None else log.force
     assert asked is not None  # the reader refuses a log with neither
@@ -97,15 +87,11 @@ def check_log(
     repeat = find_repeat(log.t, asked)
     return LogFacts(
         log=log,
-        rate=rate,
-        duration=log.duration,
         noise=noise,
-        noise_tau=None if log.tau is None else noise_floor(log.tau, rate),
         step=step,
         lag=found.lag if found else np.full(len(log.joints), np.nan),
         correlation=np.diag(found.correlation).copy() if found else np.full(len(log.joints), np.nan),
         moves=moves,
-        stretches=_stretches(log.t),
         repeat=repeat,
         repeatability=None if repeat is None else repeatability(log.t, log.q, asked, repeat),
         warnings=tuple(warnings),
@@ -230,8 +216,3 @@ def _first_gap(log: MachineLog) -> str:
             i, j = (int(x[0]) for x in np.nonzero(~np.isfinite(value)))
             return f"{name}.{log.joints[j]} at t = {log.t[i]:.3f} s"
     return "t"
-
-
-def _stretches(t: FloatArray) -> tuple[slice, ...]:
-    cuts = [0, *(np.flatnonzero(np.diff(t) > 0.25) + 1).tolist(), len(t)]
-    return tuple(slice(a, b) for a, b in itertools.pairwise(cuts))
