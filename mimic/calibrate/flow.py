@@ -966,8 +966,8 @@ def _sentence(
     left = [r for r in rest if r.verdict != "explained"]
     unexplained = _left(left)
     if not searched:
-        rest = f" Unexplained: {unexplained}." if left else ""
-        return f"The declared numbers were fitted ({errors}). Effects that it may lack were not looked for.{rest}"
+        more = f" Unexplained: {unexplained}." if left else ""
+        return f"The declared numbers were fitted ({errors}). Effects that it may lack were not looked for.{more}"
     if not added:
         if not left:
             return f"The model lacks nothing that this log shows ({errors})."
