@@ -23,6 +23,9 @@ MOVING = 4.0
 """Change between the readings before and after, in noise floors, from which on a joint moves: where it rests, readings agree with each
 other whatever the encoder."""
 
+MOST_BINS = 1 << 24
+"""Steps are not looked for in a motion over more bins: it turns a hundred times and more."""
+
 LEAST_LEVELS = 6
 """Fewest steps in the range of motion: few places of a slow joint agree by themselves."""
 
@@ -53,8 +56,11 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     if most <= 1.0 / COARSEST_STEP or not len(moving):
         return 0.0, 1.0
     width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
+    bins = max(1.0 / (spacing * width), np.ptp(q) / width)
+    if bins > MOST_BINS:
+        return 0.0, 1.0
     counts = np.bincount(((q - q.min()) / width).astype(int))
-    size = int(2 ** np.ceil(np.log2(max(1.0 / (spacing * width), len(counts)))))
+    size = int(2 ** np.ceil(np.log2(max(bins, len(counts)))))
     around = np.fft.rfftfreq(size, width)
     agreement = np.abs(np.fft.rfft(counts, size)) / len(q)
     agreement[(around < 1.0 / COARSEST_STEP) | (around > most)] = 0.0

@@ -68,3 +68,8 @@ def test_each_joint_has_its_own() -> None:
 
 def test_a_joint_that_never_moves_has_none() -> None:
     assert_none(read(np.zeros(2000)))
+
+
+def test_steps_are_not_looked_for_in_a_motion_of_many_turns() -> None:
+    """It would take more memory than there is."""
+    assert_none(read(1e5 * motion()))
