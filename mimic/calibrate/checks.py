@@ -143,7 +143,7 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
     if empty:
         log = replace(log, **dict.fromkeys(empty))
-    if log.tau is not None and not np.nanmax(np.ptp(log.tau, axis=0)) > 0:
+    if log.tau is not None and not (np.fmax.reduce(log.tau) > np.fmin.reduce(log.tau)).any():
         warnings.append("the measured torque never changes: the drives do not report it; left out")
         log = replace(log, tau=None)
     ok, told = np.isfinite(log.t), np.zeros(len(log.t), dtype=bool)

@@ -275,6 +275,13 @@ def test_a_torque_that_never_changes_is_none(log: MachineLog) -> None:
     assert any("torque never changes" in w for w in facts.warnings)
 
 
+def test_a_torque_with_missing_values_in_each_joint_is_kept(log: MachineLog) -> None:
+    tau = np.where(np.arange(len(log.t))[:, None] == [100, 200, 300], np.nan, log.q)
+    facts = check_log(replace(log, tau=tau))
+    assert facts.log.tau is not None
+    assert not any("torque never changes" in w for w in facts.warnings)
+
+
 def test_a_single_corrupt_reading_is_left_out_and_told(log: MachineLog) -> None:
     q = np.array(log.q)
     q[501, 1] = 1e6
