@@ -217,12 +217,11 @@ def calibrate(
     )
     stages = [Stage(added="declared", errors=_errors(problem, fitted.residual))]
     before = fitted
-    final = fitted
+    final, left = fitted, fitted.residual
     if settings.method == "least-squares" and belongs:
         stages += _grow(state)
         final = _polished(state)
-        stages = _with_encoders(state, stages, final)
-    left = _as_read(state, final)
+        stages, left = _with_encoders(state, stages, final)
     stages[-1] = replace(stages[-1], errors=_errors(problem, left))
     motion = _motion(problem, final)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
@@ -832,9 +831,7 @@ def _as_read(state: _Search, fitted: Fit) -> FloatArray:
     foretells for long, and derivatives of a replay that hunts are those of its steps.
     """
     problem = state.problem
-    if (has := state.joints.get("encoder_step")) is None:
-        return fitted.residual
-    angle = np.where(has, problem.encoder_steps, 0.0)
+    angle = np.where(state.joints["encoder_step"], problem.encoder_steps, 0.0)
     point = fitted.point.with_effect("encoder_step", problem.machine, {"angle": angle})
     rounded = problem.in_steps_of_columns(point, FINE, FINE_SEGMENT)
     costs = [problem.mean_squares(r, False) for r in (rounded, fitted.residual)]
@@ -845,14 +842,15 @@ def _as_read(state: _Search, fitted: Fit) -> FloatArray:
     return np.where(np.isin(problem.channel_chain, less), rounded, fitted.residual)
 
 
-def _with_encoders(state: _Search, stages: list[Stage], final: Fit) -> list[Stage]:
-    """Return the stages with one more, where readings are multiples of a step whose rounding is a good part of what is left."""
+def _with_encoders(state: _Search, stages: list[Stage], final: Fit) -> tuple[list[Stage], FloatArray]:
+    """Return the stages with one more, where readings are multiples of a step whose rounding is a good part of what is left, and
+    the residual with that (T, C)."""
     problem, machine = state.problem, state.problem.machine
     count, train = len(machine.joints), problem.blocks.train
     left = np.sqrt(problem.mean_squares(final.residual, False)[:count]) * problem.noise[:count]
     has = problem.encoder_steps / np.sqrt(12.0) > LEAST_ROUNDING * left
     if not has.any():
-        return stages
+        return stages, final.residual
     state.tick("rounding as the encoders do")
     state.joints["encoder_step"] = has
     residual = _as_read(state, final)
@@ -870,7 +868,7 @@ def _with_encoders(state: _Search, stages: list[Stage], final: Fit) -> list[Stag
     )
     others = tuple(c for s in stages if not s.added for c in s.candidates)
     stage = Stage(added="encoder_step", errors=_errors(problem, residual), candidates=(found, *others))
-    return [*(s for s in stages if s.added), stage]
+    return [*(s for s in stages if s.added), stage], residual
 
 
 def _effect_set(state: _Search, final: Fit) -> EffectSet:
