@@ -38,9 +38,12 @@ def tell_of_stand(robot: EffectsSettings) -> None:
 
 def _judged(judge: Callable[..., dict[str, Any]], policy: Path, out: Path, settings: Any) -> dict[str, Any]:
     """Return what a way of judging finds, shown as it goes and written with its provenance."""
+    from mimic.run.pool import simulated
+
     if not policy.is_file():
         raise AssetError(f"there is no policy {policy}; the shipped one is policies/stand_track.onnx")
     tell_of_stand(settings.robot)
+    simulated(settings.robot)  # refused before there is a bar
     with progress_bar("episodes") as progress:
         result = judge(policy, settings, progress=progress)
     inputs = {"policy": policy} | ({} if settings.robot.effects is None else {"effects": Path(settings.robot.effects)})

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 
 from mimic.policy.runtime import Policy
 from mimic.robot.description import load_description, with_timestep
-from mimic.robot.servo import read_standing
+from mimic.robot.machine import hung_robot
+from mimic.robot.servo import parameters_of, read_standing
 from mimic.settings import EffectsSettings, Solver
 
 Job = TypeVar("Job")
@@ -40,12 +41,15 @@ def simulated(robot: EffectsSettings) -> dict[str, Any]:
     """Return what a simulated plant is given so that it is this robot; effects are read once in each process.
 
     Raises:
-        ConfigError: If the effects cannot be read, or the control step is no multiple of the physics step.
+        ConfigError: If the effects cannot be read or name a joint that the robot lacks, or the control step is no multiple of
+            the physics step.
     """
     if robot.effects is None:
         return {}
-    with_timestep(load_description(), robot.timestep)
-    return {"effects": read_standing(Path(robot.effects)), "solver": Solver(timestep=robot.timestep)}
+    description = with_timestep(load_description(), robot.timestep)
+    effects = read_standing(Path(robot.effects))
+    parameters_of(effects, hung_robot(description))
+    return {"effects": effects, "solver": Solver(timestep=robot.timestep)}
 
 
 def play_all(

@@ -173,6 +173,11 @@ def fast_motion(here: Path) -> None:
     (here / "fast.yaml").write_text(f"frames:\n- {row}\n")
 
 
+def elbows(here: Path) -> None:
+    (here / "elbow.toml").write_text('[[effect]]\nname = "stribeck"\njoints = ["FL_elbow"]\nlevel = 0.4\nspeed = 0.1\n')
+    (here / "text.mp4").write_text("this is text\n")
+
+
 def folder(here: Path) -> None:
     (here / "folder").mkdir()
 
@@ -210,6 +215,7 @@ BAD = [
     ("evaluate text.onnx --seconds 0.5", text_file("text.onnx"), "seconds is 0.5"),
     ("targets.parquet --sim --effects nowhere.toml", nothing, "nowhere.toml cannot be read"),
     ("targets.parquet --sim --effects text.toml", text_file("text.toml"), "text.toml is not"),
+    ("text.mp4 --sim --effects elbow.toml", elbows, "effect 'stribeck' names joint 'FL_elbow'"),
     ("evaluate text.onnx --table --effects nowhere.toml", text_file("text.onnx"), "nowhere.toml cannot be read"),
     ("--sim", nothing, "say what to play: a file, --text with a sentence, or --camera 0"),
     ("targets.parquet --text wave --sim", nothing, "are ways in; give one of them"),
