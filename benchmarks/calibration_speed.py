@@ -20,9 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.fit import fit
 from mimic.calibrate.flow import calibrate, physics_step
-from mimic.calibrate.problem import Point, Problem, make_blocks, stack
+from mimic.calibrate.point import Point, stack
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.random_search import RANGES, random_search
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.signals import noise_floor

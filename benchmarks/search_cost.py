@@ -17,8 +17,10 @@ import numpy as np
 
 from benchmarks.hidden_effects.generator import FLOOR, measured, simulate
 from benchmarks.hidden_effects.scenarios import Scenario, build
+from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.fit import fit
-from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.signals import noise_floor

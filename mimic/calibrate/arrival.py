@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mimic.calibrate.problem import Point, Problem, stack
+from mimic.calibrate.point import Point, stack
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.targets import Targets
 from mimic.types import FloatArray
 

@@ -16,7 +16,8 @@ from scipy import linalg
 
 from mimic.calibrate.arrival import with_lateness
 from mimic.calibrate.fit import Fit, prior
-from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 from mimic.types import BoolArray, FloatArray, IntArray
 
 FORGOTTEN = 0.5

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.problem import Key, Knob, Point, Problem, Sums
+from mimic.calibrate.blocks import Sums
+from mimic.calibrate.point import Key, Knob, Point
+from mimic.calibrate.problem import Problem
 from mimic.types import BoolArray, FloatArray, IntArray
 
 DAMPINGS = (0.0, 0.1, 3.0)

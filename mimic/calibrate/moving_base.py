@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 
 from mimic.calibrate.fit import Fit, prior, scaled_solution
-from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 from mimic.robot.machine import MachineModel
 from mimic.types import BoolArray, FloatArray
 

@@ -7,169 +7,35 @@ changed in one replay, and the column of each leg is read from that leg's own jo
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from scipy import signal
 
+from mimic.calibrate.blocks import Blocks, Sums
+from mimic.calibrate.point import Key, Knob, Point, stack
 from mimic.calibrate.replay import Job, Replay
 from mimic.calibrate.signals import period
 from mimic.robot.effects import CATALOGUE, Parameter, scale_of
-from mimic.robot.machine import MachineModel
 from mimic.robot.servo import neutral
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.types import BoolArray, FloatArray
 
 REMEMBERED = 4
 """Replays in fine steps that are kept: they are dear, and some points are asked for again."""
 
+
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
+
 
 WIDE, NARROW = 0.25, 0.0625
 """Shares of a knob's step over which one-sided and central differences are taken."""
 
+
 LEAST_WEIGHT = 1e-4
 """Of a chain of which very much is left."""
-
-Key = tuple[str, str]
-"""(effect, parameter)"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Knob:
-    """One fitted number."""
-
-    key: Key
-    joint: int
-    """Index of the joint; -1 for the whole machine."""
-    step: float
-    """A difference that matters."""
-    centre: float
-    """Value before anything is known."""
-    spread: float
-    """Standard deviation of what is plausible before anything is known."""
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Least and greatest value."""
-        p = CATALOGUE[self.key[0]].parameter(self.key[1])
-        return p.low, p.high
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Values of all effects that are in the model: (effect, parameter) -> (J,) or (1,)."""
-
-    values: Mapping[Key, FloatArray] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, names: Iterable[str], machine: MachineModel) -> Point:
-        """Return the point with these effects, all neutral."""
-        point = cls()
-        for name in names:
-            point = point.with_effect(name, machine)
-        return point
-
-    def with_effect(self, name: str, machine: MachineModel, start: Mapping[str, object] | None = None) -> Point:
-        """Return the point with an effect added, neutral or at ``start`` (numbers or rows)."""
-        values = dict(self.values)
-        for p in CATALOGUE[name].parameters:
-            row = neutral(name, p.name, machine)
-            if p.fixed and p.starts:
-                row = np.full_like(row, p.starts[0])
-            if start and p.name in start:
-                row = np.broadcast_to(np.asarray(start[p.name], dtype=np.float64), row.shape).copy()
-            values[name, p.name] = row
-        return Point(values)
-
-    def without(self, name: str) -> Point:
-        """Return the point without an effect."""
-        return Point({k: v for k, v in self.values.items() if k[0] != name})
-
-    def moved(self, knobs: Sequence[Knob], by: FloatArray) -> Point:
-        """Return the point with each knob changed, inside its bounds."""
-        values = {k: v.copy() for k, v in self.values.items()}
-        for knob, delta in zip(knobs, by, strict=True):
-            at = max(knob.joint, 0)
-            values[knob.key][at] = np.clip(values[knob.key][at] + delta, *knob.bounds)
-        return Point(values)
-
-    def is_at(self, other: Point) -> bool:
-        """Return whether another point has the same values."""
-        if self.values.keys() != other.values.keys():
-            return False
-        return all(np.array_equal(row, other.values[key]) for key, row in self.values.items())
-
-    def read(self, knobs: Sequence[Knob]) -> FloatArray:
-        """Return the values of the knobs."""
-        return np.array([self.values[k.key][max(k.joint, 0)] for k in knobs])
-
-
-def stack(points: Sequence[Point], machine: MachineModel) -> dict[Key, FloatArray]:
-    """Return points as the replay takes them; effects that a point lacks are neutral there."""
-    keys = {key for point in points for key in point.values}
-    return {
-        key: np.stack([p.values[key] if key in p.values else neutral(*key, machine) for p in points])
-        for key in sorted(keys)
-    }
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Blocks:
-    """Blocks of time, and which are held out."""
-
-    index: IntArray
-    """Block of each reading, -1 where it does not count (T,)."""
-    held_out: BoolArray
-    """True for blocks that nothing is fitted to (B,)."""
-
-    @property
-    def train(self) -> IntArray:
-        """Blocks that are fitted."""
-        return np.flatnonzero(~self.held_out)
-
-
-def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 1.0, every: int = 4) -> Blocks:
-    """Cut time into blocks and hold every fourth out.
-
-    Args:
-        t: Time of each reading (T,) [s].
-        counts: Readings that count (T,).
-        seconds: Length of a block [s].
-        every: One block in this many is held out.
-    """
-    index = np.floor((t - t[0]) / seconds).astype(int)
-    count = int(index.max()) + 1
-    if np.sum(index == count - 1) < 0.5 * np.sum(index == 0) and count > 1:
-        index[index == count - 1] = count - 2
-        count -= 1
-    return Blocks(index=np.where(counts, index, -1), held_out=np.arange(count) % every == every // 2)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sums:
-    """Normal equations of each block over whitened residuals."""
-
-    hessian: FloatArray
-    """(B, P, P)"""
-    gradient: FloatArray
-    """(B, P)"""
-    square: FloatArray
-    """Sum of squares (B,)."""
-    weighed: tuple[FloatArray, FloatArray]
-    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see :meth:`Problem.weigh`."""
-    weight: FloatArray
-    """Weight of the chain of each knob, 1 for those of the whole machine (P,)."""
-
-    def over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return Hessian (P, P) and gradient (P,) over some blocks."""
-        return self.hessian[blocks].sum(0), self.gradient[blocks].sum(0)
-
-    def weighed_over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the same in which each chain has its weight."""
-        return self.weighed[0][blocks].sum(0), self.weighed[1][blocks].sum(0)
 
 
 def _scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mimic.calibrate.fit import Fit
-from mimic.calibrate.problem import Point, Problem
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 
 RANGES = {
     ("coulomb", "level"): (0.0, 0.3),

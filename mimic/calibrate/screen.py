@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mimic.calibrate.fit import Fit, linear_step
-from mimic.calibrate.problem import Knob, Point, Problem
+from mimic.calibrate.point import Knob, Point
+from mimic.calibrate.problem import Problem
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
@@ -280,3 +281,21 @@ def _predicted(
         joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
         gain = float(max(total, joint.max() / len(joint)))
     return Start(name=name, point=point.moved(knobs, step), begin=point, joints=mask, gain=gain)
+
+
+def predicted(problem: Problem, fitted: Fit) -> Motion:
+    """Return what the model does; velocities from the predicted positions, torques from the servo."""
+    machine, log = problem.machine, problem.replay.log
+    joints = len(machine.joints)
+    residual = np.nan_to_num(fitted.residual[:, :joints].astype(np.float64)) * problem.noise[:joints]
+    q = log.q - residual
+    t = log.t - log.t[0]
+    dq = np.gradient(q, t, axis=0)
+    target = log.q_des if log.q_des is not None else q
+    delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
+    late = np.stack([np.interp(t - max(delay, 0.0), t, column) for column in target.T], -1)
+    tau = np.asarray(machine.drives.kp) * (late - q) - np.asarray(machine.drives.kd) * dq
+    if log.force is not None:
+        tau = tau + log.force
+    limit = np.asarray(machine.drives.torque)
+    return Motion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))

@@ -22,7 +22,7 @@ SHOWN = 6
 """Candidates of a stage that are shown at once; the others unfold."""
 
 LEAST_Z, LEAST_GAIN = 3.0, 0.01
-"""Thresholds that the bars of the evidence mark. Source: the rule of :mod:`mimic.calibrate.diagnose`."""
+"""Thresholds that the bars of the evidence mark. Source: the rule of :mod:`mimic.calibrate.evidence`."""
 
 _VERDICTS = {
     "explained": "explained down to the noise floor",

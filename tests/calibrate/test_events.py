@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mimic.calibrate.arrival import eased
+from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.events import timings
 from mimic.calibrate.fit import fit
 from mimic.calibrate.flow import calibrate
-from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.simulate import simulate_log
 from mimic.calibration import Calibration

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.diagnose import further, wider
 from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
-from mimic.calibrate.problem import Point, Problem, make_blocks
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.replay import Replay
 from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion, screen, starts_of

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.fit import fit
 from mimic.calibrate.flow import calibrate
-from mimic.calibrate.problem import Point, Problem, make_blocks, stack
+from mimic.calibrate.point import Point, stack
+from mimic.calibrate.problem import Problem
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.replay import Job, Replay
 from mimic.calibrate.simulate import simulate_log

@@ -1,0 +1,131 @@
+"""Single late targets: which law they follow, and which targets they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mimic.calibrate.arrival import eased
+from mimic.calibrate.events import Timing, timings
+from mimic.calibrate.evidence import LEAST_GAIN, LEAST_SHARE, RIVAL_Z, Tried, paired
+from mimic.calibrate.fit import Fit, fit
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
+from mimic.types import BoolArray, FloatArray
+
+LATE_Z = 2.0
+"""The same for single late targets: that the chains agree on them is tested target by target, and a short log has few blocks."""
+
+AGREEMENT = (0.75, 1.35)
+"""What the chains must share of the lateness that each shows of single targets, when targets are late."""
+
+PASSES = 12
+"""Most rounds of finding which targets were late, and fitting all numbers."""
+
+TOLD_APART = 10.0
+"""Difference of the logarithms of the probabilities of all latenesses from which on one law of them is not the other."""
+
+
+def late_targets(
+    problem: Problem,
+    incumbent: Fit,
+    before: FloatArray,
+    names: Sequence[str],
+    joints: dict[str, BoolArray],
+    candidates: Sequence[str],
+) -> tuple[Tried, ...]:
+    """Return laws of single late targets, the better first; it is fitted to the end if the chains agree on it."""
+    replay, found = problem.replay, []
+    had = replay.late
+    readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
+    for timing in _likelier(timings(problem, incumbent, candidates)):
+        gain, z = paired(timing.squares, before)
+        unexplained = before.sum() - float(readings * problem.channels)
+        share = (before.sum() - timing.squares.sum()) / max(unexplained, 1e-9)
+        why = ""
+        if not AGREEMENT[0] < timing.agreement < AGREEMENT[1]:
+            why = f"the chains share {100 * timing.agreement:.0f} % of the lateness that each shows"
+        elif gain < LEAST_GAIN:
+            why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
+        elif z < LATE_Z:
+            why = f"gain is {z:.1f} standard errors, below {LATE_Z:.0f}"
+        elif share < LEAST_SHARE:
+            why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
+        why = why or _holds_none(timing)
+        fitted = replace(incumbent, point=timing.point)
+        improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
+        if not why and not found:
+            timing, fitted = arrivals(problem, timing, names, joints)
+            replay.set_late(had)
+            fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
+            improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
+            why = _holds_none(timing)
+        found.append(
+            Tried(
+                name=timing.name,
+                fitted=fitted,
+                squares=timing.squares,
+                gain=gain,
+                z=z,
+                improvement=improvement,
+                joints=np.ones(len(problem.machine.joints), dtype=bool),
+                allowed=np.ones(len(problem.machine.joints), dtype=bool),
+                why=why,
+                timing=timing,
+            )
+        )
+    return tuple(found)
+
+
+def _holds_none(timing: Timing) -> str:
+    """Return why a law of lateness is refused whose number is not sure to differ from none, or nothing.
+
+    Where joints are late together for another reason, such as a supply that sags, the mean lateness is one of few targets.
+    """
+    return "" if timing.interval[0] > 0.0 else "the interval of its number holds none"
+
+
+def _likelier(laws: Sequence[Timing]) -> list[Timing]:
+    """Return laws of lateness, first the one that its distribution shows; where it does not, the one that leaves less."""
+    best = max((t.likelihood for t in laws), default=0.0)
+    return sorted(laws, key=lambda t: (t.likelihood < best - TOLD_APART, t.squares.sum()))
+
+
+def told_apart(one: Tried, other: Tried) -> bool:
+    """Return whether the log tells the first of two laws of lateness from the other."""
+    if one.timing is None or other.timing is None:
+        return False
+    if one.timing.likelihood - other.timing.likelihood > TOLD_APART:
+        return True
+    return paired(one.squares, other.squares)[1] >= RIVAL_Z
+
+
+def arrivals(
+    problem: Problem, timing: Timing, names: Sequence[str], joints: dict[str, BoolArray], most: int = PASSES
+) -> tuple[Timing, Fit]:
+    """Return which targets were late, and the numbers, improved in turn as long as that pays; the replay has them then."""
+    replay, found = problem.replay, []
+    for _ in range(most):
+        replay.set_late(timing.late)
+        fitted = fit(problem, timing.point, names, joints, most=1)
+        left = float(problem.mean_squares(fitted.residual, False).sum())
+        if found and left > 0.99 * found[-1][2]:
+            break
+        found.append((timing, fitted, left))
+        again = timings(problem, fitted, [timing.name])
+        if not again:
+            break
+        late = again[0].late
+        if timing.name == "delay_jitter":  # a target is lost or not
+            had = timing.late + _delay(fitted.point) - _delay(again[0].point)
+            late = eased(problem, again[0].point, had, late)
+        timing = replace(again[0], late=late, squares=timing.squares, agreement=timing.agreement)
+    timing, fitted, _ = found[-1]
+    replay.set_late(timing.late)
+    return timing, fitted
+
+
+def _delay(point: Point) -> float:
+    return float(point.values.get(("delay", "time"), np.zeros(1))[0])

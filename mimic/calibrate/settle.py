@@ -1,0 +1,170 @@
+"""Fits that settle on replays in fine steps, which correct all coarse ones from there on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mimic.calibrate.fit import (
+    Fit,
+    best_of_chains,
+    chain_costs,
+    fit,
+    solve,
+)
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
+from mimic.robot.effects import CATALOGUE
+from mimic.types import BoolArray, FloatArray
+
+FINE = 5
+"""A fine replay has this many times more steps."""
+
+FINE_SEGMENT = 1.0
+"""Length of its segments [s]; they are few, so that short ones are faster."""
+
+MANY_SEGMENT = 3.0
+"""That of the many for central differences [s]: less time is spent on settling."""
+
+MOST_CORRECTIONS = 8
+"""Most steps of a fit from fine replays."""
+
+ROUNDS = 3
+"""Most times that it finds anew what steps without length would change."""
+
+SETTLED = 1.0
+"""Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
+
+LEAST_FALL = 5e-5
+"""Share by which the sum of squares falls in a step that is worth another."""
+
+
+def in_fine_steps(problem: Problem, point: Point) -> FloatArray:
+    """Return the residual (T, C) of a replay in fine steps."""
+    return problem.in_fine_steps(point, FINE, FINE_SEGMENT)
+
+
+def correct(problem: Problem, point: Point) -> None:
+    """Correct all residuals from here on by what coarse steps are wrong by at this point."""
+    problem.correction = in_fine_steps(problem, point) - problem.uncorrected([point])[0]
+
+
+def compared(problem: Problem, fitted: Fit, names: list[str], where: dict[str, BoolArray]) -> Fit:
+    """Return the declared fit again, its coarse steps corrected by fine ones."""
+    joints = len(problem.machine.joints)
+    for _ in range(2):
+        if not problem.weigh(fitted.residual):
+            break
+        fitted = fit(problem, fitted.point, names, where, most=3)
+    if problem.channels > joints:
+        correct(problem, fitted.point)
+        assert problem.correction is not None
+        unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
+        problem.coarsen_torque(unsure)
+        correct(problem, fitted.point)
+        fitted = fit(problem, fitted.point, names, where, most=3)
+    return settle(problem, fitted)
+
+
+def settle(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
+    """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
+
+    Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
+    others by a few hundredths, and steps were too short and what they did not reach seemed sure.
+    """
+    timed = [k for k in fitted.knobs if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
+    segment = MANY_SEGMENT if every else FINE_SEGMENT
+    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, segment, every)
+    known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
+    columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
+    settled = _converged(problem, replace(fitted, columns=tuple(columns)))
+    problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
+    return settled
+
+
+def refined(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit after a step from the residuals of fine replays."""
+    begun = replace(fitted, residual=in_fine_steps(problem, fitted.point))
+    return _summed(problem, _stepped(problem, begun, lambda point: in_fine_steps(problem, point), 1))
+
+
+def _converged(problem: Problem, fitted: Fit) -> Fit:
+    """Return the fit where steps from the residuals of fine replays settle.
+
+    What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they settle.
+    """
+    fitted = replace(fitted, residual=in_fine_steps(problem, fitted.point))
+    for again in range(ROUNDS):
+        beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
+        there = _stepped(
+            problem,
+            fitted,
+            lambda point, beyond=beyond: problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond,
+            MOST_CORRECTIONS,
+            _enough(problem, fitted) if again else 0.0,
+        )
+        if there.point.is_at(fitted.point):
+            break
+        there = replace(there, residual=in_fine_steps(problem, there.point))
+        if not _cost(problem, there) < _cost(problem, fitted):
+            break
+        fitted = there
+    return _summed(problem, fitted)
+
+
+def _summed(problem: Problem, fitted: Fit) -> Fit:
+    return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.knobs))
+
+
+def _stepped(
+    problem: Problem, fitted: Fit, replayed: Callable[[Point], FloatArray], most: int, worth: float = 0.0
+) -> Fit:
+    """Return where steps along the derivatives of a fit lead, with its sums as they were.
+
+    Args:
+        problem: Log and model.
+        fitted: Where to begin.
+        replayed: Returns the residual at a point.
+        most: Most steps.
+        worth: Fall of the sum of squares that a linear model must promise for the first of them.
+    """
+    train = problem.blocks.train
+    point, residual = fitted.point, fitted.residual
+    costs = chain_costs(problem, point, residual, fitted.knobs)
+    cost = float(problem.weight @ costs)
+    enough = _enough(problem, fitted)
+    for _ in range(most):
+        sums = problem.sums(residual, fitted.columns, fitted.knobs)
+        hessian, gradient = sums.weighed_over(train)
+        step = solve(sums, train, fitted.knobs, point.read(fitted.knobs), 0.0)
+        promised = float(step @ (2.0 * gradient - hessian @ step))
+        if promised < worth:
+            break
+        moved = point.moved(fitted.knobs, step)
+        after = replayed(moved)
+        now = chain_costs(problem, moved, after, fitted.knobs)
+        part = best_of_chains(problem, fitted.knobs, [np.zeros_like(step), step], [costs, now])
+        if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
+            moved = point.moved(fitted.knobs, part)
+            after = replayed(moved)
+            now = chain_costs(problem, moved, after, fitted.knobs)
+        before, least = cost, float(problem.weight @ now)
+        if not least < cost:
+            break
+        point, residual, costs, cost = moved, after, now, least
+        if max(promised, before - cost) < enough:
+            break
+    return replace(fitted, point=point, residual=residual)
+
+
+def _cost(problem: Problem, fitted: Fit) -> float:
+    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.knobs))
+
+
+def _enough(problem: Problem, fitted: Fit) -> float:
+    """Return the fall of the sum of squares in a step that is worth another."""
+    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()) * problem.channels, 1)
+    cost = _cost(problem, fitted)
+    return max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
