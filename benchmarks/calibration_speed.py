@@ -22,11 +22,11 @@ import numpy as np
 
 from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.fit import fit
-from mimic.calibrate.flow import calibrate, physics_step
+from mimic.calibrate.flow import calibrate
 from mimic.calibrate.point import Point, stack
 from mimic.calibrate.problem import Problem
 from mimic.calibrate.random_search import RANGES, random_search
-from mimic.calibrate.replay import Replay
+from mimic.calibrate.replay import Replay, physics_step
 from mimic.calibrate.signals import noise_floor
 from mimic.calibration import Errors
 from mimic.machine_log import CHANNELS, MachineLog, read_log

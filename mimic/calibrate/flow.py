@@ -24,7 +24,7 @@ from mimic.calibrate.point import Key, Point
 from mimic.calibrate.problem import Problem
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
-from mimic.calibrate.replay import Replay
+from mimic.calibrate.replay import Replay, physics_step
 from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import predicted
 from mimic.calibrate.settle import FINE, FINE_SEGMENT, compared, correct, settle
@@ -50,17 +50,8 @@ SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
-LONGEST_STEP = 0.0025
-"""[s]"""
-
 LEAST_NOISE = 1e-9
 """Noise floor where no reading shows any [rad or m]."""
-
-
-def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
-    """Return the longest step up to ``longest`` [s] that divides the time between readings at ``rate`` [Hz]."""
-    between = 1.0 / rate
-    return between / max(1, int(np.ceil(between / longest - 1e-6)))
 
 
 def check_names(settings: CalibrateSettings) -> None:

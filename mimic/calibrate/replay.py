@@ -31,6 +31,16 @@ FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
 
 
+LONGEST_STEP = 0.0025
+"""[s]"""
+
+
+def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
+    """Return the longest step up to ``longest`` [s] that divides the time between readings at ``rate`` [Hz]."""
+    between = 1.0 / rate
+    return between / max(1, int(np.ceil(between / longest - 1e-6)))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Readings:
     """Readings that the segments predict, in order of the step of its segment that each falls into; arrays (R,)."""

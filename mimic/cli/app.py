@@ -384,6 +384,39 @@ def simulate(
     return simulate_to(out, effects, model, options, settings or LogSettings())
 
 
+@log_app.command
+def replay(
+    log: Path,
+    /,
+    *,
+    effects: Annotated[tuple[Path, ...], Parameter(negative="")] = (),
+    model: Path | None = None,
+    whole: Annotated[bool, Parameter(negative="")] = False,
+    threads: int = 0,
+    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
+) -> int:
+    """Tell how well models foretell a log, such as one that was not calibrated from; nothing is fitted.
+
+    Parameters
+    ----------
+    log
+        Parquet or CSV as for calibrate.
+    effects
+        effects.toml of a calibration; again for more, to compare them.
+    model
+        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    whole
+        Replay it in one piece from its first reading. Without, pieces of 6 s begin with a measured position each.
+    threads
+        Threads; 0 takes one for each core.
+    out
+        JSON file for the errors.
+    """
+    from mimic.cli.calibrate import replay_log
+
+    return replay_log(log, effects, model, whole, threads, out)
+
+
 @app.command
 def emulate(
     *,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -166,6 +166,82 @@ def _found(result: Calibration) -> dict[str, str]:
         where = f" ({len(e.joints)} joints)" if len(e.joints) > 1 else f" ({e.joints[0]})" if e.joints else ""
         rows[CATALOGUE[e.name].title + where] = ", ".join(parts)
     return rows
+
+
+def replay_log(
+    path: Path, effects: Sequence[Path], model: Path | None, whole: bool, threads: int, out: Path | None
+) -> int:
+    """Print how far a log is from what a model foretells, as given and with the effects of each file, and write it."""
+    if not 0 <= threads <= 1024:
+        raise ConfigError(f"threads is {threads}; it must be from 0 to 1024")
+    if len(set(effects)) < len(effects):
+        raise ConfigError(f"--effects names a file twice: {', '.join(map(str, effects))}")
+    if out is not None:
+        store.check_writable(out.parent)
+    with working("") as tell:
+        tell("reading", 0)
+        import numpy as np
+
+        from mimic.calibrate.checks import check_log
+        from mimic.calibrate.foretell import foretell
+        from mimic.machine_log import read_log
+        from mimic.robot.effect_set import EffectSet, read_effects
+        from mimic.robot.machine import as_logged
+        from mimic.view.report_plots import unit_of_size
+        from mimic.view.svg import figure
+
+        sets = {"as given": EffectSet(), **{str(file): read_effects(file) for file in effects}}
+        log = read_log(path)
+        machine = machine_of(model, log.metadata)
+        log = log.of(machine.joints)
+        told = _gains_of_the_model(log, machine)
+        limits = np.stack([machine.low, machine.high], -1)
+        facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+        machine = as_logged(machine, log.metadata, by_force=log.q_des is None)
+        residuals = {}
+        for name, held in sets.items():
+            tell(f"replaying the model {name}" if name == "as given" else f"replaying it with {name}", 0)
+            residuals[name] = foretell(facts.log, machine, held, whole=whole, threads=threads)
+    for text in dict.fromkeys((*told, *facts.warnings)):
+        warn(text)
+    errors: dict[str, Any] = {}
+    for name, residual in residuals.items():
+        known = np.isfinite(residual).all(axis=1)
+        squares, size = ((x[known] ** 2).mean(axis=0) for x in (residual, facts.log.q))
+        errors[name] = {
+            "rms": np.sqrt(squares),
+            "all": float(np.sqrt(squares.mean())),
+            "relative": np.sqrt(squares / np.maximum(size, 1e-300)),
+        }
+    floor = float(np.sqrt((facts.noise**2).mean()))
+    unit = unit_of_size(max(e["all"] for e in errors.values()), machine.unit)
+    columns = [*zip(["as given", *_short(effects)], errors.values(), strict=True)]
+    rows = {
+        joint: {name: figure(unit.factor * float(e["rms"][i])) for name, e in columns}
+        | {"noise floor": figure(unit.factor * float(facts.noise[i]))}
+        for i, joint in enumerate(machine.joints)
+    }
+    if len(rows) > 1:
+        rows["all"] = {name: figure(unit.factor * e["all"]) for name, e in columns}
+        rows["all"]["noise floor"] = figure(unit.factor * floor)
+    matrix(f"Error [{unit.name}]", rows, as_is=True)
+    if out is not None:
+        inputs = {
+            "log": path,
+            **({"model": model} if model else {}),
+            **{f"effects {i}": f for i, f in enumerate(effects)},
+        }
+        made_by = store.provenance(command=COMMAND.get(), settings={"whole": whole}, inputs=inputs)
+        found = {"joints": machine.joints, "unit": machine.unit, "whole": whole, "noise": facts.noise, "errors": errors}
+        store.save_json({**found, "provenance": made_by}, out)
+        note(f"wrote {out}")
+    return DONE
+
+
+def _short(files: Sequence[Path]) -> list[str]:
+    """Return names of files for headings: as short as they can be told apart."""
+    ways = ([f.name for f in files], [f.parent.name for f in files], [str(f) for f in files])
+    return next(names for names in ways if len(set(names)) == len(names) or names is ways[-1])
 
 
 def simulate_to(

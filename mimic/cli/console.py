@@ -69,13 +69,13 @@ def table(title: str, rows: Mapping[str, str]) -> None:
     console.print(grid)
 
 
-def matrix(title: str, rows: Mapping[str, Mapping[str, str]]) -> None:
-    """Print rows of figures under common headings, which are the keys of the first row."""
+def matrix(title: str, rows: Mapping[str, Mapping[str, str]], *, as_is: bool = False) -> None:
+    """Print rows of figures under common headings: the keys of the first row, without underscores unless ``as_is``."""
     grid = Table(title=escape(title), title_justify="left", title_style="bold")
     grid.add_column(style="cyan")
     headings = tuple(next(iter(rows.values())))
     for heading in headings:
-        grid.add_column(escape(heading.replace("_", " ")), justify="right")
+        grid.add_column(escape(heading if as_is else heading.replace("_", " ")), justify="right", overflow="fold")
     for name, values in rows.items():
         grid.add_row(escape(name), *(escape(values[heading]) for heading in headings))
     console.print(grid)

@@ -30,10 +30,14 @@ class Unit:
 def unit_for(calibration: Calibration) -> Unit:
     """Return the unit in which the errors have one to three digits before the point."""
     errors = [calibration.nominal, *(s.errors for s in calibration.stages)]
-    largest = max((Errors.total(e.held_out) for e in errors), default=1.0)
+    return unit_of_size(max((Errors.total(e.held_out) for e in errors), default=1.0), calibration.unit)
+
+
+def unit_of_size(largest: float, unit: str) -> Unit:
+    """Return the unit, with its prefix, in which a value [unit] has one to three digits before the point."""
     for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
         if largest * factor >= 0.3 or factor == 1e6:
-            return Unit(prefix + calibration.unit, factor)
+            return Unit(prefix + unit, factor)
     raise AssertionError("the last prefix always serves")
 
 

@@ -1,4 +1,4 @@
-"""mimic calibrate and mimic log simulate, on a pendulum that takes a second."""
+"""mimic calibrate, mimic log simulate and mimic log replay, on a pendulum that takes a second."""
 
 from __future__ import annotations
 
@@ -79,6 +79,23 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
     assert "Held-out error [mrad]" in told
 
 
+def test_a_second_log_shows_whether_effects_hold(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulated("-o", "second.csv", "--motion", "random", "--seed", "5") == 0
+    (here / "wrong.toml").write_text(HIDDEN.replace("2.0", "3.0"))
+    files = ("--effects", "hidden.toml", "--effects", "wrong.toml")
+    capsys.readouterr()
+    assert main(["log", "replay", "second.csv", "--model", "robot.xml", *files, "-o", "errors.json"]) == 0
+    told = capsys.readouterr().out
+    data = json.loads((here / "errors.json").read_text())
+    given, right, wrong = (data["errors"][name]["all"] for name in ("as given", "hidden.toml", "wrong.toml"))
+    assert right == pytest.approx(data["noise"][0], rel=0.1)
+    assert right < 0.2 * wrong < 0.2 * given
+    assert data["errors"]["hidden.toml"]["relative"][0] < 0.01
+    for heading in ("Error [mrad]", "as given", "hidden.toml", "wrong.toml", "noise floor"):
+        assert heading in told
+    assert set(data["provenance"]["inputs"]) == {"log", "model", "effects 0", "effects 1"}
+
+
 def test_a_wave_longer_than_the_motion_is_no_cogging(here: Path) -> None:
     assert simulated("-o", "log.parquet") == 0  # its spring is a wave of any long period
     assert (
@@ -117,6 +134,12 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--effects", "effects.toml"], "effect 'effects.toml' is not in the catalogue"),
         (["calibrate", "log.csv", "--declared", "friction"], "effect 'friction' is not in the catalogue"),
         (["calibrate", "log.csv", "--threads", "-1"], "threads is -1"),
+        (["log", "replay", "missing.csv"], "missing.csv does not exist"),
+        (["log", "replay", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
+        (["log", "replay", "log.csv", "--effects", "a.toml", "--effects", "a.toml"], "names a file twice"),
+        (["log", "replay", "log.csv", "--effects", "none.toml"], "none.toml cannot be read"),
+        (["log", "replay", "log.csv", "--threads", "-1"], "threads is -1"),
+        (["log", "replay", "log.csv", "-o", "robot.xml/a.json"], "nothing can be written to robot.xml"),
         (["log", "simulate", "-o", "robot.xml/a.csv"], "nothing can be written to robot.xml"),
         (["log", "simulate", "-o", "a.csv", "--torque-noise", "-1"], "torque-noise is -1"),
         (["log", "simulate", "-o", "a.csv", "--kp", "-1"], "kp is -1"),

@@ -1,0 +1,66 @@
+"""What a model foretells of a log, on a pendulum whose effects are known."""
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.foretell import foretell
+from mimic.calibrate.simulate import simulate_log
+from mimic.errors import ConfigError
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.machine import MachineModel, read_machine
+from mimic.settings import LogSettings
+
+PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
+<inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.006 0.006 0.0002"/></body></worldbody></mujoco>"""
+NOISE = LogSettings(noise=0.0003, resolution=0.0, rate=100.0)
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    path = tmp_path_factory.mktemp("model") / "pendulum.xml"
+    path.write_text(PENDULUM)
+    return read_machine(path, {"kp": 15.0, "kd": 0.6})
+
+
+def having(name: str, **values: float) -> EffectSet:
+    rows = {key: np.array([value]) for key, value in values.items()}
+    joints = () if name in ("delay", "delay_jitter") else ("hinge",)
+    return EffectSet((EffectValues(name=name, joints=joints, values=rows),))
+
+
+def logged(machine: MachineModel, effects: EffectSet, seconds: float = 5.0):
+    t = np.arange(0.0, seconds, 0.02)
+    wave = 0.5 * np.sin(2 * np.pi * 0.4 * t) + 0.3 * np.sin(2 * np.pi * 1.7 * t + 1.0)
+    return simulate_log(machine, t, (np.minimum(t, 1.0) * wave)[:, None], effects, NOISE)
+
+
+def rms(residual: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(residual**2)))
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_model_with_the_effects_of_the_machine_foretells_it_to_the_noise(pendulum, whole):
+    spring = having("spring", stiffness=2.0)
+    log = logged(pendulum, spring)
+    assert rms(foretell(log, pendulum, EffectSet(), whole=whole, threads=1)) > 0.02
+    assert rms(foretell(log, pendulum, spring, whole=whole, threads=1)) == pytest.approx(0.0003, rel=0.15)
+
+
+def test_pieces_begin_where_the_machine_was_and_the_whole_where_it_began(pendulum):
+    log = logged(pendulum, EffectSet())
+    assert np.isnan(foretell(log, pendulum, EffectSet(), threads=1)[:80]).all()  # settling
+    assert np.isfinite(foretell(log, pendulum, EffectSet(), whole=True, threads=1)).all()
+
+
+def test_jitter_is_foretold_as_late_as_it_is_on_the_average(pendulum):
+    jitter = having("delay_jitter", spread=0.01)
+    log = logged(pendulum, jitter)
+    late, mean = (foretell(log, pendulum, e, threads=1) for e in (jitter, having("delay", time=0.005)))
+    np.testing.assert_allclose(late, mean, atol=2e-4, equal_nan=True)
+    assert rms(late) < 0.5 * rms(foretell(log, pendulum, EffectSet(), threads=1))
+
+
+def test_a_joint_that_the_machine_lacks_is_told(pendulum):
+    elsewhere = EffectSet((EffectValues(name="spring", joints=("elbow",), values={"stiffness": np.array([2.0])}),))
+    with pytest.raises(ConfigError, match="names joint 'elbow'"):
+        foretell(logged(pendulum, EffectSet(), 2.0), pendulum, elsewhere)
