@@ -141,7 +141,7 @@ def calibrate(
     scale = problem.noise[:joints]
     if not belongs:
         said = not_together(why)
-    elif settings.method == "random":
+    elif settings.method == "random" or not settings.most_effects:
         said = of_declared(stages, rest, scale, machine.unit)
     else:
         said = sentence(stages, rest, scale, machine, effects)

@@ -153,6 +153,12 @@ def test_targets_in_another_order_do_not_belong_to_the_log(arm: MachineModel) ->
     assert "do not belong together" in result.sentence
 
 
+def test_with_no_effects_to_add_none_is_said_to_be_looked_for(arm: MachineModel) -> None:
+    result = calibrate(log_of(arm), arm, CalibrateSettings(most_effects=0))
+    assert result.sentence.startswith("The declared numbers were fitted")
+    assert "Effects that it may lack were not looked for" in result.sentence
+
+
 def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) -> None:
     log = log_of(arm)
     random = calibrate(log, arm, CalibrateSettings(method="random", samples=256))
