@@ -124,7 +124,9 @@ def calibrate(
     if settings.method == "least-squares" and belongs:
         stages += grow(state)
         final = _polished(state)
-        stages, left = with_encoders(state, stages, final)
+        left = final.residual
+        if settings.most_effects:
+            stages, left = with_encoders(state, stages, final)
     stages[-1] = replace(stages[-1], errors=errors_of(problem, left))
     motion = predicted(problem, final)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
