@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,12 +16,16 @@ from mimic.errors import AssetError, ConfigError
 from mimic.settings import CalibrateSettings, LogSettings
 
 if TYPE_CHECKING:
+    from mimic.calibrate.checks import LogFacts
     from mimic.calibration import Calibration
     from mimic.machine_log import MachineLog
     from mimic.robot.machine import MachineModel
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
 """Files of a calibration."""
+
+AS_GIVEN = "as given"
+"""The model without effects."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,31 +63,39 @@ def calibrate_log(path: Path, model: Path | None, out: Path, settings: Calibrate
     store.check_writable(out)
     with working("replays") as tell:
         tell("reading", 0)
-        import numpy as np
-
-        from mimic.calibrate.checks import check_log
         from mimic.calibrate.flow import calibrate, check_names
-        from mimic.machine_log import read_log
         from mimic.robot.effect_set import EffectSet
 
         check_names(settings)
-        log = read_log(path)
-        machine = machine_of(model, log.metadata)
-        log = log.of(machine.joints)
-        told = _gains_of_the_model(log, machine)
-        tell("checking the log", 0)
-        limits = np.stack([machine.low, machine.high], -1)
-        facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+        facts, machine, told = _checked(path, model, tell)
         result = calibrate(facts.log, machine, settings, tell)
     inputs = {"log": path} | ({"model": model} if model else {})
     made_by = store.provenance(command=COMMAND.get(), settings=settings, inputs=inputs)
-    warnings = tuple(dict.fromkeys((*told, *facts.warnings, *result.warnings)))
+    warnings = tuple(dict.fromkeys((*told, *result.warnings)))
     metadata = {"name": path.name, **result.metadata, "provenance": store.plain(made_by)}
     effects = EffectSet(tuple(replace(e, source=f"calibration of {path.name}") for e in result.effects))
     result = replace(result, warnings=warnings, metadata=metadata, repeatability=facts.repeatability, effects=effects)
     written = _write(result, out)
     _tell(result, written)
     return DONE if result.belongs else USER
+
+
+def _checked(
+    path: Path, model: Path | None, tell: Callable[[str, int], None]
+) -> tuple[LogFacts, MachineModel, list[str]]:
+    """Return a log that can be used, its machine, and what the user should know of them."""
+    import numpy as np
+
+    from mimic.calibrate.checks import check_log
+    from mimic.machine_log import read_log
+
+    log = read_log(path)
+    machine = machine_of(model, log.metadata)
+    log = log.of(machine.joints)
+    tell("checking the log", 0)
+    limits = np.stack([machine.low, machine.high], -1)
+    facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+    return facts, machine, [*_gains_of_the_model(log, machine), *facts.warnings]
 
 
 def _gains_of_the_model(log: MachineLog, machine: MachineModel) -> list[str]:
@@ -182,40 +194,29 @@ def replay_log(
         tell("reading", 0)
         import numpy as np
 
-        from mimic.calibrate.checks import check_log
         from mimic.calibrate.foretell import foretell
-        from mimic.machine_log import read_log
         from mimic.robot.effect_set import EffectSet, read_effects
         from mimic.robot.machine import as_logged
         from mimic.view.report_plots import unit_of_size
         from mimic.view.svg import figure
 
-        sets = {"as given": EffectSet(), **{str(file): read_effects(file) for file in effects}}
-        log = read_log(path)
-        machine = machine_of(model, log.metadata)
-        log = log.of(machine.joints)
-        told = _gains_of_the_model(log, machine)
-        limits = np.stack([machine.low, machine.high], -1)
-        facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+        sets = {AS_GIVEN: EffectSet(), **{str(file): read_effects(file) for file in effects}}
+        facts, machine, told = _checked(path, model, tell)
+        log = facts.log
         machine = as_logged(machine, log.metadata, by_force=log.q_des is None)
-        residuals = {}
+        errors: dict[str, Any] = {}
         for name, held in sets.items():
-            tell(f"replaying the model {name}" if name == "as given" else f"replaying it with {name}", 0)
-            residuals[name] = foretell(facts.log, machine, held, whole=whole, threads=threads)
-    for text in dict.fromkeys((*told, *facts.warnings)):
+            tell(f"replaying the model {name}" if name == AS_GIVEN else f"replaying it with {name}", 0)
+            residual = foretell(log, machine, held, whole=whole, threads=threads)
+            known = np.isfinite(residual).all(axis=1)
+            squares, size = ((x[known] ** 2).mean(axis=0) for x in (residual, log.q))
+            relative = np.sqrt(squares / np.maximum(size, 1e-300))
+            errors[name] = {"rms": np.sqrt(squares), "all": float(np.sqrt(squares.mean())), "relative": relative}
+    for text in told:
         warn(text)
-    errors: dict[str, Any] = {}
-    for name, residual in residuals.items():
-        known = np.isfinite(residual).all(axis=1)
-        squares, size = ((x[known] ** 2).mean(axis=0) for x in (residual, facts.log.q))
-        errors[name] = {
-            "rms": np.sqrt(squares),
-            "all": float(np.sqrt(squares.mean())),
-            "relative": np.sqrt(squares / np.maximum(size, 1e-300)),
-        }
     floor = float(np.sqrt((facts.noise**2).mean()))
     unit = unit_of_size(max(e["all"] for e in errors.values()), machine.unit)
-    columns = [*zip(["as given", *_short(effects)], errors.values(), strict=True)]
+    columns = [*zip([AS_GIVEN, *_short(effects)], errors.values(), strict=True)]
     rows = {
         joint: {name: figure(unit.factor * float(e["rms"][i])) for name, e in columns}
         | {"noise floor": figure(unit.factor * float(facts.noise[i]))}
