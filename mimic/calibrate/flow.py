@@ -31,6 +31,7 @@ from mimic.calibrate.settle import FINE, FINE_SEGMENT, compared, correct, settle
 from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.state import Progress, Search, errors_of
 from mimic.calibrate.unread import read
+from mimic.calibrate.withdraw import on_a_bound, only_what_is_sure
 from mimic.calibrate.wording import experiments, not_together, of_base, of_declared, sentence, stopped_at, weak
 from mimic.calibration import Calibration, Errors, Stage, Traces
 from mimic.errors import CalibrationError, MissingExtra
@@ -124,6 +125,10 @@ def calibrate(
     if settings.method == "least-squares" and belongs:
         stages += grow(state)
         final = _polished(state)
+        while on_a_bound(state, final, stages):  # the last fit has moved a number there
+            state.current = final
+            stages = [stages[0], *only_what_is_sure(state, stages[1:])]
+            final = _polished(state)
         left = final.residual
         if settings.most_effects:
             stages, left = with_encoders(state, stages, final)

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mimic.calibrate.evidence import FAR_BEYOND, stopped
-from mimic.calibrate.fit import (
-    fit,
-)
+from mimic.calibrate.fit import Fit, fit
 from mimic.calibrate.point import Knob, Point
 from mimic.calibrate.remainder import EXPLAINED
 from mimic.calibrate.settle import settle
@@ -38,25 +36,22 @@ def only_what_is_sure(state: Search, stages: list[Stage]) -> list[Stage]:
     are they where most of what is there is left.
     """
     named = [s for s in stages if s.added and not CATALOGUE[s.added].read_off]
-    machine = state.problem.machine
-    far = stopped(state.current, state.problem, FAR_BEYOND)
-    bent = [row for row in stopped(state.current, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
-    doubtful, elsewhere = _chains(far, machine), ~_chains(bent, machine)
+    machine, rows = state.problem.machine, _stops(state, state.current)
 
     def stops(joints: BoolArray) -> str:
-        return _where_it_stops(next(row for row in (*far, *bent) if (joints & _chains([row], machine)).any()), machine)
+        return _where_it_stops(next(r for r in (*rows[0], *rows[1]) if (joints & _chains([r], machine)).any()), machine)
 
     fewer: dict[str, BoolArray] = {}
     for name in (s.added for s in named):
         had = state.joints[name]
-        if (had & doubtful).any() or not (had & elsewhere).any():
+        doubted = _in_doubt(state, name, rows)
+        if (doubted == had).all():
             state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {stops(had)}")
             fewer[name] = np.zeros_like(had)
             continue
-        has = had
-        if CATALOGUE[name].scope != "machine" and (had & ~elsewhere).any():
-            has = had & elsewhere
-            state.withdrawn.append(_withdrawn(name, had & ~has, stops(had & ~has), machine))
+        has = had & ~doubted
+        if doubted.any():
+            state.withdrawn.append(_withdrawn(name, doubted, stops(doubted), machine))
         partly, share = _in_part(state, name, has)
         if partly.any():
             why = f"{100 * (1 - share):.0f} % of what noise does not explain is left there"
@@ -92,6 +87,29 @@ def only_what_is_sure(state: Search, stages: list[Stage]) -> list[Stage]:
         return [*kept[:-1], replace(kept[-1], errors=errors)]
     tried = tuple(replace(c, accepted=False, why=state.withdrawn[0]) if c.accepted else c for c in gone[0].candidates)
     return [Stage(added="", errors=errors, candidates=tried)]
+
+
+def on_a_bound(state: Search, fitted: Fit, stages: list[Stage]) -> bool:
+    """Return whether an effect is named where a number of a fit stops at a bound that puts it in doubt."""
+    rows = _stops(state, fitted)
+    named = [s.added for s in stages if s.added in state.names and not CATALOGUE[s.added].read_off]
+    return any(_in_doubt(state, name, rows).any() for name in named)
+
+
+def _stops(state: Search, fitted: Fit) -> tuple[list[tuple[Knob, float]], list[tuple[Knob, float]]]:
+    """Return the numbers of a fit that stop far beyond their bound, and the declared ones that stop at one; with the bounds."""
+    far = stopped(fitted, state.problem, FAR_BEYOND)
+    bent = [row for row in stopped(fitted, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
+    return far, bent
+
+
+def _in_doubt(state: Search, name: str, rows: tuple[list[tuple[Knob, float]], list[tuple[Knob, float]]]) -> BoolArray:
+    """Return the joints (J,) where such numbers put an effect in doubt."""
+    had, machine = state.joints[name], state.problem.machine
+    doubtful, elsewhere = _chains(rows[0], machine), ~_chains(rows[1], machine)
+    if (had & doubtful).any() or not (had & elsewhere).any():
+        return had
+    return np.zeros_like(had) if CATALOGUE[name].scope == "machine" else had & ~elsewhere
 
 
 def _in_part(state: Search, name: str, has: BoolArray) -> tuple[BoolArray, float]:

@@ -272,6 +272,24 @@ def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel
     assert "Nothing in the catalogue explains what is left" in result.sentence
 
 
+def test_no_name_stays_beside_a_declared_number_that_the_last_fit_moves_onto_its_bound(
+    arm: MachineModel, monkeypatch
+) -> None:
+    """The search ends at 0.92977 times the elbow's mass and the last fit at 0.92969: a bound in between is met at the very end."""
+    spec = CATALOGUE["link_mass"]
+    monkeypatch.setitem(
+        CATALOGUE, "link_mass", replace(spec, parameters=tuple(replace(p, low=0.92973) for p in spec.parameters))
+    )
+    log = log_of(arm, both("stribeck", level=0.12, speed=0.15))
+    result = calibrate(log, arm, CalibrateSettings(effects=("stribeck",), most_effects=1))
+    assert added(result) == []
+    assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]
+    assert any(
+        line.startswith("Stribeck friction explains something, but is not named: link_mass.factor of elbow")
+        for line in result.warnings
+    )
+
+
 def test_a_name_that_takes_little_beside_what_is_left_in_its_chain_is_withheld(arm: MachineModel) -> None:
     """Shaken by something that is not looked for, the shoulder says nothing sure of a weak spring in the elbow."""
     shaken = {"cosine": np.array([0.5]), "sine": np.array([0.0]), "frequency": np.array([2.7])}
