@@ -31,7 +31,8 @@ from mimic.robot.servo import neutral
 from mimic.types import BoolArray, FloatArray
 
 MOSTLY = 0.5
-"""The same for an effect that others have on joints where it was not found; less may be something else."""
+"""Share that an effect takes of what noise does not explain, on joints where it was not found and others have it; less may be
+something else."""
 
 MOST_AFRESH = 8
 """Most steps of a fit that begins with declared numbers as the model has them."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mimic.calibrate.evidence import paired
-from mimic.calibrate.fit import (
-    Fit,
-)
+from mimic.calibrate.fit import Fit
 from mimic.calibrate.settle import FINE, FINE_SEGMENT
 from mimic.calibrate.state import Search, errors_of
 from mimic.calibration import Candidate, Stage

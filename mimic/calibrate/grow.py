@@ -9,13 +9,7 @@ import numpy as np
 from mimic.calibrate.diagnose import SHARED, Found, further, pruned, search, whole_chains, wider
 from mimic.calibrate.events import Timing
 from mimic.calibrate.evidence import LEAST_IMPROVEMENT, Tried, earns_its_keep, lasts, present
-from mimic.calibrate.fit import (
-    Fit,
-    deviations,
-    fit_all,
-    fitting,
-    left_out,
-)
+from mimic.calibrate.fit import Fit, deviations, fit_all, fitting, left_out
 from mimic.calibrate.late import arrivals
 from mimic.calibrate.point import Point
 from mimic.calibrate.problem import Problem

@@ -16,7 +16,7 @@ from mimic.calibrate.problem import Problem
 from mimic.types import BoolArray, FloatArray
 
 LATE_Z = 2.0
-"""The same for single late targets: that the chains agree on them is tested target by target, and a short log has few blocks."""
+"""Gain of single late targets over its standard error, for which :data:`~mimic.calibrate.evidence.LEAST_Z` is too much: that the chains agree on them is tested target by target, and a short log has few blocks."""
 
 AGREEMENT = (0.75, 1.35)
 """What the chains must share of the lateness that each shows of single targets, when targets are late."""

@@ -7,13 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.fit import (
-    Fit,
-    best_of_chains,
-    chain_costs,
-    fit,
-    solve,
-)
+from mimic.calibrate.fit import Fit, best_of_chains, chain_costs, fit, solve
 from mimic.calibrate.point import Point
 from mimic.calibrate.problem import Problem
 from mimic.robot.effects import CATALOGUE

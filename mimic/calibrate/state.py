@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mimic.calibrate.fit import (
-    Fit,
-)
+from mimic.calibrate.fit import Fit
 from mimic.calibrate.moving_base import BaseMotion
 from mimic.calibrate.point import Key
 from mimic.calibrate.problem import Problem

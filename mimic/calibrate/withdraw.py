@@ -23,9 +23,11 @@ MOST_OF_IT = 0.75
 """Share of what noise does not explain that names take where they act, if more is left than could count; with less, what is there
 may be something else."""
 
-
 CRUMB = 0.1
 """Least ratio of what a name takes to what is left in the same chain."""
+
+Stops = tuple[list[tuple[Knob, float]], list[tuple[Knob, float]]]
+"""Numbers that stop far beyond their bound, and declared ones that stop at one; each with the bound."""
 
 
 def only_what_is_sure(state: Search, stages: list[Stage]) -> list[Stage]:
@@ -96,14 +98,14 @@ def on_a_bound(state: Search, fitted: Fit, stages: list[Stage]) -> bool:
     return any(_in_doubt(state, name, rows).any() for name in named)
 
 
-def _stops(state: Search, fitted: Fit) -> tuple[list[tuple[Knob, float]], list[tuple[Knob, float]]]:
-    """Return the numbers of a fit that stop far beyond their bound, and the declared ones that stop at one; with the bounds."""
+def _stops(state: Search, fitted: Fit) -> Stops:
+    """Return the numbers of a fit that stop."""
     far = stopped(fitted, state.problem, FAR_BEYOND)
     bent = [row for row in stopped(fitted, state.problem) if CATALOGUE[row[0].key[0]].declared and row[1] != 0.0]
     return far, bent
 
 
-def _in_doubt(state: Search, name: str, rows: tuple[list[tuple[Knob, float]], list[tuple[Knob, float]]]) -> BoolArray:
+def _in_doubt(state: Search, name: str, rows: Stops) -> BoolArray:
     """Return the joints (J,) where such numbers put an effect in doubt."""
     had, machine = state.joints[name], state.problem.machine
     doubtful, elsewhere = _chains(rows[0], machine), ~_chains(rows[1], machine)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.calibrate.fit import (
-    Fit,
-    weak_directions,
-)
+from mimic.calibrate.fit import Fit, weak_directions
 from mimic.calibrate.point import Knob
 from mimic.calibrate.problem import Problem
 from mimic.calibrate.state import Search

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mimic.calibration import Calibration
     from mimic.machine_log import MachineLog
     from mimic.robot.machine import MachineModel
+    from mimic.types import FloatArray
+    from mimic.view.report_plots import Unit
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
 """Files of a calibration."""
@@ -130,9 +132,7 @@ def _write(result: Calibration, out: Path) -> list[Path]:
 
 
 def _tell(result: Calibration, written: list[Path]) -> None:
-    from mimic.calibration import Errors
     from mimic.view.report_plots import unit_for
-    from mimic.view.svg import figure
 
     for text in result.warnings:
         warn(text)
@@ -142,14 +142,8 @@ def _tell(result: Calibration, written: list[Path]) -> None:
         stages["declared fitted"] = result.stages[0].errors
     if len(result.stages) > 1:
         stages["final"] = result.stages[-1].errors
-    rows: dict[str, dict[str, str]] = {}
-    for i, joint in enumerate(result.joints):
-        rows[joint] = {name: figure(unit.factor * float(e.held_out[i])) for name, e in stages.items()}
-        rows[joint]["noise floor"] = figure(unit.factor * float(result.noise[i]))
-    if len(result.joints) > 1:
-        rows["all"] = {name: figure(unit.factor * Errors.total(e.held_out)) for name, e in stages.items()}
-        rows["all"]["noise floor"] = figure(unit.factor * Errors.total(result.noise))
-    matrix(f"Held-out error [{unit.name}]", rows)
+    columns = {name: e.held_out for name, e in stages.items()}
+    _show_errors("Held-out error", result.joints, {**columns, "noise floor": result.noise}, unit)
     found = _found(result)
     if found:
         table("Found", found)
@@ -158,6 +152,20 @@ def _tell(result: Calibration, written: list[Path]) -> None:
     for line in result.experiments:
         note(f"log next: {line}")
     note(f"wrote {', '.join(map(str, written))} ({result.replays} replays, {result.seconds:.0f} s)")
+
+
+def _show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatArray], unit: Unit) -> None:
+    """Print errors (J,) in columns, a row for each joint and, of several, one for all."""
+    from mimic.calibration import Errors
+    from mimic.view.svg import figure
+
+    rows = {
+        joint: {name: figure(unit.factor * float(values[i])) for name, values in columns.items()}
+        for i, joint in enumerate(joints)
+    }
+    if len(joints) > 1:
+        rows["all"] = {name: figure(unit.factor * Errors.total(values)) for name, values in columns.items()}
+    matrix(f"{title} [{unit.name}]", rows, as_is=True)
 
 
 def _found(result: Calibration) -> dict[str, str]:
@@ -195,10 +203,10 @@ def replay_log(
         import numpy as np
 
         from mimic.calibrate.foretell import foretell
+        from mimic.calibration import Errors
         from mimic.robot.effect_set import EffectSet, read_effects
         from mimic.robot.machine import as_logged
         from mimic.view.report_plots import unit_of_size
-        from mimic.view.svg import figure
 
         sets = {AS_GIVEN: EffectSet(), **{str(file): read_effects(file) for file in effects}}
         facts, machine, told = _checked(path, model, tell)
@@ -211,21 +219,13 @@ def replay_log(
             known = np.isfinite(residual).all(axis=1)
             squares, size = ((x[known] ** 2).mean(axis=0) for x in (residual, log.q))
             relative = np.sqrt(squares / np.maximum(size, 1e-300))
-            errors[name] = {"rms": np.sqrt(squares), "all": float(np.sqrt(squares.mean())), "relative": relative}
+            rms = np.sqrt(squares)
+            errors[name] = {"rms": rms, "all": Errors.total(rms), "relative": relative}
     for text in told:
         warn(text)
-    floor = float(np.sqrt((facts.noise**2).mean()))
     unit = unit_of_size(max(e["all"] for e in errors.values()), machine.unit)
-    columns = [*zip([AS_GIVEN, *_short(effects)], errors.values(), strict=True)]
-    rows = {
-        joint: {name: figure(unit.factor * float(e["rms"][i])) for name, e in columns}
-        | {"noise floor": figure(unit.factor * float(facts.noise[i]))}
-        for i, joint in enumerate(machine.joints)
-    }
-    if len(rows) > 1:
-        rows["all"] = {name: figure(unit.factor * e["all"]) for name, e in columns}
-        rows["all"]["noise floor"] = figure(unit.factor * floor)
-    matrix(f"Error [{unit.name}]", rows, as_is=True)
+    columns = zip([AS_GIVEN, *_short(effects)], (e["rms"] for e in errors.values()), strict=True)
+    _show_errors("Error", machine.joints, {**dict(columns), "noise floor": facts.noise}, unit)
     if out is not None:
         inputs = {
             "log": path,
