@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.checks import belongs as targets_belong
+from mimic.calibrate.declared import fit_declared, problem_of
 from mimic.calibrate.encoders import with_encoders
 from mimic.calibrate.events import widening
 from mimic.calibrate.evidence import stopped
@@ -19,40 +19,27 @@ from mimic.calibrate.fit import (
     left_out,
     of_white_noise,
 )
-from mimic.calibrate.grow import grow
-from mimic.calibrate.point import Key, Point
-from mimic.calibrate.problem import Problem
+from mimic.calibrate.grow import grow, taken_back
+from mimic.calibrate.point import Point
 from mimic.calibrate.random_search import random_search
 from mimic.calibrate.remainder import remainders
-from mimic.calibrate.replay import Replay, physics_step
-from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import predicted
 from mimic.calibrate.settle import FINE, FINE_SEGMENT, compared, correct, settle
-from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.state import Progress, Search, errors_of
-from mimic.calibrate.unread import read
-from mimic.calibrate.withdraw import on_a_bound, only_what_is_sure
 from mimic.calibrate.wording import experiments, not_together, of_base, of_declared, sentence, stopped_at, weak
 from mimic.calibration import Calibration, Errors, Stage, Traces
-from mimic.errors import CalibrationError, MissingExtra
+from mimic.errors import CalibrationError
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import CATALOGUE, effect
 from mimic.robot.machine import MachineModel, as_logged
 from mimic.settings import CalibrateSettings
-from mimic.types import FloatArray
 
 MOST_POLISHED, FAR = 4, 2.0
 """Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where another is needed."""
 
-SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
-"""Numbers that brake as viscous friction does; only measured torque tells them from it."""
-
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
-
-LEAST_NOISE = 1e-9
-"""Noise floor where no reading shows any [rad or m]."""
 
 
 def check_names(settings: CalibrateSettings) -> None:
@@ -86,7 +73,7 @@ def calibrate(
     report = progress or (lambda text, replays: None)
     log = log.of(model.joints)
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
-    problem = _problem(log, machine, settings)
+    problem = problem_of(log, machine, settings)
     names = list(settings.declared)
     start = Point.of(names, machine)
     _check_bounds(start, machine)
@@ -101,7 +88,7 @@ def calibrate(
         fitted = random_search(problem, start, settings.samples, settings.seed, report)
     else:
         report("fitting the declared model", problem.replay.replays)
-        fitted = fit(problem, start, names, where, most=5)
+        fitted = fit_declared(problem, start, names, where)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(errors_of(problem, fitted.residual).train / np.maximum(spread, 1e-9))
@@ -125,10 +112,8 @@ def calibrate(
     if settings.method == "least-squares" and belongs:
         stages += grow(state)
         final = _polished(state)
-        while on_a_bound(state, final, stages):  # the last fit has moved a number there
-            state.current = final
-            stages = [stages[0], *only_what_is_sure(state, stages[1:])]
-            final = _polished(state)
+        while (fewer := taken_back(state, final, stages[1:])) is not None:
+            stages, final = [stages[0], *fewer], _polished(state)
         left = final.residual
         if settings.most_effects:
             stages, left = with_encoders(state, stages, final)
@@ -197,41 +182,6 @@ def _check_bounds(start: Point, machine: MachineModel) -> None:
                 f"the model has {name}.{parameter} {row[j]:g} {spec.unit} in {machine.joints[j]}; it can be {spec.low:g} to"
                 f" {spec.high:g}: correct the model, or leave {name} out with --declared"
             )
-
-
-def _problem(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
-    step = settings.timestep or physics_step(log.rate)
-    replay = _replay(log, machine, settings, step)
-    noise = _of_moving(log.q[read(log)], noise_floor(log.q, log.rate, read(log)))
-    steps = np.zeros_like(noise)
-    if not settings.effects or "encoder_step" in settings.effects:
-        steps, noise = coarse_steps(log.q[read(log)], noise)
-    torque = None
-    if log.tau is not None and replay.torque:
-        torque = _of_moving(log.tau, noise_floor(log.tau, log.rate))
-    problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
-    problem.encoder_steps = steps
-    if torque is None and "viscous" in settings.declared:
-        problem.pinned = frozenset(SAME_AS_VISCOUS)
-    return problem
-
-
-def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return noise floors (J,) in which a channel that never changes (T, J), and shows no noise, has the greatest of the others'."""
-    moves = (np.ptp(readings, axis=0) > 0) & (noise > 0)
-    return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
-
-
-def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
-    if settings.device == "cpu":
-        return Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
-    try:
-        from mimic.calibrate.worlds import WorldReplay
-    except ModuleNotFoundError as missing:
-        raise MissingExtra(str(missing.name), "train") from None
-    return WorldReplay(
-        machine, log, device=settings.device, timestep=step, threads=settings.threads, torque=settings.torque
-    )
 
 
 def _polished(state: Search) -> Fit:

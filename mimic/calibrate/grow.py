@@ -16,16 +16,19 @@ from mimic.calibrate.problem import Problem
 from mimic.calibrate.screen import predicted
 from mimic.calibrate.settle import FINE, FINE_SEGMENT, correct, refined, settle
 from mimic.calibrate.state import Search, errors_of
-from mimic.calibrate.withdraw import only_what_is_sure
+from mimic.calibrate.withdraw import on_a_bound, only_what_is_sure, take_back
 from mimic.calibration import Stage
 from mimic.robot.effects import CATALOGUE
 from mimic.robot.law import STIFFEST
+from mimic.types import BoolArray
 
 MOST_FITTED = 3
 """Effects that are fitted to the end at a stage before nothing is named."""
 
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
+
+AS_WITHOUT = "fitted to the end its numbers are those of a machine without it"
 
 SOFT = 0.1
 """Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an elasticity of its own."""
@@ -112,10 +115,10 @@ def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] 
         why = "fitted to the end it leaves no less on blocks that were held out"
         bare = None
         if lasts(problem, before, state.current, best):
-            bare = _as_good_without(state, best)
+            bare = _as_good_without(state, best.name, best.joints)
             if bare is None:
                 return (candidate, best), tried
-            why = "fitted to the end its numbers are those of a machine without it"
+            why = AS_WITHOUT
         tried = tuple(replace(t, why=why) if t is candidate else t for t in tried)
         state.current, problem.correction, problem.weight = before, correction, weight
         if bare is not None:  # what it found was a better fit of the others
@@ -129,16 +132,35 @@ def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] 
     return None, tried
 
 
-def _as_good_without(state: Search, best: Tried) -> Fit | None:
-    """Return the fit without an effect that is nowhere sure to be there, if that is as good; else None."""
+def _as_good_without(state: Search, name: str, joints: BoolArray) -> Fit | None:
+    """Return the fit without an effect of these joints (J,) that is nowhere sure to be there, if that is as good; else None."""
     problem, current = state.problem, state.current
-    if CATALOGUE[best.name].random:
+    if CATALOGUE[name].random:
         return None
     deviation = deviations(current, problem, left_out(current, problem)[1])
-    if present(problem, current, best.name, best.joints, deviation).any():
+    if present(problem, current, name, joints, deviation).any():
         return None
-    rest = _best_without(state, best.name, state.names)
+    rest = _best_without(state, name, [n for n in state.names if n != name])
     return None if earns_its_keep(problem, current, rest) else rest
+
+
+def taken_back(state: Search, final: Fit, stages: list[Stage]) -> list[Stage] | None:
+    """Return the stages without names that the last fit puts in doubt, and leave the state at a fit without them; None if it does none.
+
+    It may have moved a number onto a bound, or have found what an effect had made up for.
+    """
+    if on_a_bound(state, final, stages):
+        state.current = final
+        return only_what_is_sure(state, stages)
+    before = state.current
+    for name in [s.added for s in stages if s.added and not CATALOGUE[s.added].read_off]:
+        state.current = final
+        bare = _as_good_without(state, name, state.joints[name])
+        if bare is not None:
+            state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {AS_WITHOUT}")
+            return take_back(state, stages, [name], bare, state.withdrawn[-1])
+    state.current = before
+    return None
 
 
 def _where_it_is(state: Search, best: Tried) -> tuple[Tried, Fit]:

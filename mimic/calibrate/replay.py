@@ -113,6 +113,9 @@ class Replay:
     longest_fine: float = math.inf
     """Greatest length of a segment of a finer replay [s]."""
 
+    shorter_is_faster: bool = True
+    """Whether a replay of a part of the log takes a part of the time."""
+
     def __init__(
         self,
         machine: MachineModel,
@@ -180,6 +183,11 @@ class Replay:
         return Replay(
             self.machine, self.log, timestep=timestep, segment=segment, threads=self.threads, torque=self.torque
         )
+
+    def of_beginning(self, rows: int) -> Replay:
+        """Return the replay of so many of the first readings."""
+        log = self.log.part(slice(rows))
+        return Replay(self.machine, log, timestep=self.dt, threads=self.threads, torque=self.torque)
 
     @property
     def segments(self) -> int:

@@ -70,24 +70,37 @@ def only_what_is_sure(state: Search, stages: list[Stage]) -> list[Stage]:
     if not fewer:
         return stages
     state.tick("withdrawing what is not sure")
-    gone = [s for s in named if s.added in fewer and not fewer[s.added].any()]
-    names = [s.added for s in gone]
-    rest = [n for n in state.names if n not in names]
+    gone = [s.added for s in named if s.added in fewer and not fewer[s.added].any()]
+    rest = [n for n in state.names if n not in gone]
     point = state.current.point
-    for name in names:
+    for name in gone:
         point = point.without(name)
     values = dict(point.values)
     for (name, parameter), row in point.values.items():
         if name in fewer:
             values[name, parameter] = np.where(fewer[name], row, neutral(name, parameter, machine))
     state.joints |= fewer
-    state.current = settle(state.problem, fit(state.problem, Point(values), rest, state.joints, most=3))
-    state.names = rest
-    errors = errors_of(state.problem, state.current.residual)
-    kept = [s for s in stages if s not in gone]
+    fitted = settle(state.problem, fit(state.problem, Point(values), rest, state.joints, most=3))
+    return take_back(state, stages, gone, fitted, state.withdrawn[0])
+
+
+def take_back(state: Search, stages: list[Stage], names: Sequence[str], fitted: Fit, why: str) -> list[Stage]:
+    """Return the stages without some effects, and leave the state at a fit without them.
+
+    Args:
+        state: Of the calibration.
+        stages: With the effects.
+        names: Theirs.
+        fitted: The fit.
+        why: What is told of them where no other effect stays.
+    """
+    state.current, state.names = fitted, [n for n in state.names if n not in names]
+    errors = errors_of(state.problem, fitted.residual)
+    kept = [s for s in stages if s.added not in names]
     if any(s.added for s in kept):
         return [*kept[:-1], replace(kept[-1], errors=errors)]
-    tried = tuple(replace(c, accepted=False, why=state.withdrawn[0]) if c.accepted else c for c in gone[0].candidates)
+    first = next(s for s in stages if s.added in names)
+    tried = tuple(replace(c, accepted=False, why=why) if c.accepted else c for c in first.candidates)
     return [Stage(added="", errors=errors, candidates=tried)]
 
 

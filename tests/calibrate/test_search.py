@@ -10,6 +10,7 @@ from mimic.calibrate.blocks import make_blocks
 from mimic.calibrate.diagnose import further, wider
 from mimic.calibrate.fit import fit, left_out
 from mimic.calibrate.flow import calibrate
+from mimic.calibrate.grow import taken_back
 from mimic.calibrate.point import Point
 from mimic.calibrate.problem import Problem
 from mimic.calibrate.replay import Replay
@@ -17,6 +18,8 @@ from mimic.calibrate.rounding import coarse_steps
 from mimic.calibrate.screen import Motion, screen, starts_of
 from mimic.calibrate.signals import noise_floor
 from mimic.calibrate.simulate import simulate_log
+from mimic.calibrate.state import Search, errors_of
+from mimic.calibration import Stage
 from mimic.machine_log import MachineLog
 from mimic.robot.effect_set import EffectSet, EffectValues
 from mimic.robot.effects import CATALOGUE, DECLARED
@@ -305,3 +308,39 @@ def test_backlash_begins_near_its_gap(pair: MachineModel) -> None:
     start = screen(problem, fitted, ["backlash"], motion)[0]
     assert start.joints[0]
     assert start.point.values["backlash", "gap"][0] == pytest.approx(0.03, rel=0.2)
+
+
+def taken_back_of(pair: MachineModel, *hidden: EffectValues) -> tuple[Search, list[Stage] | None]:
+    """Fit a log with Stribeck friction in both joints, and ask whether that name stays."""
+    problem, declared = problem_of(pair, log_of(pair, *hidden))
+    names, both = [*DECLARED, "stribeck"], np.ones(2, dtype=bool)
+    bare = fit(problem, declared, DECLARED, {})
+    start = bare.point.with_effect("stribeck", pair, {"level": 0.02, "speed": 0.2})
+    final = fit(problem, start, names, {"stribeck": both})
+    state = Search(
+        problem=problem,
+        settings=CalibrateSettings(),
+        progress=lambda text, replays: None,
+        joints={"stribeck": both},
+        names=names,
+        current=final,
+        declared=problem.mean_squares(bare.residual, True),
+    )
+    return state, taken_back(state, final, [Stage(added="stribeck", errors=errors_of(problem, final.residual))])
+
+
+def test_a_name_whose_numbers_end_as_those_of_none_is_taken_back(pair: MachineModel) -> None:
+    """What it explained when it was found was that the others had not been fitted to the end."""
+    state, stages = taken_back_of(pair)
+    assert stages is not None
+    assert [s.added for s in stages] == [""]
+    assert "stribeck" not in state.names
+    assert not any(k.key[0] == "stribeck" for k in state.current.knobs)
+    assert "fitted to the end its numbers are those of a machine without it" in state.withdrawn[0]
+
+
+def test_a_name_whose_numbers_are_sure_stays(pair: MachineModel) -> None:
+    sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
+    state, stages = taken_back_of(pair, sticky)
+    assert stages is None
+    assert "stribeck" in state.names

@@ -1,0 +1,98 @@
+"""The fit of the declared numbers."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.calibrate.blocks import make_blocks
+from mimic.calibrate.declared import fit_declared, problem_of
+from mimic.calibrate.fit import fit
+from mimic.calibrate.point import Point
+from mimic.calibrate.problem import Problem
+from mimic.calibrate.replay import Replay
+from mimic.calibrate.simulate import simulate_log
+from mimic.robot.description import load_description
+from mimic.robot.effect_set import EffectSet, EffectValues
+from mimic.robot.effects import DECLARED
+from mimic.robot.excitation import hung_ranges, probe_targets
+from mimic.robot.machine import MachineModel, as_logged, hung_robot, read_machine
+from mimic.settings import CalibrateSettings, LogSettings
+
+ARM = """<mujoco><worldbody>
+<body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.08" mass="0.3" diaginertia="0.001 0.001 0.0003"/>
+<body name="b" pos="0 0 -0.2"><joint name="b" axis="1 0 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
+<inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></body></worldbody></mujoco>"""
+
+FAR = (
+    EffectValues(name="coulomb", joints=("a", "b"), values={"level": np.array([0.3, 0.02])}),
+    EffectValues(name="viscous", joints=("a", "b"), values={"coefficient": np.array([0.3, 0.01])}),
+    EffectValues(name="link_mass", joints=("a", "b"), values={"factor": np.array([2.2, 0.5])}),
+    EffectValues(name="delay", joints=(), values={"time": 0.03}),
+)
+"""Numbers far from the model's."""
+
+
+def posed(tmp_path: Path, seconds: float) -> tuple[Problem, Point]:
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    arm: MachineModel = read_machine(path, {"kp": 20.0, "kd": 0.8})
+    t = np.arange(0.0, seconds, 0.02)
+    phase = np.random.default_rng(3).uniform(0, 2 * np.pi, (3, 2))
+    waves = [0.5 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.4, 0.9, 1.7))]
+    log = simulate_log(arm, t, np.sum(waves, axis=0), EffectSet(FAR), LogSettings(seed=4))
+    replay = Replay(arm, log, timestep=0.0025)
+    problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
+    return problem, Point.of(DECLARED, arm)
+
+
+def squares(problem: Problem, residual: np.ndarray) -> float:
+    return float(problem.block_squares(residual)[problem.blocks.train].sum())
+
+
+def test_it_goes_on_as_long_as_that_pays() -> None:
+    """Else any effect that lets it go on seems to explain something. Five steps leave a seventh more here."""
+    robot, rng = hung_robot(load_description()), np.random.default_rng(4)
+    motion = probe_targets(*hung_ranges(load_description()), seconds=15.0, seed=4)
+    true = {
+        "coulomb": {"level": rng.uniform(0.03, 0.12, 12)},
+        "viscous": {"coefficient": rng.uniform(0.02, 0.1, 12)},
+        "link_mass": {"factor": rng.uniform(0.9, 1.15, 12)},
+        "delay": {"time": rng.uniform(0.004, 0.018)},
+    }
+    hidden = [EffectValues(name=n, joints=() if n == "delay" else robot.joints, values=v) for n, v in true.items()]
+    log = simulate_log(robot, motion.t, motion.q_des, EffectSet(tuple(hidden)), LogSettings(seed=4))
+    log = replace(log, tau=None)
+    problem = problem_of(log, as_logged(robot, log.metadata), CalibrateSettings())
+    fitted = fit_declared(problem, Point.of(DECLARED, problem.machine), DECLARED, {})
+    again = fit(problem, fitted.point, DECLARED, {}, most=3)
+    assert squares(problem, fitted.residual) < 1.005 * squares(problem, again.residual)
+
+
+def test_a_part_of_a_log_leaves_what_the_whole_leaves_there(tmp_path: Path) -> None:
+    problem, start = posed(tmp_path, 40.0)
+    part = problem.of_beginning(3000)
+    whole, there = problem.residuals([start])[0][:3000], part.residuals([start])[0]
+    counts = part.blocks.index >= 0
+    assert counts.sum() > 2800
+    assert np.array_equal(part.blocks.index[counts], problem.blocks.index[:3000][counts])
+    assert np.abs(whole - there)[counts].max() < 0.02 * np.abs(whole[counts]).max()
+
+
+def test_a_long_log_is_replayed_whole_for_the_last_steps_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, start = posed(tmp_path, 60.0)
+    run, lengths = Replay.run, []
+
+    def counted(self, parameters, count, *rest, **more):
+        lengths.extend([len(self.log.t)] * count)
+        return run(self, parameters, count, *rest, **more)
+
+    monkeypatch.setattr(Replay, "run", counted)
+    fitted = fit_declared(problem, start, DECLARED, {})
+    share = np.mean(np.array(lengths) == len(problem.replay.log.t))
+    monkeypatch.undo()
+    assert 0.0 < share < 0.5
+    alone = fit(problem, start, DECLARED, {}, most=20)
+    assert squares(problem, fitted.residual) < 1.005 * squares(problem, alone.residual)
