@@ -137,10 +137,8 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
     why = ""
     if not there.any():
         why = f"no joint gains by a number that differs from none by {LEAST_PARAMETER:.0f} deviations"
-    elif gain < LEAST_GAIN:
-        why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
-    elif z < LEAST_Z:
-        why = f"gain is {z:.1f} standard errors, below {LEAST_Z:.0f}"
+    elif little := too_little(gain, z, LEAST_Z):
+        why = little
     elif improvement < LEAST_IMPROVEMENT:
         why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
     elif (share := share_taken(problem, incumbent, fitted, channels)) < LEAST_SHARE:
@@ -159,6 +157,13 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
         why=why,
         allowed=joints,
     )
+
+
+def too_little(gain: float, z: float, least: float) -> str:
+    """Return why a gain is no evidence, with how sure it must be in standard errors, or nothing."""
+    if gain < LEAST_GAIN:
+        return f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
+    return f"gain is {z:.1f} standard errors, below {least:.0f}" if z < least else ""
 
 
 def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.calibrate.arrival import eased
 from mimic.calibrate.events import Timing, timings
-from mimic.calibrate.evidence import LEAST_GAIN, LEAST_SHARE, RIVAL_Z, Tried, paired
+from mimic.calibrate.evidence import LEAST_SHARE, RIVAL_Z, Tried, paired, too_little
 from mimic.calibrate.fit import Fit, fit
 from mimic.calibrate.point import Point
 from mimic.calibrate.problem import Problem
@@ -47,10 +47,8 @@ def late_targets(
         why = ""
         if not AGREEMENT[0] < timing.agreement < AGREEMENT[1]:
             why = f"the chains share {100 * timing.agreement:.0f} % of the lateness that each shows"
-        elif gain < LEAST_GAIN:
-            why = f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
-        elif z < LATE_Z:
-            why = f"gain is {z:.1f} standard errors, below {LATE_Z:.0f}"
+        elif little := too_little(gain, z, LATE_Z):
+            why = little
         elif share < LEAST_SHARE:
             why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
         why = why or _holds_none(timing)
