@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.fit import fit
+from mimic.calibrate.declared import fit_declared
 from mimic.calibrate.flow import calibrate
 from mimic.calibrate.point import Point, stack
 from mimic.calibrate.problem import Problem
@@ -139,7 +139,7 @@ class Parts:
     def declared(self) -> dict[str, Any]:
         """Fit the declared numbers, in coarse steps."""
         before, began = self.replay.replays, time.perf_counter()
-        fitted = fit(self.problem, Point.of(DECLARED, self.machine), DECLARED, {}, most=5)
+        fitted = fit_declared(self.problem, Point.of(DECLARED, self.machine), DECLARED, {})
         seconds = time.perf_counter() - began
         return {"seconds": seconds, "replays": self.replay.replays - before, **self._error(fitted.residual)}
 

@@ -97,13 +97,13 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
     responses = _responses(problem, incumbent, near) if len(groups) > 1 else None
     if responses is None:
         return []
-    period, usual = _period(problem), _usual_late(problem)
+    period, usual, gaps = _period(problem), _usual_late(problem), _gaps(problem)
     inside = problem.blocks.index[:, None] >= 0
     left = np.where(inside, np.nan_to_num(incumbent.residual), 0.0).astype(np.float64)
     had = problem.replay.late
     if had is not None:
         own = (had - usual) / period
-        own = own if near else np.minimum(own, 1.0)  # of losses in a row each is one
+        own = own if near else np.minimum(own, gaps)  # of losses in a row each is one
         left += _applied(problem, responses, own, np.ones(problem.channels, dtype=bool))
     normal = [_normal(problem, responses, left, channels) for channels in groups]
     weights = _weights(problem, responses, left, groups, normal)
@@ -114,12 +114,12 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
     found = []
     for name in names:
         parameter, law = _LAWS[name]
-        value, interval, late = law(whole)
+        value, interval, late = law(whole, gaps)
         if not value > 0.0:
             continue
         after = left.copy()
         for channels, lateness in zip(groups, seen, strict=True):
-            after[:, channels] -= _applied(problem, responses, law(lateness)[2], channels)
+            after[:, channels] -= _applied(problem, responses, law(lateness, gaps)[2], channels)
         jitter = name == "delay_jitter"
         size = value * period if jitter else value
         shift = float(np.mean(_in_order(value)) - np.mean(late)) if jitter else -float(np.median(late))
@@ -134,7 +134,7 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
                 name=name,
                 value=size,
                 interval=(interval[0] * period, interval[1] * period) if jitter else interval,
-                late=period * (np.clip(late + shift, 0.0, interval[1]) if jitter else _until_next(late + shift)),
+                late=period * (np.clip(late + shift, 0.0, interval[1]) if jitter else _until_next(late + shift, gaps)),
                 point=point,
                 unsure=period * _spread_of_means(*interval) if jitter else 0.0,
                 agreement=agreement,
@@ -221,6 +221,12 @@ def _weights(
 def _period(problem: Problem) -> float:
     """Time between targets [s]."""
     return float(np.median(np.diff(problem.replay.log.t[problem.replay.sent])))
+
+
+def _gaps(problem: Problem) -> FloatArray:
+    """Return after how many periods the next other target follows each (K,): until then it is sent again in each."""
+    between = np.diff(problem.replay.log.t[problem.replay.sent]) / _period(problem)
+    return np.append(np.maximum(np.round(between), 1.0), 1.0)
 
 
 def _groups(problem: Problem) -> list[BoolArray]:
@@ -332,8 +338,11 @@ def _usual(x: _Lateness) -> float:
     return float(np.median(x.value[known])) if known.any() else 0.0
 
 
-def _lost(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
-    """Return the share of lost targets, its interval, and the lateness of each in periods (K,): one or none."""
+def _lost(x: _Lateness, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
+    """Return the share of lost targets, its interval, and the lateness of each in periods (K,): one or none.
+
+    One that is sent again until another follows (K,) may be lost each time.
+    """
     known = x.deviation < CERTAIN
     usual = _usual(x)
     value, variance = x.value - usual, x.deviation**2
@@ -353,10 +362,11 @@ def _lost(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
     z = 1.96
     centre = (share + z * z / (2 * count)) / (1 + z * z / count)
     half = z * np.sqrt(share * (1 - share) / count + z * z / (4 * count**2)) / (1 + z * z / count)
-    return share, (centre - half, centre + half), (gone > 0.5) + usual
+    times = np.clip(np.round(value), 1.0, gaps)
+    return share, (centre - half, centre + half), np.where(gone > 0.5, times, 0.0) + usual
 
 
-def _jitter(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
+def _jitter(x: _Lateness, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
     """Return the width of a uniform lateness, its interval, and the lateness expected of each target (K,), in periods."""
     known = x.deviation < CERTAIN
     count = int(known.sum())
@@ -378,11 +388,18 @@ def _jitter(x: _Lateness) -> tuple[float, tuple[float, float], FloatArray]:
     return width, (low, high), expected
 
 
-def _until_next(lost: FloatArray) -> FloatArray:
-    """Return after how many periods the next target that is not lost takes the place of each (K,); 0 where it is not."""
+def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:
+    """Return after how many periods each target acts (K,); 0 where it is not lost.
+
+    Args:
+        lost: How often each is lost (K,).
+        gaps: How often it is sent before the next one is (K,), which takes its place if it is lost each time.
+    """
     wait = np.zeros(len(lost))
     for k in reversed(np.flatnonzero(lost > 0.5)):
-        wait[k] = 1.0 + (wait[k + 1] if k + 1 < len(lost) else 0.0)
+        wait[k] = np.round(lost[k])
+        if wait[k] >= gaps[k] and k + 1 < len(lost):
+            wait[k] += wait[k + 1]
     return wait
 
 

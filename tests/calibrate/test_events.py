@@ -37,12 +37,16 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
     return read_machine(path, {"kp": 20.0, "kd": 0.8})
 
 
-def log_of(pair: MachineModel, *hidden: EffectValues) -> MachineLog:
+def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> MachineLog:
+    """Return 11 s of sines, a target each 20 ms; with ``held`` each of them is sent five times in every other second."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 11.0, 0.02)
     phase = rng.uniform(0, 2 * np.pi, (4, 2))
     rates = (0.4, 0.9, 1.7, 3.1)
     q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
+    if held:
+        rows = np.arange(len(t))
+        q_des = q_des[np.where(t % 2.0 < 1.0, rows - rows % 5, rows)]
     delay = EffectValues(name="delay", values={"time": 0.011})
     return replace(simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4)), tau=None)
 
@@ -63,6 +67,14 @@ def test_lost_commands_are_named_with_their_share(pair: MachineModel, share: flo
     effect = next(e for e in result.effects if e.name == "lost_commands")
     low, high = effect.intervals["share"][0]
     assert low < share < high
+    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+def test_a_target_that_is_sent_again_may_be_lost_each_time(pair: MachineModel) -> None:
+    hidden = EffectValues(name="lost_commands", values={"share": 0.15})
+    log = log_of(pair, hidden, held=True)
+    result = calibrate(log, pair, CalibrateSettings(effects=TIMING))
+    assert found(result) == ["lost_commands"]
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
