@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import optimize
 
 from benchmarks.hidden_effects.scenarios import FAINT
 from mimic.robot.effects import CATALOGUE
-from mimic.types import JOINTS
+from mimic.types import JOINTS, FloatArray
 
 Record = Mapping[str, Any]
 STRENGTHS = ("strong", "medium", "weak", *FAINT)
@@ -53,6 +54,12 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "commands": ("joint_delay", "delay_jitter", "lost_commands"),
 }
 """Effects by where they sit, for the plot."""
+
+BETWEEN_EFFECTS = 0.5
+"""Standard deviation of the logarithm of the limit between effects."""
+
+LEAST_BEYOND = 0.1
+"""Error beyond the noise, in noise floors, below which logs are taken to show as little."""
 
 
 def read_results(paths: Iterable[Path]) -> list[Record]:
@@ -288,6 +295,26 @@ def markdown(records: Sequence[Record]) -> str:
     return "\n".join(lines)
 
 
+def detection_limits(singles: Sequence[Record], effects: Sequence[str]) -> dict[str, FloatArray]:
+    """Return for each effect the errors of the declared model, in noise floors, at which it is found with 10, 50 and 90 % (3,).
+
+    A logistic curve of the logarithm of what is beyond the noise, its slope shared and its middles spread by
+    :data:`BETWEEN_EFFECTS`: an effect has a handful of logs, few of them near its limit.
+    """
+    beyond = np.log([np.sqrt(max(declared_error(r) ** 2 - 1.0, LEAST_BEYOND**2)) for r in singles])
+    of = np.array([effects.index(r["names"][0]) for r in singles])
+    sign = np.where([right(r) for r in singles], 1.0, -1.0)
+
+    def cost(p: FloatArray) -> float:
+        middle = p[1] + p[2:]
+        misfit = np.logaddexp(0.0, -sign * np.exp(p[0]) * (beyond - middle[of])).sum()
+        return float(misfit + 0.5 * np.sum((p[2:] / BETWEEN_EFFECTS) ** 2) + 0.5 * (p[0] - 1.0) ** 2)
+
+    p = optimize.minimize(cost, np.zeros(2 + len(effects)), method="BFGS").x
+    odds = np.log([0.1 / 0.9, 1.0, 0.9 / 0.1])
+    return {n: np.sqrt(1.0 + np.exp(2 * (p[1] + p[2 + i] + odds / np.exp(p[0])))) for i, n in enumerate(effects)}
+
+
 def plot(records: Sequence[Record], path: Path) -> None:
     """Draw the share named right against how much the declared model leaves."""
     import matplotlib
@@ -300,7 +327,11 @@ def plot(records: Sequence[Record], path: Path) -> None:
         return
     x = np.array([declared_error(r) for r in singles])
     edges = np.array([0.9, 1.1, 1.4, 1.9, 2.7, 4.0, 6.5, 11.0, 25.0, 400.0])
-    figure, (top, low) = plt.subplots(2, 1, figsize=(8, 7.5), height_ratios=(1.2, 1), constrained_layout=True)
+    there = {r["names"][0] for r in singles}
+    effects = [n for names in GROUPS.values() for n in names if n in there]
+    figure, (top, low) = plt.subplots(
+        2, 1, figsize=(8, 3.5 + 0.25 * len(effects)), height_ratios=(3, 0.25 * len(effects)), constrained_layout=True
+    )
     for judge, label, colour in ((right, "named, nothing else", "#1f5fa8"), (all_found, "among the names", "#e07b1f")):
         y = np.array([judge(r) for r in singles])
         at, share, down, up = [], [], [], []
@@ -319,17 +350,20 @@ def plot(records: Sequence[Record], path: Path) -> None:
     top.set(xscale="log", ylabel="share of logs", ylim=(-0.03, 1.03))
     top.set_title(f"One hidden effect: found or not ({len(singles)} logs, bars 95 %)", loc="left")
     top.legend(frameon=False, loc="lower right")
-    for row, names in enumerate(GROUPS.values()):
-        mine = [(declared_error(r), right(r)) for r in singles if r["names"][0] in names]
-        spread = np.random.default_rng(row).uniform(-0.28, 0.28, len(mine))
+    limits = detection_limits(singles, effects)
+    for row, name in enumerate(effects):
+        mine = [r for r in singles if r["names"][0] == name]
+        low.plot(limits[name][[0, 2]], [row, row], color="#b9c7da", lw=7, solid_capstyle="butt", zorder=0)
+        low.plot(limits[name][[1, 1]], [row - 0.3, row + 0.3], color="#5b7aa5", lw=2, zorder=1)
         for good, marker, colour in ((True, "o", "#1f5fa8"), (False, "x", "#c0392b")):
-            pick = [i for i, m in enumerate(mine) if m[1] is good]
-            low.scatter(
-                [mine[i][0] for i in pick], row + spread[pick] if pick else [], marker=marker, s=18, color=colour
-            )
-    low.set(xscale="log", yticks=range(len(GROUPS)), yticklabels=list(GROUPS), ylim=(-0.6, len(GROUPS) - 0.4))
+            at = [declared_error(r) for r in mine if right(r) is good]
+            low.scatter(at, np.full(len(at), row), marker=marker, s=18, color=colour, zorder=2)
+    first = np.cumsum([sum(n in there for n in names) for names in GROUPS.values()])
+    for edge in first[:-1]:
+        low.axhline(edge - 0.5, color="0.8", lw=0.8)
+    low.set(xscale="log", yticks=range(len(effects)), yticklabels=effects, ylim=(-0.6, len(effects) - 0.4))
     low.set_xlabel("error of the declared model on the affected joints, held out, over the noise floor")
-    low.set_title("Each log: dot named right, cross not", loc="left")
+    low.set_title("Each log: dot named right, cross not; bar: found with 10 to 90 %, line: 50 %", loc="left")
     low.invert_yaxis()
     for axis in (top, low):
         axis.set_xlim(0.85, max(30.0, x.max() * 1.1))

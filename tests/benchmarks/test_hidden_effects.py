@@ -323,3 +323,24 @@ def test_coverage_counts_intervals_that_hold_the_truth():
     assert summary.coverage([record], declared=True) == [("delay.time", True)]
     assert dict(summary.coverage([record], declared=False)) == {"cogging.cosine": True, "cogging.sine": False}
     assert json.dumps(summary.goals([{**record, "key": "single/cogging/weak/probe/0/10s", "group": "single"}]))
+
+
+def test_the_detection_limit_of_an_effect_is_between_what_is_missed_and_what_is_found() -> None:
+    sizes = {"spring": (1.1, 1.2, 1.5, 2.0, 4.0, 8.0), "cogging": (1.1, 1.5, 2.0, 2.8, 4.0, 8.0)}
+    found_from = {"spring": 1.4, "cogging": 2.5}
+    singles = [
+        {
+            "names": [name],
+            "where": {name: ["FL_hip"]},
+            "belongs": True,
+            "named": [name] if size > found_from[name] else [],
+            "stages": [{"held_out": [size] * 12}],
+            "floor": 1.0,
+        }
+        for name, row in sizes.items()
+        for size in row
+    ]
+    limits = summary.detection_limits(singles, ["spring", "cogging"])
+    assert np.all(np.diff(limits["spring"]) > 0)
+    assert limits["spring"][1] == pytest.approx(1.4, rel=0.15)
+    assert limits["cogging"][1] == pytest.approx(2.4, rel=0.15)
