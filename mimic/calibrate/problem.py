@@ -88,14 +88,14 @@ class Problem:
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
     def of_beginning(self, rows: int) -> Problem:
-        """Return the problem of so many of the first readings, with the noise floors and blocks of this one."""
+        """Return the problem of so many of the first readings, with the noise floors, scales and blocks of this one: some joints may rest in them."""
         joints = len(self.machine.joints)
         replay = self.replay.of_beginning(rows)
         index = np.where(replay.counts, self.blocks.index[:rows], -1)
         blocks = Blocks(index=index, held_out=self.blocks.held_out[: max(int(index.max()), 0) + 1])
         torque = self.noise[joints:] if self.channels > joints else None
         part = Problem(replay, self.noise[:joints], torque, blocks)
-        part.pinned, part.encoder_steps = self.pinned, self.encoder_steps
+        part.pinned, part.encoder_steps, part._scales = self.pinned, self.encoder_steps, self._scales
         return part
 
     @cached_property
