@@ -145,21 +145,19 @@ def _as_good_without(state: Search, name: str, joints: BoolArray) -> Fit | None:
 
 
 def taken_back(state: Search, final: Fit, stages: list[Stage]) -> list[Stage] | None:
-    """Return the stages without names that the last fit puts in doubt, and leave the state at a fit without them; None if it does none.
+    """Return the stages without names that the last fit puts in doubt, and leave the state at a fit without them; None, and the
+    state at the last fit, if it does none.
 
     It may have moved a number onto a bound, or have found what an effect had made up for.
     """
+    state.current = final
     if on_a_bound(state, final, stages):
-        state.current = final
         return only_what_is_sure(state, stages)
-    before = state.current
     for name in [s.added for s in stages if s.added and not CATALOGUE[s.added].read_off]:
-        state.current = final
         bare = _as_good_without(state, name, state.joints[name])
         if bare is not None:
             state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {AS_WITHOUT}")
             return take_back(state, stages, [name], bare, state.withdrawn[-1])
-    state.current = before
     return None
 
 
