@@ -2,8 +2,8 @@
 
     python benchmarks/bus.py                # both: in the emulation's own time, then across processes for 20 s each
 
-Arithmetic: mean bits of a command, an answer, an orientation and a rate of turn with realistic payloads, stuffing and check
-sum included (141.9, 137.5, 114.8, 102.1), times how often each is sent.
+Arithmetic: mean bits of a command, an answer, an orientation and a rate of turn with realistic payloads, stuffing and
+check sum included (141.9, 137.5, 114.8, 102.1), times how often each is sent.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
+from mimic.hardware.can.link import Link
+from mimic.hardware.can.python_can import open_link
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import Enable, Feedback, Operation
+from mimic.hardware.wiring import Wiring, load_wiring
 from mimic.robot.description import load_description
-from mimic.robot.wiring import Wiring, load_wiring
-from mimic.run.buses import open_link
-from mimic.run.cybergear import Codec
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.link import Link
-from mimic.run.motor_messages import Enable, Feedback, Operation
-from mimic.settings import EmulateSettings
 
 COMMAND, ANSWER, ORIENTATION, TURN = 141.9, 137.5, 114.8, 102.1
 """Mean bits on the bus."""
@@ -77,11 +77,12 @@ def cycles(
 
 def loads() -> None:
     print(
-        "| buses | commands and IMU at | by arithmetic | emulated | answers that missed their period |\n|---|---|---|---|---|"
+        "| buses | commands and IMU at | estimated | emulated | answers that missed their period |\n"
+        "|---|---|---|---|---|"
     )
     for buses, rate in ((1, 50.0), (1, 100.0), (1, 200.0), (2, 200.0), (4, 200.0)):
         wiring = with_imu(load_wiring(buses=buses), rate)
-        robot = EmulatedRobot(load_description(), wiring, EmulateSettings(homed=True, hung=True))
+        robot = EmulatedRobot(load_description(), wiring, EmulateSettings(zeroed=True, suspended=True))
         link = EmulatedLink(robot)
         link.sleep(0.1)
         marks: list[tuple[float, list[int]]] = []
@@ -101,7 +102,8 @@ def loads() -> None:
 
 def transports(seconds: float) -> None:
     print(
-        "\n| transport | rate | first command to last answer p50 / p99 / max | periods with a miss | opened in |\n|---|---|---|---|---|"
+        "\n| transport | rate | first command to last answer p50 / p99 / max | periods with a miss | opened in |\n"
+        "|---|---|---|---|---|"
     )
     for kind in ("socketcand", "slcan"):
         for rate in (50.0, 200.0):
@@ -114,8 +116,8 @@ def transports(seconds: float) -> None:
                 "127.0.0.1:0",
                 "--slcan",
                 "0",
-                "--homed",
-                "--hung",
+                "--zeroed",
+                "--suspended",
             ]
             with subprocess.Popen([*command, "--every", "0"], stdout=subprocess.PIPE, text=True) as process:
                 assert process.stdout is not None
@@ -130,7 +132,8 @@ def transports(seconds: float) -> None:
                     process.terminate()
             p50, p99, most = 1e3 * np.quantile(took, [0.5, 0.99, 1.0])
             print(
-                f"| {kind} | {rate:.0f} Hz | {p50:.1f} / {p99:.1f} / {most:.1f} ms | {missed} of {len(took)} | {1e3 * opened:.0f} ms |"
+                f"| {kind} | {rate:.0f} Hz | {p50:.1f} / {p99:.1f} / {most:.1f} ms "
+                f"| {missed} of {len(took)} | {1e3 * opened:.0f} ms |"
             )
 
 

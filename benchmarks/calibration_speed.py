@@ -1,11 +1,11 @@
-"""Time of a calibration on a device: replays, declared fit, the paper's random search, everything.
+"""Time of a calibration on a device: replays, baseline fit, the paper's random search, everything.
 
     python -m benchmarks.calibration_speed pack LOG.parquet LOG.npz                # where pyarrow is not installed
     python -m benchmarks.calibration_speed run LOG.npz --device cuda --out OUT.json [--samples 8192] [--only PART …]
 
-The log is one of the hung CyberDog 2. Each part is timed by itself after the kernels are compiled; the table and OUT.json
-grow part by part, so that what was measured stays where a later part is cut off. ``agreement`` holds the device against
-the processor.
+The log is one of the hung CyberDog 2. Each part is timed by itself after the kernels are compiled; the table and
+OUT.json grow part by part, so that what was measured stays where a later part is cut off. ``agreement`` holds the
+device against the processor.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from typing import Any
 
 import numpy as np
 
-from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.declared import fit_declared
-from mimic.calibrate.flow import calibrate
-from mimic.calibrate.point import Point, stack
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.random_search import RANGES, random_search
-from mimic.calibrate.replay import Replay, physics_step
-from mimic.calibrate.signals import noise_floor
-from mimic.calibration import Errors
-from mimic.machine_log import CHANNELS, MachineLog, read_log
+from mimic.config.sysid import CalibrateSettings
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.machine import MachineModel, hung_robot, with_gains
+from mimic.io.joint_log import CHANNELS, JointLog, read_log
 from mimic.robot.description import load_description
-from mimic.robot.effects import DECLARED
-from mimic.robot.machine import MachineModel, hung_robot, with_gains
-from mimic.settings import CalibrateSettings
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.fit.baseline import fit_baseline
+from mimic.sysid.fit.point import Point, stack
+from mimic.sysid.fit.random_search import RANGES, random_search
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.records import physics_step
+from mimic.sysid.result import Errors
 
 SIZES = (1, 16, 64, 256)
 """Parameter sets of a timed replay."""
 
 
-def pack(log: MachineLog, path: Path) -> None:
+def pack(log: JointLog, path: Path) -> None:
     """Store a log as NPZ, its channels in single precision."""
     channels = {n: getattr(log, n).astype(np.float32) for n in CHANNELS if getattr(log, n) is not None}
     np.savez_compressed(
@@ -47,22 +48,22 @@ def pack(log: MachineLog, path: Path) -> None:
     )
 
 
-def unpack(path: Path) -> MachineLog:
+def unpack(path: Path) -> JointLog:
     """Return a log that was packed, or any other."""
     if path.suffix != ".npz":
         return read_log(path)
     with np.load(path, allow_pickle=False) as stored:
         channels = {n: stored[n].astype(np.float64) for n in CHANNELS if n in stored}
         joints = tuple(str(j) for j in stored["joints"])
-        return MachineLog(joints=joints, t=stored["t"], metadata=json.loads(str(stored["metadata"])), **channels)
+        return JointLog(joints=joints, t=stored["t"], metadata=json.loads(str(stored["metadata"])), **channels)
 
 
-def replay_on(device: str, machine: MachineModel, log: MachineLog, threads: int) -> Replay:
+def replay_on(device: str, machine: MachineModel, log: JointLog, threads: int) -> Replay:
     """Return a replay as a calibration has it."""
     step = physics_step(log.rate)
     if device == "cpu":
         return Replay(machine, log, timestep=step, threads=threads, torque=True)
-    from mimic.calibrate.worlds import WorldReplay
+    from mimic.sysid.replay.gpu import WorldReplay
 
     device = "cpu" if device == "cpu-worlds" else device
     return WorldReplay(machine, log, device=device, timestep=step, threads=threads, torque=True)
@@ -77,8 +78,8 @@ def problem_of(replay: Replay) -> Problem:
 
 
 def drawn(machine: MachineModel, count: int) -> list[Point]:
-    """Return so many random declared models, from the second on."""
-    rng, start = np.random.default_rng(0), Point.of(DECLARED, machine)
+    """Return so many random baseline models, from the second on."""
+    rng, start = np.random.default_rng(0), Point.of(BASELINE, machine)
     values = [
         {k: rng.uniform(*RANGES[k], row.shape) if k in RANGES else row for k, row in start.values.items()}
         for _ in range(count - 1)
@@ -89,7 +90,7 @@ def drawn(machine: MachineModel, count: int) -> list[Point]:
 class Parts:
     """The timed parts."""
 
-    def __init__(self, log: MachineLog, device: str, samples: int, threads: int, effects: int) -> None:
+    def __init__(self, log: JointLog, device: str, samples: int, threads: int, effects: int) -> None:
         self.machine = with_gains(hung_robot(load_description()), log.metadata)
         self.log, self.device = log.of(self.machine.joints), device
         self.samples, self.threads, self.effects = samples, threads, effects
@@ -137,9 +138,9 @@ class Parts:
         return worst
 
     def declared(self) -> dict[str, Any]:
-        """Fit the declared numbers, in coarse steps."""
+        """Fit the baseline parameters, in coarse steps."""
         before, began = self.replay.replays, time.perf_counter()
-        fitted = fit_declared(self.problem, Point.of(DECLARED, self.machine), DECLARED, {})
+        fitted = fit_baseline(self.problem, Point.of(BASELINE, self.machine), BASELINE, {})
         seconds = time.perf_counter() - began
         return {"seconds": seconds, "replays": self.replay.replays - before, **self._error(fitted.residual)}
 
@@ -147,13 +148,13 @@ class Parts:
         """Search as the paper does."""
         before, began = self.replay.replays, time.perf_counter()
         tell = lambda _, replays: self._say(f"random search, {replays - before} samples", began)  # noqa: E731
-        fitted = random_search(self.problem, Point.of(DECLARED, self.machine), self.samples, 0, tell)
+        fitted = random_search(self.problem, Point.of(BASELINE, self.machine), self.samples, 0, tell)
         seconds = time.perf_counter() - began
-        made = {"seconds": seconds, "samples": self.samples, "together": self.replay.together}
+        made = {"seconds": seconds, "samples": self.samples, "together": self.replay.sets_per_batch}
         return made | self._error(fitted.residual)
 
     def everything(self) -> dict[str, Any]:
-        """Calibrate: declared fit, fine steps, diagnosis."""
+        """Calibrate: baseline fit, fine steps, diagnosis."""
         began = time.perf_counter()
         stages: list[tuple[float, str]] = []
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mimic.cli.inputs import Aloud, InputSettings, load_motion
+from mimic.cli.console import ConsoleReporter
+from mimic.config.play import RunSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.control.loop import run_policy
+from mimic.flows.motion import InputSettings, load_motion
 from mimic.metrics import run_metrics
 from mimic.policy.runtime import load_policy
-from mimic.retarget.commands import command_track
+from mimic.retargeting.commands import command_track
 from mimic.robot.description import load_description
-from mimic.run.loop import run_policy
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import RetargetSettings, RunSettings
+from mimic.simulation.plant import SimulatedPlant
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "videos"
 
@@ -31,12 +33,13 @@ def main() -> None:
     description = load_description()
     policy = load_policy(options.policy, description)
     lines = [
-        "| clip | length | toe error mean / p95 | lag | without lag | clamped | speed-limited | stood up in | upright |",
+        "| clip | length | toe error mean / p95 | lag | without lag "
+        "| clamped | speed-limited | stood up in | upright |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for video in options.videos or sorted(EXAMPLES.glob("*.mp4")):
         settings = InputSettings(retarget=RetargetSettings(rate=options.rate))
-        targets = load_motion(video, settings, Aloud()).targets
+        targets = load_motion(video, settings, reporter=ConsoleReporter()).targets
         assert targets is not None
         plant = SimulatedPlant(description)
         m = run_metrics(run_policy(plant, policy, command_track(targets), RunSettings()).log, description)

@@ -3,8 +3,8 @@
     python benchmarks/close_the_loop.py OUT [--seconds 40] [--episodes 10] [--look-for load_friction,stribeck]
 
 A robot whose effects only this script knows hangs and is logged; ``mimic calibrate`` explains the log; then the shipped
-policy is judged on the model as described, on the hidden robot, and on the corrected model. The corrected model is worth
-something where its figures are those of the hidden robot. OUT/loop.json holds everything.
+policy is judged on the model as described, on the hidden robot, and on the corrected model. The corrected model is
+worth something where its figures are those of the hidden robot. OUT/loop.json holds everything.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from mimic.calibrate.checks import check_log
-from mimic.calibrate.flow import calibrate
-from mimic.calibrate.simulate import simulate_log
-from mimic.machine_log import write_log
+from mimic.config.evaluation import EvaluateSettings
+from mimic.config.play import EffectsSettings
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.dynamics.effect_set import EffectSet, EffectValues, write_effects
+from mimic.dynamics.excitation import hung_ranges, probe_targets
+from mimic.dynamics.machine import hung_robot
+from mimic.evaluation.policy import evaluate
+from mimic.io.assets import shipped
+from mimic.io.joint_log import write_log
+from mimic.records import JOINTS
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet, EffectValues, write_effects
-from mimic.robot.excitation import hung_ranges, probe_targets
-from mimic.robot.machine import hung_robot
-from mimic.run.evaluation import evaluate
-from mimic.settings import CalibrateSettings, EffectsSettings, EvaluateSettings, LogSettings
-from mimic.shipped import shipped
-from mimic.types import JOINTS
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.log.checks import check_log
+from mimic.sysid.replay.simulate import simulate_log
 
 HIDDEN = EffectSet(
     (

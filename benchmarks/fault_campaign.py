@@ -3,8 +3,8 @@
 python benchmarks/fault_campaign.py OUT.json [in-process runs] [runs over TCP]
 
 In process: the emulated robot in its own time, one bus or two. Over TCP: the emulated robot served over socketcand and
-slcan in turn, `mimic TARGETS --robot` and its guardian as processes of their own, which also get signals or are killed. Motors
-stop by themselves when they hear nobody in half of the runs (CAN_TIMEOUT honoured).
+slcan in turn, `mimic TARGETS --robot` and its watchdog as processes of their own, which also get signals or are
+killed. Motors stop by themselves when they hear nobody in half of the runs (CAN_TIMEOUT honoured).
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.faults_in_process import CUTS, play
-from mimic import store
+from mimic.config.emulator import EmulateSettings
+from mimic.control.recorder import ROWS, salvage
+from mimic.emulator.faults import KINDS, random_fault
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import EmulatorServer
+from mimic.hardware.cybergear.messages import Mode
+from mimic.hardware.wiring import load_wiring
+from mimic.io import store
 from mimic.policy.runtime import load_policy
+from mimic.records import JOINTS, RunLog, TargetTrack
 from mimic.robot.description import load_description
-from mimic.robot.wiring import load_wiring
-from mimic.run.emulated_faults import KINDS, random_fault
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.emulator_server import EmulatorServer
-from mimic.run.motor_messages import Mode
-from mimic.run.recorder import ROWS, salvage
-from mimic.settings import EmulateSettings
-from mimic.types import JOINTS, RunLog, TargetTrack
 
-SIGNALS = ("ctrl_c", "ctrl_c_twice", "sigterm", "sigkill", "sigstop", "guardian_killed")
+SIGNALS = ("ctrl_c", "ctrl_c_twice", "sigterm", "sigkill", "sigstop", "watchdog_killed")
 
 WITHIN = (0.3, 9.0)
 """When a fault begins, after the first motor was switched on [s]."""
@@ -51,7 +51,7 @@ HANG = 150.0
 """A process that has not ended by then hangs [s]."""
 
 SETTLE = 45.0
-"""How long the guardian of a process that is gone may take [s]; it opens a failed bus again for 30 s."""
+"""How long the watchdog of a process that is gone may take [s]; it opens a failed bus again for 30 s."""
 
 
 def targets(path: Path) -> Path:
@@ -65,11 +65,11 @@ def targets(path: Path) -> Path:
     return path
 
 
-def guardian_of(process: subprocess.Popen) -> int | None:
-    """Return the guardian's process."""
+def watchdog_of(process: subprocess.Popen) -> int | None:
+    """Return the watchdog's process."""
     for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
         for child in children.read_text().split():
-            if b"mimic.run.guardian" in Path(f"/proc/{child}/cmdline").read_bytes():
+            if b"mimic.hardware.watchdog" in Path(f"/proc/{child}/cmdline").read_bytes():
                 return int(child)
     return None
 
@@ -91,8 +91,8 @@ def disturb(process: subprocess.Popen, kind: str) -> float:
             process.send_signal(signal.SIGSTOP)
             time.sleep(0.5)
             process.send_signal(signal.SIGCONT)
-        case "guardian_killed":
-            pid = guardian_of(process)
+        case "watchdog_killed":
+            pid = watchdog_of(process)
             if pid is not None:
                 os.kill(pid, signal.SIGKILL)
     return at
@@ -105,15 +105,15 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
     start, own_timeout = float(rng.uniform(*WITHIN)), bool(rng.random() < 0.5)
     fault = None if kind in SIGNALS else random_fault(seed, start=WITHIN, after_release=True, kinds=(kind,))
     transport = ("socketcand", "slcan")[seed % 2]
-    settings = EmulateSettings(homed=True, placement=0.03, seed=seed, can_timeout=own_timeout)
+    settings = EmulateSettings(zeroed=True, placement=0.03, seed=seed, can_timeout=own_timeout)
     robot = EmulatedRobot(load_description(), load_wiring(), settings, faults=[] if fault is None else [fault])
     server = EmulatorServer(robot, slcan=0)
     over = threading.Event()
     thread = threading.Thread(target=lambda: server.run(over.is_set), daemon=True)
     thread.start()
-    words = next(a for a in server.addresses if a.startswith(transport))
+    bus_url = next(a for a in server.addresses if a.startswith(transport))
     run = folder / f"run{seed}"
-    command = [sys.executable, "-m", "mimic", str(motion), "--robot", words, "--homed", "--yes", "-o", str(run)]
+    command = [sys.executable, "-m", "mimic", str(motion), "--robot", bus_url, "--zeroed", "--yes", "-o", str(run)]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )

@@ -1,4 +1,4 @@
-"""One run on the emulated robot in its own time, with a fault drawn by a seed: of the robot, of its bus, or of the program.
+"""One run on the emulated robot in its own time, with a fault drawn by a seed: of robot, bus or program.
 
 Used by benchmarks/fault_campaign.py and by the tests.
 """
@@ -12,23 +12,24 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.emulator import EmulateSettings
+from mimic.config.play import RunSettings
+from mimic.control.loop import run_policy
+from mimic.control.recorder import RunRecorder, salvage
+from mimic.control.signals import Signals
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
+from mimic.emulator.faults import KINDS, EmulatedFault, random_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import MimicError
+from mimic.evaluation.policy import command_script
+from mimic.hardware.cybergear.messages import Mode
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.wiring import load_wiring
 from mimic.policy.runtime import load_policy
+from mimic.records import JOINTS
 from mimic.robot.description import load_description
-from mimic.robot.wiring import load_wiring
-from mimic.run.can_robot import CanRobot
-from mimic.run.emulated_faults import KINDS, EmulatedFault, random_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.evaluation import command_script
-from mimic.run.loop import run_policy
-from mimic.run.motor_messages import Mode
-from mimic.run.recorder import RunRecorder, salvage
-from mimic.run.safety import Supervisor
-from mimic.run.signals import Signals
-from mimic.run.ticking import Safety
-from mimic.settings import EmulateSettings, RunSettings
-from mimic.types import JOINTS
 
 PROGRAM = (
     "ctrl_c",
@@ -40,7 +41,7 @@ PROGRAM = (
     "policy_slow",
     "target_nan",
     "sink_raises",
-    "guardian_gone",
+    "watchdog_gone",
 )
 """What can go wrong in the program that drives the robot."""
 
@@ -114,7 +115,7 @@ class _Counted(CanRobot):
 
 
 class _Gone:
-    """A guardian that ends at some time."""
+    """A watchdog that ends at some time."""
 
     def __init__(self, ends: float, link: EmulatedLink) -> None:
         self._ends, self._link = ends, link
@@ -160,13 +161,13 @@ def play(seed: int, folder: Path, kind: str | None = None, at: float | None = No
     rng = np.random.default_rng([seed, 37])
     own_timeout, buses = bool(rng.random() < 0.5), int(rng.choice([1, 2]))
     wiring = load_wiring(buses=buses)
-    settings = EmulateSettings(homed=True, placement=0.03, seed=seed, can_timeout=own_timeout)
+    settings = EmulateSettings(zeroed=True, placement=0.03, seed=seed, can_timeout=own_timeout)
     robot = EmulatedRobot(description, wiring, settings, faults=[] if fault is None else [fault])
     link = EmulatedLink(robot)
     link.sleep(0.3)
     begin = link.now()
-    watcher = _Gone(begin + start, link) if kind == "guardian_gone" else None
-    plant = _Counted(link, wiring, description, watcher=watcher)
+    watchdog = _Gone(begin + start, link) if kind == "watchdog_gone" else None
+    plant = _Counted(link, wiring, description, watchdog=watchdog)
     signals, supervisor = Signals(), Supervisor(description)
     real, sitter = load_policy(None, description), load_policy(None, description, task="sit_down")
 
@@ -209,7 +210,9 @@ def play(seed: int, folder: Path, kind: str | None = None, at: float | None = No
     ]
     escaped = ""
     try:
-        result = run_policy(plant, wrapped[0], track, TIMING, sit_down=wrapped[1], sink=sink, safety=safety)  # type: ignore[arg-type]
+        driver: Any = run_policy  # the wrapped policies are no Policy
+        policy, last = wrapped
+        result = driver(plant, policy, track, TIMING, sit_down=last, sink=sink, safety=safety)
         if result.error is not None and not isinstance(result.error, MimicError | RuntimeError):
             escaped = f"{type(result.error).__name__}: {result.error}"
     except MimicError:

@@ -1,4 +1,4 @@
-"""States in which a robot may have to sit down, met by a tracking policy in plain MuJoCo: the starts of that training.
+"""States at which the policy may switch to sitting down, recorded in plain MuJoCo: the starts of that training.
 
 python benchmarks/handover_states.py policies/stand_track.onnx --write policies/handovers.npz
 
@@ -14,15 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.frames import up_cosine
+from mimic.config.training import TRAINING_RANDOMISATION
+from mimic.evaluation.episode import play_episode
+from mimic.evaluation.policy import TIMING, command_script
+from mimic.geometry import up_cosine
+from mimic.io.store import written_whole
+from mimic.jobs.local import run_all
+from mimic.policy.runtime import cached_policy
+from mimic.records import RunLog
 from mimic.robot.description import load_description
-from mimic.run.evaluation import TIMING, command_script
-from mimic.run.loop import run_policy
-from mimic.run.pool import loaded_policy, play_all
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import TRAINING_RANDOMISATION
-from mimic.store import written_whole
-from mimic.types import RunLog
+from mimic.simulation.plant import SimulatedPlant
 
 SECONDS = 10.0
 """Length of an episode [s]."""
@@ -30,8 +31,8 @@ SECONDS = 10.0
 HARD_PUSH = dataclasses.replace(TRAINING_RANDOMISATION, push=(0.5, 1.3), push_interval=3.0)
 """Pushes that most robots do not survive [m/s]."""
 
-LOST_COSINE = 0.35
-"""Where base x is further from up than this, nothing can be asked of a policy any more."""
+HOPELESS_COSINE = 0.35
+"""Cosine between base x and up, below which no policy can recover."""
 
 
 def rows_of(log: RunLog) -> np.ndarray:
@@ -49,10 +50,10 @@ def play(seed: int, policy: str) -> dict[str, np.ndarray]:
     track = command_script(description, SECONDS - TIMING.stand_up - TIMING.blend, rng)
     ranges = HARD_PUSH if pushed else TRAINING_RANDOMISATION
     plant = SimulatedPlant(description, ranges=ranges, seed=100_000 + seed, samples=False)
-    log = run_policy(plant, loaded_policy(policy), track, TIMING).log
+    log = play_episode(plant, cached_policy(policy), track, TIMING).log
     rows, up = rows_of(log), up_cosine(*log.quat_WB.T)
     since = (log.t - HARD_PUSH.push_interval) % HARD_PUSH.push_interval
-    falling = pushed & (log.t > HARD_PUSH.push_interval) & (since < 0.8) & (up < 0.95) & (up > LOST_COSINE)
+    falling = pushed & (log.t > HARD_PUSH.push_interval) & (since < 0.8) & (up < 0.95) & (up > HOPELESS_COSINE)
     rising = (log.t < 0.8) & (log.t > 0.04)
     steady = (log.t > 1.0) & (not pushed) & (up > 0.8)
     return {
@@ -69,7 +70,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=450)
     parser.add_argument("--write", type=Path, required=True)
     options = parser.parse_args()
-    found = play_all(partial(play, policy=str(options.policy)), range(options.episodes))
+    found = run_all(partial(play, policy=str(options.policy)), range(options.episodes))
     kinds = {kind: np.concatenate([rows[kind] for rows in found]) for kind in found[0]}
     with written_whole(options.write) as part:
         np.savez_compressed(part, **{kind: rows.astype(np.float16) for kind, rows in kinds.items()})

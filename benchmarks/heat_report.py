@@ -1,8 +1,8 @@
-"""How long a policy can stand, and how long it can play a video, until the hottest motor reaches its limit.
+"""Time until the hottest motor reaches its limit, while standing and while playing a video.
 
 python benchmarks/heat_report.py policies/stand_track.onnx [examples/videos/boxing.mp4]
 
-Nominal robot in plain MuJoCo; what is played is taken to repeat for ever, without the stand-up.
+Nominal robot in plain MuJoCo; the motion is repeated for ever, without the stand-up.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.cli.inputs import Aloud, InputSettings, load_motion
-from mimic.heat import seconds_to_limit
+from mimic.cli.console import ConsoleReporter
+from mimic.config.play import RunSettings
+from mimic.dynamics.thermal import seconds_to_limit
+from mimic.evaluation.episode import play_episode
+from mimic.flows.motion import InputSettings, load_motion
 from mimic.policy.runtime import Policy, load_policy
-from mimic.retarget.commands import command_track
+from mimic.records import JOINTS, CommandTrack, FloatArray
+from mimic.retargeting.commands import command_track
 from mimic.robot.description import load_description
-from mimic.run.loop import run_policy
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import RunSettings
-from mimic.types import JOINTS, CommandTrack, FloatArray
+from mimic.simulation.plant import SimulatedPlant
 
 SECONDS = 20.0
 """How long it stands [s]."""
@@ -36,7 +37,7 @@ def standing(policy: Policy, dt: float) -> CommandTrack:
 
 def torques(policy: Policy, track: CommandTrack) -> FloatArray:
     """Return the torques from blend to hold (ticks, 12) [N m]."""
-    result = run_policy(SimulatedPlant(load_description(), samples=False), policy, track, RunSettings())
+    result = play_episode(SimulatedPlant(load_description(), samples=False), policy, track, RunSettings())
     assert result.fell_at is None, "the robot fell"
     return result.log.tau[result.log.aimed]
 
@@ -47,7 +48,7 @@ def main() -> None:
     policy = load_policy(sys.argv[1], description)
     played = {f"standing, {SECONDS:g} s": standing(policy, description.dt)}
     for video in sys.argv[2:]:
-        targets = load_motion(Path(video), InputSettings(), Aloud()).targets
+        targets = load_motion(Path(video), InputSettings(), reporter=ConsoleReporter()).targets
         assert targets is not None
         played[Path(video).stem] = command_track(targets)
     print("| played | minutes to the limit | motors that warm most, N m rms: minutes |\n|---|---|---|")

@@ -1,8 +1,9 @@
 """A camera followed live: latency of every frame, and how far the live targets are from those of the whole clip.
 
-    python benchmarks/live_camera.py [--lively 4 --steady 1.5] [VIDEO ...]     # by default the shipped clips
+    python benchmarks/live_camera.py [--beta 4 --min-cutoff 1.5] [VIDEO ...]     # by default the shipped clips
 
-Each clip is played in real time in place of a camera, with the simulated robot in the same process. Run it on a quiet computer.
+Each clip is played in real time in place of a camera, with the simulated robot in the same process. Run it on a quiet
+computer.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic import store
-from mimic.cli.inputs import InputSettings, Silent, load_motion
-from mimic.cli.live import LIVE, play_camera
-from mimic.cli.play import COMMANDS, METRICS
-from mimic.settings import EffectsSettings, LiveSettings, RetargetSettings, RunSettings
-from mimic.types import CommandTrack, LiveTrack
+from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.pose import LiveSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.flows.camera import play_camera
+from mimic.flows.motion import InputSettings, load_motion
+from mimic.flows.run_folder import COMMANDS, LIVE, METRICS
+from mimic.io import store
+from mimic.records import CommandTrack, LiveTrack
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "videos"
 
@@ -40,21 +43,22 @@ def behind(live: CommandTrack, whole: CommandTrack, blend: float) -> tuple[float
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("videos", nargs="*", type=Path)
-    parser.add_argument("--lively", type=float, default=LiveSettings().lively)
-    parser.add_argument("--steady", type=float, default=LiveSettings().steady_hz)
+    parser.add_argument("--beta", type=float, default=LiveSettings().beta)
+    parser.add_argument("--min-cutoff", type=float, default=LiveSettings().min_cutoff)
     options = parser.parse_args()
-    live = LiveSettings(lively=options.lively, steady_hz=options.steady)
+    live = LiveSettings(beta=options.beta, min_cutoff=options.min_cutoff)
     lines = [
-        "| clip | frames, dropped | latency p50 / p95 / most | detector p50 | behind the whole clip | apart | toe error | load |",
+        "| clip | frames, dropped | latency p50 / p95 / most | detector p50 "
+        "| behind the whole clip | apart | toe error | load |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for video in options.videos or sorted(EXAMPLES.glob("*.mp4")):
         load = os.getloadavg()[0]
-        whole = load_motion(video, InputSettings(retarget=RetargetSettings(rate=0.05)), Silent()).commands
+        whole = load_motion(video, InputSettings(retarget=RetargetSettings(rate=0.05))).commands
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "run"
             how = {"run": RunSettings(), "robot": EffectsSettings()}
-            play_camera(str(video), InputSettings(), live, out=out, view=False, **how)
+            play_camera(str(video), live=live, out=out, **how)
             track = store.load(out / LIVE, LiveTrack)
             asked = store.load(out / COMMANDS, CommandTrack)
             metrics = json.loads((out / METRICS).read_text())

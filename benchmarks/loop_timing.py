@@ -2,9 +2,10 @@
 
 python benchmarks/loop_timing.py [seconds] [socketcand|slcan]
 
-`mimic --robot` stands until Ctrl-C; the figures are those of its own health.parquet, from standing up to sitting down. The
-machine's load is printed with them: on a shared machine they say how it is when others compute too. A third process does
-nothing but sleep and look at the clock; a tick that is late while that one stood still too was held up by the machine.
+`mimic --robot` stands until Ctrl-C; the figures are those of its own health.parquet, from standing up to sitting
+down. The machine's load is printed with them: on a shared machine they say how it is when others compute too. A third
+process does nothing but sleep and look at the clock; a tick that is late while that one stood still too was held up
+by the machine.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic import store
-from mimic.robot.wiring import load_wiring
-from mimic.run.bus_load import expected_load
-from mimic.types import PHASES, HealthLog, RunLog
+from mimic.hardware.can.load import expected_load
+from mimic.hardware.wiring import load_wiring
+from mimic.io import store
+from mimic.records import PHASES, HealthLog, RunLog
 
 EMULATE = """
 import os, sys
@@ -50,16 +51,16 @@ while True:
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     transport = sys.argv[2] if len(sys.argv) > 2 else "socketcand"
-    options = ["--listen", "127.0.0.1:0", "--slcan", "0", "--homed", "--every", "0"]
+    options = ["--listen", "127.0.0.1:0", "--slcan", "0", "--zeroed", "--every", "0"]
     emulator = subprocess.Popen([sys.executable, "-c", EMULATE, "emulate", *options], stdout=subprocess.PIPE, text=True)
     assert emulator.stdout is not None
-    words = ""
-    while not words.startswith(transport):
-        words = emulator.stdout.readline().removeprefix("ready").strip()
+    bus_url = ""
+    while not bus_url.startswith(transport):
+        bus_url = emulator.stdout.readline().removeprefix("ready").strip()
     with tempfile.TemporaryDirectory() as name:
         run = Path(name) / "run"
-        watcher = subprocess.Popen([sys.executable, "-c", WATCH], stdout=subprocess.PIPE, text=True)
-        command = [sys.executable, "-m", "mimic", "--robot", words, "--homed", "--yes", "-o", str(run)]
+        watchdog = subprocess.Popen([sys.executable, "-c", WATCH], stdout=subprocess.PIPE, text=True)
+        command = [sys.executable, "-m", "mimic", "--robot", bus_url, "--zeroed", "--yes", "-o", str(run)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         loads = []
         end = time.monotonic() + seconds
@@ -68,10 +69,10 @@ def main() -> None:
             loads.append(os.getloadavg()[0])
         process.send_signal(signal.SIGINT)
         told, _ = process.communicate()
-        for other in (emulator, watcher):
+        for other in (emulator, watchdog):
             other.terminate()
         emulator.communicate()
-        stood_still = [tuple(map(float, line.split())) for line in watcher.communicate()[0].splitlines()]
+        stood_still = [tuple(map(float, line.split())) for line in watchdog.communicate()[0].splitlines()]
         print(told.strip().splitlines()[-1])
         print(
             next(
@@ -88,13 +89,15 @@ def main() -> None:
     held_up = np.stack([log.t_host[rows], health.late[rows]], -1)[late > 2]
     period = 1e3 * np.diff(log.t[rows])
     print(
-        f"{rows.sum()} ticks in {np.ptp(log.t[rows]):.0f} s over {transport}; load {np.mean(loads):.1f} on {os.cpu_count()} cores"
+        f"{rows.sum()} ticks in {np.ptp(log.t[rows]):.0f} s over {transport}; "
+        f"load {np.mean(loads):.1f} on {os.cpu_count()} cores"
     )
     for what, values in (("compute", compute), ("late", late), ("period", period)):
         p50, p99 = np.nanquantile(values, [0.5, 0.99])
         print(f"{what:8s} p50 {p50:6.2f}  p99 {p99:6.2f}  max {np.nanmax(values):6.2f} ms")
     print(
-        f"late by more than 2 ms: {np.sum(late > 2)}, 10 ms: {np.sum(late > 10)}, a whole tick (20 ms): {np.sum(late > 20)}"
+        f"delayed by more than 2 ms: {np.sum(late > 2)}, 10 ms: {np.sum(late > 10)}, "
+        f"a whole tick (20 ms): {np.sum(late > 20)}"
     )
     excused = np.array([any(a <= at and at - wait <= b for a, b in stood_still) for at, wait in held_up], dtype=bool)
     longest = max((b - a for a, b in stood_still), default=0.0)

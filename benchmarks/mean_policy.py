@@ -1,10 +1,10 @@
-"""The mean of the weights of policies that were taken up from one checkpoint, or of moments of one training, as one policy.
+"""Averages the weights of policies that continue from one checkpoint, or of checkpoints of one training.
 
     python benchmarks/mean_policy.py OUT.onnx ONE.onnx OTHER.onnx …
 
-Policies that were trained on from the same checkpoint lie in one basin: their mean is a policy between them, and a calmer
-one (Wortsman et al. 2022, "Model soups"). Policies trained from nothing do not; their mean falls. Judge the mean like
-any other policy.
+Policies that continue from the same checkpoint lie in one basin of the loss, and their mean is a policy between them
+(Wortsman et al. 2022, "Model soups"). Policies trained from scratch do not, and their mean falls.
+Evaluate the mean like any other policy.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
+from mimic.io.store import written_whole
 from mimic.policy.contract import METADATA_KEY, PolicyContract
-from mimic.store import written_whole
 
 
 def contract_of(model: onnx.ModelProto) -> PolicyContract:

@@ -12,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.cli.inputs import InputSettings, Motion, Silent, load_motion
-from mimic.frames import R_BT
+from mimic.config.play import RunSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.control.loop import run_policy
+from mimic.flows.motion import InputSettings, Motion, load_motion
+from mimic.geometry import R_BT
 from mimic.metrics import run_metrics
 from mimic.policy.runtime import load_policy
+from mimic.records import TargetTrack
 from mimic.robot.description import load_description
-from mimic.run.loop import run_policy
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import RetargetSettings, RunSettings
-from mimic.types import TargetTrack
+from mimic.simulation.plant import SimulatedPlant
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "videos" / "real" / "multiview"
 STILL = RetargetSettings(keep_peaks=False)
@@ -62,17 +63,20 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=DATA)
     folder = parser.parse_args().folder
     settings = InputSettings(retarget=STILL)
-    truth = load_motion(next(folder.glob("*.npz")), settings, Silent())
+    truth = load_motion(next(folder.glob("*.npz")), settings)
     assert truth.targets is not None
     print(
-        "| view | camera off forward | targets apart, mean / p95 | forward, left, up rms | forward: r, gain | left: r, gain "
-        "| up: r, gain | clamped | robot's toe error |\n|---|---|---|---|---|---|---|---|---|"
+        "| view | camera off forward | targets apart, mean / p95 | forward, left, up rms | forward: r, gain "
+        "| left: r, gain | up: r, gain | clamped | robot's toe error |\n|---|---|---|---|---|---|---|---|---|"
     )
     for path in [None, *sorted(folder.glob("cam*.mp4"))]:
-        motion = truth if path is None else load_motion(path, settings, Silent())
+        motion = truth if path is None else load_motion(path, settings)
         targets = motion.targets
         assert targets is not None
-        tail = f"{targets.report['clamped_share']:.0%}, {targets.report['moved_mean_cm']:.1f} cm | {played(motion):.1f} cm |"
+        tail = (
+            f"{targets.report['clamped_share']:.0%}, {targets.report['moved_mean_cm']:.1f} cm "
+            f"| {played(motion):.1f} cm |"
+        )
         if path is None:
             print(f"| all four | – | – | – | – | – | – | {tail}")
             continue
@@ -83,8 +87,8 @@ def main() -> None:
         rms = ", ".join(f"{v:.1f}" for v in np.sqrt((apart**2).mean(axis=0)))
         cells = " | ".join(agreement(targets, truth.targets))
         print(
-            f"| {path.stem} | {off:.0f}° | {length.mean():.1f} / {np.quantile(length, 0.95):.1f} cm | {rms} cm | {cells} "
-            f"| {tail}"
+            f"| {path.stem} | {off:.0f}° | {length.mean():.1f} / {np.quantile(length, 0.95):.1f} cm | {rms} cm "
+            f"| {cells} | {tail}"
         )
 
 

@@ -1,8 +1,10 @@
-"""The tables of docs/policy.md for a policy, as markdown: the paper's Table III, standing up, the robustness matrix.
+"""The tables of docs/experiments/policy.md for a policy, as Markdown: Table III, standing up, robustness.
 
-python benchmarks/policy_report.py [POLICY]                        # measure and print, about 14 minutes on 2 cores
-python benchmarks/policy_report.py [POLICY] --write docs/policy.md # … and put it there, with the heat map
-python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --robustness c.json   # what was measured before
+Measure and print, about 14 minutes on 2 cores; with --write into the page, with the heat map; or from stored results:
+
+    python benchmarks/policy_report.py [POLICY]
+    python benchmarks/policy_report.py [POLICY] --write docs/experiments/policy.md
+    python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --robustness c.json
 """
 
 from __future__ import annotations
@@ -13,14 +15,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from mimic.config.evaluation import RobustnessSettings, StandUpSettings, TableSettings
+from mimic.evaluation.paper_table import evaluate_table
+from mimic.evaluation.robustness import evaluate_robustness
+from mimic.evaluation.stand_up import evaluate_stand_up
+from mimic.io.store import sha256_of
+from mimic.policy.runtime import cached_policy
 from mimic.robot.description import load_description
-from mimic.run.paper_evaluation import evaluate_table
-from mimic.run.pool import loaded_policy
-from mimic.run.robustness import evaluate_robustness
-from mimic.run.stand_up import evaluate_stand_up
-from mimic.settings import RobustnessSettings, StandUpSettings, TableSettings
-from mimic.store import sha256_of
-from mimic.view.heat_map import draw_heat_map
+from mimic.view.report.robustness import draw_heat_map
 
 BEGIN, END = "<!-- measured: benchmarks/policy_report.py -->", "<!-- end of measured -->"
 
@@ -117,7 +119,7 @@ def main() -> None:
     parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
     parser.add_argument("--write", type=Path, help="markdown file whose measured part is replaced")
     given = parser.parse_args()
-    loaded_policy(str(given.policy))
+    cached_policy(str(given.policy))
     report(given, load_description().name)
 
 

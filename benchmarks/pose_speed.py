@@ -3,8 +3,8 @@
     python benchmarks/pose_speed.py [VIDEO] [--rounds 3]
 
 The video (default: an example clip) is scaled to 1280x720 H.264 in a temporary file. "BlazePose alone" is the time for
-loading the detector and inside it, for the same frames. Rounds alternate, and the best of each counts, so that other work
-on the machine disturbs both alike.
+loading the detector and inside it, for the same frames. Rounds alternate, and the best of each counts, so that other
+work on the machine disturbs both alike.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import av
 from rich.console import Console
 from rich.table import Table
 
-from mimic.retarget.wrists import wrist_track
-from mimic.sources.blazepose import BlazePose
-from mimic.sources.decoding import open_video
-from mimic.sources.video import track_video
+from mimic.retargeting.wrists import wrist_track
+from mimic.sources.video.blazepose import BlazePose
+from mimic.sources.video.decoding import open_video
+from mimic.sources.video.video import track_video
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "videos"
 SIZE = (1280, 720)

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from mimic.machine_log import MachineLog, write_log
-from mimic.types import FloatArray
+from mimic.io.joint_log import JointLog, write_log
+from mimic.records import FloatArray
 
 FORCE = 35.15
 """Force of the motor at the carriage for each volt of the drive [N/V]."""
@@ -113,10 +113,10 @@ def replay(columns: dict[str, FloatArray], model: dict, gains: Cascade, substeps
     return tuple(np.array(rows).T)
 
 
-def emps_log(columns: dict[str, FloatArray], gains: Cascade) -> MachineLog:
+def emps_log(columns: dict[str, FloatArray], gains: Cascade) -> JointLog:
     """Return an EMPS file as a log of a position drive in newtons, with the pulses as a force added to it."""
     pulses = columns["pulses_N"][:, None]
-    return MachineLog(
+    return JointLog(
         joints=("slide",),
         t=columns["t"],
         q=columns["qm"][:, None],
@@ -132,11 +132,11 @@ def emps_log(columns: dict[str, FloatArray], gains: Cascade) -> MachineLog:
     )
 
 
-def go2_log(path: Path) -> MachineLog:
+def go2_log(path: Path) -> JointLog:
     """Return the Go2 file with its joints named as in the model; gains of the configuration in its repository."""
     table = pq.read_table(path)
     names = [n.removeprefix("q_") for n in table.column_names if n.startswith("q_")]
-    return MachineLog(
+    return JointLog(
         joints=tuple(f"{n}_joint" for n in names),
         t=table["t"].to_numpy(),
         q=np.stack([table[f"q_{n}"].to_numpy() for n in names], -1),

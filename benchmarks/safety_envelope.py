@@ -1,4 +1,4 @@
-"""What a healthy robot does at most: the measurements behind the limits of mimic/run/safety.py.
+"""Extremes of healthy robots: the measurements behind mimic/control/safety_limits.py.
 
 python benchmarks/safety_envelope.py [episodes]
 
@@ -15,18 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import rotation_from_quat
+from mimic.config.play import NOMINAL, Randomisation, RunSettings
+from mimic.control.damping import damping_command
+from mimic.control.loop import run_policy
+from mimic.evaluation.sit_down import SitDownEpisode, final_pose, lies, play_policy_switch
+from mimic.geometry import rotation_from_quat
+from mimic.io.assets import shipped
+from mimic.jobs.local import run_all
 from mimic.metrics import uprightness
+from mimic.policy.runtime import cached_policy
+from mimic.records import PHASES, CommandTrack, RunLog
 from mimic.robot.description import load_description
-from mimic.robot.leg import all_toes
-from mimic.run.brake import damping_command
-from mimic.run.loop import run_policy
-from mimic.run.pool import loaded_policy, play_all
-from mimic.run.simulation import SimulatedPlant
-from mimic.run.sit_down_evaluation import _Job, final_pose, hand_over, lies
-from mimic.settings import NOMINAL, Randomisation, RunSettings
-from mimic.shipped import shipped
-from mimic.types import PHASES, CommandTrack, RunLog
+from mimic.robot.leg_kinematics import all_toes
+from mimic.simulation.plant import SimulatedPlant
 
 KD_MOST = 5.0
 """What a motor takes [N m s/rad]."""
@@ -58,8 +59,8 @@ def longest_repeat(quat: np.ndarray, omega: np.ndarray) -> int:
 
 def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
     description = load_description()
-    job = _Job(seed=seed, seconds=10.0, ranges=Randomisation())
-    result, _ = hand_over(job, loaded_policy(tracker), loaded_policy(sit_down))
+    job = SitDownEpisode(seed=seed, seconds=10.0, ranges=Randomisation())
+    result, _ = play_policy_switch(job, cached_policy(tracker), cached_policy(sit_down))
     if result.fell_at is not None or not lies(final_pose(result.log, description)):
         return None
     log = result.log
@@ -94,7 +95,7 @@ def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
 
 def seconds_to_rest(description, tracker: str) -> float:
     """Return how long an upright robot that is only damped takes to come to rest."""
-    policy = loaded_policy(tracker)
+    policy = cached_policy(tracker)
     neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
     plant = SimulatedPlant(description, ranges=NOMINAL)
     track = CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=neutral)
@@ -110,7 +111,7 @@ def seconds_to_rest(description, tracker: str) -> float:
 def main() -> None:
     episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     tracker, sit_down = (str(shipped("policies", f"{n}.onnx")) for n in ("stand_track", "sit_down"))
-    rows = play_all(partial(figures, tracker=tracker, sit_down=sit_down), range(1, episodes + 1), workers=1)
+    rows = run_all(partial(figures, tracker=tracker, sit_down=sit_down), range(1, episodes + 1), workers=1)
     kept = [r for r in rows if r is not None]
     print(f"{len(kept)} of {episodes} episodes count")
     for phase in ("stand_up", "upright", "sit_down"):

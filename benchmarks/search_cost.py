@@ -2,9 +2,9 @@
 
     python -m benchmarks.search_cost OUT.png [--samples 8192] [--seconds 10] [--results OUT.json]
 
-The log is of a hidden hung CyberDog 2 with nothing but the declared numbers wrong (benchmarks/hidden_effects). Random
-search draws friction, damping, masses and delay as Li et al. 2024 do and keeps the sample with the least error over the
-fitted blocks. Both are judged on blocks that neither used.
+The log is of a hidden hung CyberDog 2 with nothing but the baseline parameters wrong (benchmarks/hidden_effects).
+Random search draws friction, damping, masses and delay as Li et al. 2024 do and keeps the sample with the least error
+over the fitted blocks. Both are judged on blocks that neither used.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 
 from benchmarks.hidden_effects.generator import FLOOR, measured, simulate
 from benchmarks.hidden_effects.scenarios import Scenario, build
-from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.fit import fit
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.random_search import random_search
-from mimic.calibrate.replay import Replay
-from mimic.calibrate.signals import noise_floor
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.machine import hung_robot, with_gains
+from mimic.records import FloatArray
 from mimic.robot.description import load_description
-from mimic.robot.effects import DECLARED
-from mimic.robot.machine import hung_robot, with_gains
-from mimic.types import FloatArray
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.random_search import random_search
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.replay.cpu import Replay
 
 BATCH = 128
 """Samples between two points of the curve."""
@@ -43,7 +43,7 @@ def problem_of(seconds: float) -> tuple[Problem, Point]:
     machine = with_gains(hung_robot(load_description()), log.metadata)
     replay = Replay(machine, log, timestep=0.0025, threads=1)
     problem = Problem(replay, noise_floor(log.q, log.rate), None, make_blocks(log.t, replay.counts))
-    return problem, Point.of(DECLARED, machine)
+    return problem, Point.of(BASELINE, machine)
 
 
 def held_out(problem: Problem, residual: FloatArray) -> float:
@@ -56,7 +56,7 @@ def least_squares(problem: Problem, start: Point, steps: int = 5) -> Curve:
     begin = problem.replay.replays
     curve: Curve = [(1, held_out(problem, problem.residuals([start])[0]))]
     for _ in range(steps):
-        fitted = fit(problem, start, DECLARED, {}, most=1)
+        fitted = fit(problem, start, BASELINE, {}, most=1)
         start = fitted.point
         curve.append((problem.replay.replays - begin, held_out(problem, fitted.residual)))
     return curve

@@ -1,9 +1,9 @@
-"""How far the training physics is from the solver run to its end, over the stand-up, for several limits; on a CPU.
+"""Error of the training physics against a converged solver during the stand-up, for several iteration limits; on a CPU.
 
     python benchmarks/solver_accuracy.py [policies/stand_track.onnx]
 
-The same random robots from the same lying starts get the same actions, those of the policy in the reference; the
-differences are of joint positions, the largest of a world.
+The same random robots from the same lying starts get the actions of the policy in the reference. The error is the
+largest difference of a joint position in each world.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from mimic.config.training import MdpSettings
 from mimic.policy.runtime import Policy
 from mimic.robot.description import load_description
-from mimic.settings import MdpSettings
-from mimic.train.environment import StandTrackEnv
+from mimic.train.stand_track import StandTrackEnv
 
 WORLDS, STEPS = 32, 30
 FULL = {"solver_iterations": 100, "linesearch_iterations": 50}
@@ -35,7 +35,7 @@ LIMITS: list[dict[str, Any]] = [
 def play(
     policy: Policy, actions: list[np.ndarray] | None, **changes: Any
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Return joint positions (steps, worlds, 12) [rad], the actions, and the share of worlds at the limit at a step's end.
+    """Return joint positions (steps, worlds, 12) [rad], the actions, and the share of worlds at the iteration limit.
 
     Args:
         policy: Acts where no actions are given.

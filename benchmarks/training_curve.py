@@ -6,9 +6,10 @@
 
 Every ``policy_<minutes>min.onnx`` of the folder, and policy.onnx at its end, is judged under all of the paper's rules;
 a point is the mean over three evaluation seeds, and over the folders where there are several: training seeds of the
-same settings, in the picture with the lowest and the highest of them. The time is that of the training from its first step on, with the
-compilation of kernels where that was not kept. The picture shows each column as a share of what is aimed at, slip the other way round;
-with names before the folders it compares trainings, one panel a column, and the paper's figure as a line.
+same settings, in the picture with the lowest and the highest of them. The time is that of the training from its first
+step on, with the compilation of kernels where that was not kept. The picture shows each column as a share of what is
+aimed at, slip the other way round; with names before the folders it compares trainings, one panel a column, and the
+paper's figure as a line.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mimic.run.paper_evaluation import evaluate_table
-from mimic.run.paper_table import PAPER
-from mimic.settings import TableSettings
+from mimic.config.evaluation import TableSettings
+from mimic.evaluation.paper_columns import PAPER
+from mimic.evaluation.paper_table import evaluate_table
 
 AIMS = {"velocity": 0.42, "heading": 0.22, "toes": 0.88, "height": 0.47, "slip": -0.06, "steps": 985.0}
 RULES = "all of the paper's"

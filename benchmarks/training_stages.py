@@ -20,11 +20,11 @@ from typing import Any
 import torch
 from rsl_rl.runners import OnPolicyRunner
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.robot.description import load_description
-from mimic.settings import LearnSettings, MdpSettings
-from mimic.train.environment import StandTrackEnv
 from mimic.train.learn import runner_config, train
 from mimic.train.overrides import with_overrides
+from mimic.train.stand_track import StandTrackEnv
 from mimic.train.worlds import Worlds
 
 ON_GPU = torch.cuda.is_available()

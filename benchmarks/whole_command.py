@@ -31,12 +31,12 @@ def real_time_factor() -> float:
     """Return simulated seconds per second of the run without pose and rendering, logs included."""
     import numpy as np
 
+    from mimic.config.play import RunSettings
+    from mimic.control.loop import run_policy
+    from mimic.evaluation.policy import command_script
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
-    from mimic.run.evaluation import command_script
-    from mimic.run.loop import run_policy
-    from mimic.run.simulation import SimulatedPlant
-    from mimic.settings import RunSettings
+    from mimic.simulation.plant import SimulatedPlant
 
     description = load_description()
     policy = load_policy(None, description)

@@ -1,4 +1,4 @@
-"""Write the catalogue of effects into docs/calibration.md, between its two marks.
+"""Write the catalogue of effects into docs/reference/effects.md, between its two marks.
 
 python docs/make_catalogue.py
 """
@@ -7,52 +7,54 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mimic.robot.effects import CATALOGUE, Effect
+from mimic.dynamics.catalogue import CATALOGUE, Effect
 
-PAGE = Path(__file__).with_name("calibration.md")
+PAGE = Path(__file__).parent / "reference" / "effects.md"
 BEGIN, END = "<!-- catalogue -->", "<!-- end of catalogue -->"
 
 
-def catalogue_table() -> str:
-    """Return the catalogue as a Markdown table."""
-    lines = [
-        "| effect | equation | parameters | of | what its residual looks like | motion that shows it | enters MuJoCo by | |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+def catalogue_text() -> str:
+    """Return the catalogue as Markdown: a table of all effects, then a section for each."""
+    lines = ["| effect | what | parameters | scope |", "|---|---|---|---|"]
     lines += [_row(effect) for effect in CATALOGUE.values()]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *(_section(effect) for effect in CATALOGUE.values())]).rstrip()
 
 
 def _row(effect: Effect) -> str:
-    numbers = [f"`{p.name}`{'' if p.unit == '1' else f' [{p.unit}]'}" for p in effect.parameters]
-    marks = [
-        mark
-        for mark, has in (
-            ("declared", effect.declared),
-            ("always refitted", effect.structural),
-            ("read off target by target", effect.random),
-            ("read off the readings", effect.read_off and not effect.random),
-        )
-        if has
-    ]
-    cells = (
-        f"`{effect.name}`: {effect.title}",
-        effect.equation,
-        ", ".join(numbers),
-        effect.scope,
-        effect.signature,
-        effect.experiment,
-        effect.enters,
-        ", ".join(marks),
+    name = f"[`{effect.name}`](#{effect.name})"
+    return f"| {name} | {effect.title} | {_parameters(effect)} | {effect.scope} |"
+
+
+def _parameters(effect: Effect) -> str:
+    return ", ".join(f"`{p.name}`{'' if p.unit == '1' else f' [{p.unit}]'}" for p in effect.parameters)
+
+
+def _section(effect: Effect) -> str:
+    """Return what there is to know about one effect."""
+    marks = {
+        "Baseline: fitted before anything else is looked for.": effect.baseline,
+        "Always refitted: a derivative at its neutral value is blind to it.": effect.structural,
+        "Read from the log, one command at a time.": effect.random,
+        "Read from the positions.": effect.read_off and not effect.random,
+    }
+    items = {
+        "Equation": f"`{effect.equation}`",
+        "Residual": effect.signature,
+        "Best excitation": effect.experiment,
+        "In MuJoCo": effect.enters,
+        "Source": effect.source,
+        "Fit": " ".join(text for text, applies in marks.items() if applies),
+    }
+    return "\n".join(
+        [f"### {effect.name}", "", *(f"* {key}: {text.rstrip('.')}." for key, text in items.items() if text), ""]
     )
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def with_catalogue(page: str) -> str:
     """Return a page with the catalogue between its marks."""
     before, rest = page.split(BEGIN)
     _, after = rest.split(END)
-    return f"{before}{BEGIN}\n{catalogue_table()}\n{END}{after}"
+    return f"{before}{BEGIN}\n{catalogue_text()}\n{END}{after}"
 
 
 if __name__ == "__main__":

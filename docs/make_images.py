@@ -12,20 +12,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mimic import store
 from mimic.cli import main as mimic
-from mimic.cli.inputs import InputSettings
-from mimic.cli.live import followed
+from mimic.config.play import RunSettings
+from mimic.config.pose import LiveSettings
+from mimic.control.loop import run_policy
+from mimic.control.real_time import PacedPlant
+from mimic.flows.camera import follow_camera
+from mimic.flows.motion import InputSettings
+from mimic.io import store
 from mimic.policy.runtime import load_policy
+from mimic.records import PHASES, RunLog
 from mimic.robot.description import load_description
-from mimic.run.loop import run_policy
-from mimic.run.pacing import PacedPlant
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import LiveSettings, RunSettings
-from mimic.types import PHASES, RunLog
-from mimic.view.live import LiveView
-from mimic.view.side_by_side import RobotFilm
-from mimic.view.viewer import screenshot
+from mimic.simulation.plant import SimulatedPlant
+from mimic.view.film.side_by_side import RobotFilm
+from mimic.view.scene.live import LiveView
+from mimic.view.scene.viewer import screenshot
 
 HERE = Path(__file__).resolve().parent
 CLIPS = HERE.parent / "examples" / "videos"
@@ -78,7 +79,9 @@ def live(folder: Path, images: Path) -> None:
         window = stack.enter_context(LiveView(description, path=folder / "live.rrd"))
         run = RunSettings()
         how = {"view": window, "zero": run.stand_up}
-        targets, _ = stack.enter_context(followed(str(CLIPS / "boxing.mp4"), InputSettings(), LiveSettings(), **how))
+        targets, _ = stack.enter_context(
+            follow_camera(str(CLIPS / "boxing.mp4"), InputSettings(), LiveSettings(), **how)
+        )
         plant = PacedPlant(SimulatedPlant(description))
         run_policy(plant, load_policy(None, description), targets, run, sink=window.tick)
     screenshot(folder / "live.rrd", images / "live.png", time_s=9.0)

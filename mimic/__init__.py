@@ -1,3 +1,97 @@
-"""Human motion from a video, played by a CyberDog 2 standing on its hind legs."""
+"""Human motion from a video, played by a CyberDog 2 standing on its hind legs.
 
-__version__ = "0.1.0"
+The functions and records below load on first use, so that importing mimic is cheap.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mimic.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from mimic.dynamics.effect_set import EffectSet as EffectSet
+    from mimic.dynamics.effect_set import read_effects as read_effects
+    from mimic.errors import MimicError as MimicError
+    from mimic.flows.calibrate import calibrate as calibrate
+    from mimic.flows.calibrate import predict_log as predict_log
+    from mimic.flows.calibrate import simulate_log as simulate_log
+    from mimic.flows.evaluate import evaluate as evaluate
+    from mimic.flows.motion import InputSettings as InputSettings
+    from mimic.flows.motion import Motion as Motion
+    from mimic.flows.motion import load_motion as load_motion
+    from mimic.flows.motion import motion_from_text as motion_from_text
+    from mimic.flows.motion import retarget as retarget
+    from mimic.flows.motion import track_video as track_video
+    from mimic.flows.play import Run as Run
+    from mimic.flows.play import load_policy as load_policy
+    from mimic.flows.play import load_robot as load_robot
+    from mimic.flows.play import play as play
+    from mimic.flows.play import play_source as play_source
+    from mimic.flows.reporter import Reporter as Reporter
+    from mimic.flows.run_folder import SavedRun as SavedRun
+    from mimic.io.joint_log import JointLog as JointLog
+    from mimic.io.joint_log import read_log as read_log
+    from mimic.policy.runtime import Policy as Policy
+    from mimic.records import CommandTrack as CommandTrack
+    from mimic.records import HealthLog as HealthLog
+    from mimic.records import JointCommand as JointCommand
+    from mimic.records import PoseTrack as PoseTrack
+    from mimic.records import RobotState as RobotState
+    from mimic.records import RunLog as RunLog
+    from mimic.records import TargetTrack as TargetTrack
+    from mimic.records import Tick as Tick
+    from mimic.records import WristTrack as WristTrack
+    from mimic.robot.description import RobotDescription as RobotDescription
+    from mimic.sysid.result import Calibration as Calibration
+
+_OWNERS = {
+    "mimic.dynamics.effect_set": ("EffectSet", "read_effects"),
+    "mimic.errors": ("MimicError",),
+    "mimic.flows.calibrate": ("calibrate", "predict_log", "simulate_log"),
+    "mimic.flows.evaluate": ("evaluate",),
+    "mimic.flows.motion": (
+        "InputSettings",
+        "Motion",
+        "load_motion",
+        "motion_from_text",
+        "retarget",
+        "track_video",
+    ),
+    "mimic.flows.play": ("Run", "load_policy", "load_robot", "play", "play_source"),
+    "mimic.flows.reporter": ("Reporter",),
+    "mimic.flows.run_folder": ("SavedRun",),
+    "mimic.io.joint_log": ("JointLog", "read_log"),
+    "mimic.policy.runtime": ("Policy",),
+    "mimic.records": (
+        "CommandTrack",
+        "HealthLog",
+        "JointCommand",
+        "PoseTrack",
+        "RobotState",
+        "RunLog",
+        "TargetTrack",
+        "Tick",
+        "WristTrack",
+    ),
+    "mimic.robot.description": ("RobotDescription",),
+    "mimic.sysid.result": ("Calibration",),
+}
+"""Which module each public name comes from."""
+
+_MODULE_OF = {name: module for module, names in _OWNERS.items() for name in names}
+
+__all__ = ["__version__", *sorted(_MODULE_OF)]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"mimic has no {name!r}; it has {', '.join(sorted(_MODULE_OF))}")
+    value = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

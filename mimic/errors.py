@@ -18,7 +18,9 @@ class MissingExtra(MimicError, ImportError):
 
     def __init__(self, library: str, extra: str) -> None:
         self.library, self.extra = library, extra
-        super().__init__(f"this needs {library}, which is not installed; install it with: pip install 'mimic[{extra}]'")
+        super().__init__(
+            f"this needs {library}, which is not installed; install it with: pip install 'mimic-retarget[{extra}]'"
+        )
 
 
 class SourceError(MimicError):
@@ -31,14 +33,6 @@ class ContractError(MimicError):
 
 class PlantError(MimicError):
     """The robot or the simulation failed while running."""
-
-
-class PlantTimeout(PlantError):
-    """The plant did not answer in time."""
-
-
-class JointFault(PlantError):
-    """A joint reports a fault or left its limits."""
 
 
 class BusError(PlantError):

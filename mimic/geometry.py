@@ -2,9 +2,9 @@
 
 Quaternions are wxyz everywhere in mimic. ``R_AB`` maps a vector from B axes to A axes.
 
-Camera axes ``C``: x right in the image, y down, z away from the camera (the axes of BlazePose's world landmarks).
-Torso axes ``T`` of a person: x forward, y left, z up.
-Base axes ``B`` of the robot: x forward, y left, z up while on four legs; standing upright, x points up, y left, -z forward.
+Camera axes ``C``: x right in the image, y down, z away from the camera (the axes of BlazePose's world landmarks). Torso
+axes ``T`` of a person: x forward, y left, z up. Base axes ``B`` of the robot: x forward, y left, z up while on four
+legs; standing upright, x points up, y left, -z forward.
 
 Functions whose arrays may be NumPy or PyTorch use operators only, so that training and running share them.
 """
@@ -28,14 +28,22 @@ R_BT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Torso axes of a person in base axes of the upright robot: up is base +x, left is base +y, forward is base -z."""
 
 
+def quat_parts(quat: Any) -> Any:
+    """Return w, x, y and z of quaternions (..., 4); Python floats of a single one, with which arithmetic is fastest."""
+    values = np.asarray(quat, dtype=np.float64)
+    return values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
+
+
 def rotation_from_quat(quat_AB: Any) -> NDArray[np.float64]:
     """Return R_AB (..., 3, 3) for unit quaternions wxyz (..., 4)."""
-    w, x, y, z = np.moveaxis(np.asarray(quat_AB, dtype=np.float64), -1, 0)
+    w, x, y, z = quat_parts(quat_AB)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+    if isinstance(w, float):
+        return np.array(rows)
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -77,13 +85,18 @@ def heading_sin_cos(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any]:
 
 def heading_from_quat(quat_WB: Any) -> NDArray[np.float64]:
     """Return the heading [rad] (...,) of quat_WB (..., 4)."""
-    sine, cosine = heading_sin_cos(*np.moveaxis(np.asarray(quat_WB, dtype=np.float64), -1, 0))
+    sine, cosine = heading_sin_cos(*quat_parts(quat_WB))
     return np.arctan2(sine, cosine)
 
 
 def wrap_angle(angle: Any) -> Any:
     """Return the angle [rad] brought into [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def smoothstep(share: Any) -> Any:
+    """Return a share of a motion, 0 to 1, that begins and ends at rest, from the share of its time (any array type)."""
+    return share * share * (3 - 2 * share)
 
 
 def upright_cosine(w: Any, x: Any, y: Any, z: Any, heading: Any, direction: Any, xp: Any) -> Any:

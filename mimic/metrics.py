@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, upright_cosine, wrap_angle
-from mimic.heat import seconds_to_limit, winding_rise
+from mimic.dynamics.thermal import seconds_to_limit, winding_rise
+from mimic.geometry import heading_from_quat, quat_parts, upright_cosine, wrap_angle
+from mimic.records import JOINTS, PHASES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
-from mimic.types import JOINTS, PHASES, FloatArray, RunLog
 
 UPRIGHT_COSINE = 0.9
 """Standing means: base x within this cosine of the wanted direction; the paper's gate."""
@@ -20,8 +20,9 @@ UPRIGHT_HEIGHT = 0.35
 
 def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArray:
     """Return the cosine between base x and the wanted upright direction (...,), the direction turned to the heading."""
-    parts = np.moveaxis(np.asarray(quat_WB), -1, 0)
-    return upright_cosine(*parts, heading=heading_from_quat(quat_WB), direction=description.upright_direction, xp=np)
+    return upright_cosine(
+        *quat_parts(quat_WB), heading=heading_from_quat(quat_WB), direction=description.upright_direction, xp=np
+    )
 
 
 def standing(log: RunLog, description: RobotDescription) -> np.ndarray:

@@ -1,15 +1,22 @@
-"""What most tests need: the robot, what a policy promises, and policies that always give the same answer."""
+"""Fixtures for most tests: the robot, the policy contract, policies with fixed answers, and a robot in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from mimic.control.loop import RunResult, run_policy
+from mimic.control.safety_limits import LIMITS
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
 from mimic.policy.contract import METADATA_KEY, PolicyContract
 from mimic.policy.runtime import load_policy
+from mimic.records import CommandTrack, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description
 
 
@@ -48,3 +55,132 @@ def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
         return path
 
     return write
+
+
+FORGIVING = replace(LIMITS, turn_mismatch=10.0, toes_apart=10.0, toes_apart_moving=10.0, front_above=-10.0, jump=100.0)
+"""Limits for the robot in memory: its base pitches whatever its legs do, and its joints jump with their commands."""
+
+FRESH = Health(
+    age=np.full(12, 0.018),
+    missed=np.zeros(12, dtype=int),
+    faults=np.zeros(12, dtype=int),
+    running=np.ones(12, dtype=bool),
+    temperature=np.full(12, 30.0),
+    imu_age=0.005,
+    imu_unchanged=0.005,
+    imu_count=0,
+    imu_valid=True,
+    compute=0.001,
+    late=0.0,
+    bus_errors=0,
+)
+"""Fresh readings without faults."""
+
+
+@dataclass
+class MemoryPlant:
+    """Joints follow their commands at once; the base does what ``pitch`` answer. Base position is not measured."""
+
+    description: RobotDescription
+    pitch: Callable[[int], float] = lambda tick: min(np.pi / 2, 0.1 * tick)
+    """Angle of base x above the ground after a number of ticks [rad]."""
+    heading: float = 0.0
+    limit: float = np.inf
+    """Joint positions that go out are clipped to plus and minus this [rad]."""
+    fail: Callable[[int], None] = lambda tick: None
+    """Called at each step before anything is sent; may raise."""
+    health: Callable[[int, Health], Health] = lambda tick, health: health
+    """Changes the health that each step reports."""
+    sent: list[JointCommand] = field(default_factory=list)
+    closed: int = 0
+
+    def start(self) -> RobotState:
+        self.sent.clear()
+        return self._state(self.description.poses["lie"])
+
+    def step(self, command: JointCommand) -> Tick:
+        self.fail(len(self.sent))
+        clipped = np.clip(command.q_des, -self.limit, self.limit)
+        out = JointCommand(q_des=clipped, dq_des=command.dq_des, kp=command.kp, kd=command.kd, tau_ff=command.tau_ff)
+        self.sent.append(out)
+        tick = len(self.sent)
+        return Tick(state=self._state(clipped), sent=out, health=self.health(tick, replace(FRESH, imu_count=tick)))
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def _state(self, q: np.ndarray) -> RobotState:
+        tick = len(self.sent)
+        jitter = 1e-6 * np.sin(7.0 * tick)  # an IMU never repeats itself exactly
+        turn = Rotation.from_euler("ZY", [self.heading, jitter - self.pitch(tick)])
+        return RobotState(
+            t=tick * self.description.dt,
+            q=np.array(q),
+            dq=np.zeros(12),
+            tau=np.zeros(12),
+            quat_WB=turn.as_quat(scalar_first=True),
+            omega_B=np.zeros(3),
+            p_WB=np.full(3, np.nan),
+            v_WB=np.full(3, np.nan),
+        )
+
+
+@dataclass
+class FixedPolicy:
+    """Answers ``answer`` of the number of the call."""
+
+    contract: PolicyContract
+    answer: Callable[[int], np.ndarray] = lambda call: np.zeros(12)
+    path: Path = Path("fixed.onnx")
+    seen: list[np.ndarray] = field(default_factory=list)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        self.seen.append(observation)
+        return self.answer(len(self.seen) - 1)
+
+
+@pytest.fixture
+def memory_plant(description) -> Callable[..., MemoryPlant]:
+    return lambda **options: MemoryPlant(description, **options)
+
+
+@pytest.fixture
+def forgiving(description) -> Callable[..., Safety]:
+    """Return a function that makes the supervision of a robot in memory, with the defaults of a simulated run."""
+
+    def make(**options) -> Safety:
+        sits = options.pop("sits", True)
+        return Safety(
+            supervisor=Supervisor(description, FORGIVING, sits=sits), **{"ramp": 0.0, "damp_at_end": False} | options
+        )
+
+    return make
+
+
+@pytest.fixture
+def play(forgiving) -> Callable[..., RunResult]:
+    """Return a function that plays a run on a robot in memory."""
+
+    def run(*args, sit_down=None, **options) -> RunResult:
+        options.setdefault("safety", forgiving(sits=sit_down is not None))
+        return run_policy(*args, sit_down=sit_down, **options)
+
+    return run
+
+
+@pytest.fixture
+def fixed_policy(contract) -> Callable[..., FixedPolicy]:
+    return lambda **options: FixedPolicy(contract, **options)
+
+
+@pytest.fixture
+def track(contract) -> Callable[..., CommandTrack]:
+    """Return a function that makes commands of a number of ticks: toes that sway, a walk, a turn."""
+
+    def make(ticks: int = 20, *, v: float = 0.2, turn: float = 0.3) -> CommandTrack:
+        t = contract.dt * np.arange(ticks)
+        toes = np.array(contract.neutral_toes).reshape(2, 3) + 0.05 * np.sin(4 * t + 1)[:, None, None]
+        speed = np.tile([v, 0.0], (ticks, 1))
+        return CommandTrack(t=t, v=speed, heading=np.full(ticks, turn), p_BE=toes)
+
+    return make

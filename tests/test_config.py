@@ -4,18 +4,12 @@ import dataclasses
 
 import pytest
 
+from mimic.config.evaluation import EvaluateSettings
+from mimic.config.play import NOMINAL, Randomisation, RunSettings
+from mimic.config.pose import PoseSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.config.training import TRAINING_RANDOMISATION, LearnSettings, MdpSettings
 from mimic.errors import ConfigError, MimicError
-from mimic.settings import (
-    NOMINAL,
-    TRAINING_RANDOMISATION,
-    EvaluateSettings,
-    LearnSettings,
-    MdpSettings,
-    PoseSettings,
-    Randomisation,
-    RetargetSettings,
-    RunSettings,
-)
 
 
 @pytest.mark.parametrize(

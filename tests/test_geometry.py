@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mimic.frames import (
+from mimic.geometry import (
     R_BT,
     R_CT,
     heading_from_quat,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimic.io.store import plain
 from mimic.metrics import (
     run_metrics,
     stand_up_time,
@@ -14,8 +15,7 @@ from mimic.metrics import (
     toe_lag,
     uprightness,
 )
-from mimic.store import plain
-from mimic.types import JOINTS, PHASES, RunLog
+from mimic.records import JOINTS, PHASES, RunLog
 
 STAND_UP, BLEND, TRACK, HOLD = (PHASES.index(name) for name in ("stand_up", "blend", "track", "hold"))
 LYING = np.array([1.0, 0.0, 0.0, 0.0])
@@ -55,15 +55,15 @@ def test_toe_error_is_the_distance_of_each_toe_while_tracking():
     assert np.allclose(error, [0.05, 0.01])
 
 
-@pytest.mark.parametrize("late", [0, 1, 5, 12])
-def test_a_late_toe_is_explained_by_its_lag(late, description):
+@pytest.mark.parametrize("lag_ticks", [0, 1, 5, 12])
+def test_a_late_toe_is_explained_by_its_lag(lag_ticks, description):
     t = 0.02 * np.arange(400)
     path = 0.1 * np.stack([np.sin(3 * t), np.cos(2 * t), np.sin(t)], -1)
     desired = np.stack([path, -path], 1)
-    reached = np.concatenate([np.repeat(desired[:1], late, 0), desired[: 400 - late]])
+    reached = np.concatenate([np.repeat(desired[:1], lag_ticks, 0), desired[: 400 - lag_ticks]])
     log = make_log(400, p_BE=reached, p_BE_des=desired)
     lag, left = toe_lag(log)
-    assert lag == pytest.approx(0.02 * late)
+    assert lag == pytest.approx(0.02 * lag_ticks)
     assert left == pytest.approx(0.0, abs=1e-9)
     assert run_metrics(log, description)["lag_s"] == lag
 
@@ -108,12 +108,12 @@ def test_a_robot_that_never_stands_takes_forever(description):
     assert stand_up_time(make_log(50, quat_WB=np.tile(LYING, (50, 1))), description) == np.inf
 
 
-def test_heat_is_told_of_the_motor_that_warms_most(description):
+def test_heat_is_reported_of_the_motor_that_warms_most(description):
     tau = np.zeros((3000, 12))
     tau[:, 8], tau[:, 2] = 8.0, -5.0
     metrics = run_metrics(make_log(3000, tau=tau), description)
     assert metrics["hottest_motor"] == JOINTS[8]
-    assert metrics["minutes_to_limit"] == pytest.approx(description.overload_seconds[4] / 60, rel=0.1)
+    assert metrics["minutes_to_limit"] == pytest.approx(description.thermal.overload_time[4] / 60, rel=0.1)
     assert metrics["winding_rise"]["FL_abad"] == 0.0
     assert metrics["winding_rise"]["RL_knee"] > metrics["winding_rise"]["FL_knee"] > 0.1
 

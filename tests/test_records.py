@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.errors import ContractError
-from mimic.types import JOINTS, LANDMARKS, CommandTrack, JointSamples, PoseTrack, WristTrack
+from mimic.records import JOINTS, LANDMARKS, CommandTrack, JointSamples, PoseTrack, WristTrack
 
 
 def wrists(rows: int = 3, **changes: np.ndarray) -> WristTrack:

@@ -1,7 +1,7 @@
 """Do the two physics agree? mimic's replay with the true numbers against the truth, in noise floors.
 
 Each effect at the greatest size of the table, logs of 16 s without noise, replay in steps of 0.5 ms. "Without" is the
-replay with the declared numbers only. What is left with the true numbers is the step of the replay, and any
+replay with the baseline parameters only. What is left with the true numbers is the step of the replay, and any
 disagreement about what an equation of the catalogue means.
 
     python -m benchmarks.hidden_effects.agreement [NAME ...] > table.md
@@ -17,14 +17,14 @@ import numpy as np
 from benchmarks.hidden_effects.families import FAMILIES
 from benchmarks.hidden_effects.generator import FLOOR, Machine, simulate
 from benchmarks.hidden_effects.scenarios import STRENGTHS, Scenario, build, reachable
-from mimic.calibrate.replay import Replay
-from mimic.machine_log import MachineLog
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import hung_robot
+from mimic.dynamics.servo import parameters_of
+from mimic.io.joint_log import JointLog
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.machine import hung_robot
-from mimic.robot.servo import parameters_of
-from mimic.types import JOINTS, FloatArray
+from mimic.sysid.replay.cpu import Replay
 
 
 def true_effects(machine: Machine, hidden: bool) -> EffectSet:
@@ -40,7 +40,7 @@ def disagreement(scenario: Scenario, timestep: float = 0.0005) -> tuple[FloatArr
     """Return what the replay leaves without and with the hidden effects, each (12,) in noise floors."""
     built = build(scenario)
     truth = simulate(built.machine, built.motion, built.seed)
-    log = MachineLog(joints=JOINTS, t=truth.t, q=truth.q, q_des=truth.q_des)
+    log = JointLog(joints=JOINTS, t=truth.t, q=truth.q, q_des=truth.q_des)
     robot = hung_robot(load_description())
     replay = Replay(robot, log, timestep=timestep, threads=1)
     left = []

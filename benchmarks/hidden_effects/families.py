@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import ALIENS, Alien, Machine
-from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectValues
-from mimic.robot.effects import effect
-from mimic.types import JOINTS, FloatArray
+from benchmarks.hidden_effects.generator import ALIENS, Alien, Machine, robot_numbers
+from mimic.dynamics.catalogue import effect
+from mimic.dynamics.effect_set import EffectValues
+from mimic.records import JOINTS, FloatArray
 
 PARTS = ("abad", "hip", "knee")
 
@@ -68,7 +67,7 @@ FAMILIES: Mapping[str, Family] = {
     "delay_jitter": Family("s", 0.06, "three targets"),
     "lost_commands": Family("1", 0.5, "every other target"),
 }
-"""Every effect of the catalogue that is not declared."""
+"""Every effect of the catalogue that is not baseline."""
 
 ALIEN_CAPS: Mapping[str, tuple[float, str]] = {
     "cable_stop": (30.0, "as stiff as Kp"),
@@ -90,7 +89,7 @@ def hidden_effect(
     Args:
         name: Effect.
         sizes: Size of each affected joint, by name; for an effect of the whole machine that of the first joint.
-        machine: Whose declared values some effects are relative to.
+        machine: Whose baseline values some effects are relative to.
         rng: Draws signs and what has no size.
         spread: Draw what has no size; otherwise take the middle.
     """
@@ -105,7 +104,7 @@ def hidden_effect(
         return rng.uniform(low, high, len(s)) if spread else np.full(len(s), middle)
 
     values: dict[str, FloatArray]
-    motor = load_description().raw["motor"]
+    motor = robot_numbers()["motor"]
     if name == "armature":
         values = {"inertia": motor["armature"] + s}
     elif name == "gains":

@@ -1,23 +1,25 @@
 """Logs of a hung CyberDog 2 with effects whose numbers are known: the truth that a calibration has to find.
 
-Equations are those of mimic.robot.effects, written again; physics is in physics.py. Aliens are effects that the
+Equations are those of mimic.dynamics.catalogue, written again; physics is in physics.py. Aliens are effects that the
 catalogue does not have. Nothing of mimic's law, machine or replay is used here.
 """
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from benchmarks.hidden_effects import physics as ph
-from mimic.machine_log import MachineLog
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.excitation import Excitation
+from mimic.io.joint_log import JointLog
+from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.excitation import Excitation
-from mimic.types import JOINTS, LEGS, FloatArray
 
 GRAVITY = 9.81
 NOISE = 0.35e-3
@@ -105,7 +107,7 @@ class Machine:
 
     @staticmethod
     def drawn(rng: np.random.Generator, hidden: EffectSet | None = None, aliens: Sequence[Alien] = ()) -> Machine:
-        """Draw the declared values."""
+        """Draw the baseline values."""
         return Machine(
             friction=rng.uniform(0.03, 0.12, 12),
             damping=rng.uniform(0.02, 0.1, 12),
@@ -116,9 +118,15 @@ class Machine:
         )
 
 
+def robot_numbers(description: RobotDescription | None = None) -> dict[str, Any]:
+    """Return the tables of robot.toml; the generator reads masses there by itself, independent of mimic's MJCF."""
+    folder = (description or load_description()).folder
+    return tomllib.loads((folder / "robot.toml").read_text(encoding="utf-8"))
+
+
 def links(description: RobotDescription, leg: str) -> FloatArray:
     """Return mass, centre, inertia and next joint (3, 13) of one leg; rotors belong to the link that carries them."""
-    raw = description.raw
+    raw = robot_numbers(description)
     s, f = (1.0 if leg[1] == "L" else -1.0), (1.0 if leg[0] == "F" else -1.0)
     flip_com = {"abad": (f, s, 1.0), "hip": (1.0, s, 1.0), "knee": (1.0, 1.0, 1.0)}
     flip_products = {"abad": (s * f, f, s), "hip": (s, 1.0, s), "knee": (1.0, 1.0, 1.0)}
@@ -198,7 +206,7 @@ def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP
     def put(column: str, value: FloatArray | float) -> None:
         par[:, :, _COLUMN[column]] = np.broadcast_to(value, 12).reshape(4, 3)
 
-    motor = description.raw["motor"]
+    motor = robot_numbers(description)["motor"]
     for column, value in {
         "friction": machine.friction,
         "damping": machine.damping,
@@ -284,13 +292,13 @@ def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP
     return Truth(t=t, q=q.reshape(rows, 12), tau=tau.reshape(rows, 12), q_des=motion.q_des[sent])
 
 
-def measured(truth: Truth, seed: int, noise: float = NOISE, notes: Mapping[str, object] | None = None) -> MachineLog:
+def measured(truth: Truth, seed: int, noise: float = NOISE, notes: Mapping[str, object] | None = None) -> JointLog:
     """Return the log that a machine with a 16-bit encoder would write."""
     rng = np.random.default_rng((seed, 2))
-    motor = load_description().raw["motor"]
+    motor = robot_numbers()["motor"]
     q = np.round((truth.q + noise * rng.standard_normal(truth.q.shape)) / ENCODER) * ENCODER
     metadata = {"kp": motor["kp"], "kd": motor["kd"], "gravity": [0.0, 0.0, -GRAVITY], **(notes or {})}
-    return MachineLog(joints=JOINTS, t=truth.t, q=q, q_des=truth.q_des, metadata=metadata)
+    return JointLog(joints=JOINTS, t=truth.t, q=q, q_des=truth.q_des, metadata=metadata)
 
 
 def _tilted(roll: float, pitch: float) -> FloatArray:

@@ -13,11 +13,11 @@ import numpy as np
 
 from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
 from benchmarks.hidden_effects.generator import ALIENS, Machine
+from mimic.dynamics.catalogue import effect
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.excitation import Excitation, Kind, hung_ranges, probe_targets
+from mimic.records import JOINTS, LEGS
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import effect
-from mimic.robot.excitation import Excitation, Kind, hung_ranges, probe_targets
-from mimic.types import JOINTS, LEGS
 
 STRENGTHS = ("strong", "medium", "weak")
 FAINT = {"faint": 0.5, "trace": 0.25}
@@ -140,7 +140,9 @@ def build(scenario: Scenario) -> Built:
 
 
 def _some_joints(scenario: Scenario, place: int, parts: tuple[str, ...], rng: np.random.Generator) -> tuple[str, ...]:
-    """All joints, the knees, one leg or one joint, in turn over names and seeds; only where the effect can be so strong."""
+    """All joints, the knees, one leg or one joint, in turn over names and seeds; only where the effect can be so
+    strong.
+    """
     turn = zlib.crc32(f"{scenario.names[place]}/{scenario.strength}".encode()) + scenario.seed + place
     where = WHERE[(turn + (scenario.kind == "random")) % len(WHERE)]
     if scenario.names[place] == "joint_delay" and where == "all":

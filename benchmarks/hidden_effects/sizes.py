@@ -1,11 +1,11 @@
 """Find how large each effect must be to leave 2, 5 and 15 times the noise floor, and write sizes.json.
 
-A size is judged by what the declared model could not absorb: the motion with the effect less the motion without it
-(same targets, no noise), after the best linear change of friction, damping, mass of every link and delay is taken
-out, each inside its bounds in the catalogue; root mean square over the affected joints, without the first half second, over the noise floor. Each motion
-carries the effect on the abad of one leg, the hip of another and the knee of a third, three times with the legs
-exchanged; the table holds the geometric mean for each of the three joints. Between simulated sizes (seven, a factor
-apart) the relation is taken as straight in logarithms.
+A size is judged by what the baseline model could not absorb: the motion with the effect less the motion without it
+(same targets, no noise), after the best linear change of friction, damping, mass of every link and delay is taken out,
+each inside its bounds in the catalogue; root mean square over the affected joints, without the first half second, over
+the noise floor. Each motion carries the effect on the abad of one leg, the hip of another and the knee of a third,
+three times with the legs exchanged; the table holds the geometric mean for each of the three joints. Between simulated
+sizes (seven, a factor apart) the relation is taken as straight in logarithms.
 
     python -m benchmarks.hidden_effects.sizes [NAME ...]       # measures these, or all
     python -m benchmarks.hidden_effects.sizes --plot FILE.png  # draws the table
@@ -23,11 +23,11 @@ from scipy.optimize import lsq_linear
 
 from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, PARTS, alien, hidden_effect
 from benchmarks.hidden_effects.generator import ALIENS, FLOOR, Machine, simulate
+from mimic.dynamics.catalogue import effect
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.excitation import hung_ranges, probe_targets
+from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import effect
-from mimic.robot.excitation import hung_ranges, probe_targets
-from mimic.types import JOINTS, LEGS, FloatArray
 
 TABLE = Path(__file__).with_name("sizes.json")
 STRENGTHS = {"weak": 2.0, "medium": 5.0, "strong": 15.0}
@@ -41,13 +41,13 @@ BOUNDS = {
         "mass": ("link_mass", "factor"),
     }.items()
 }
-"""How far the declared numbers can go, as in the catalogue."""
+"""How far the baseline parameters can go, as in the catalogue."""
 SKIP, THIN = 100, 5
 """Readings left out at the start, and one of how many is looked at."""
 
 
 class Rig:
-    """One machine with middling declared values, one motion, and what its declared values can absorb."""
+    """One machine with middling baseline values, one motion, and what its baseline values can absorb."""
 
     def __init__(self) -> None:
         self.motion = probe_targets(*hung_ranges(load_description()), seconds=SECONDS, seed=SEED)
@@ -82,7 +82,7 @@ class Rig:
         return out
 
     def left(self, machine: Machine) -> FloatArray:
-        """Return what the declared model cannot absorb, root mean square (12,) over the noise floor."""
+        """Return what the baseline model cannot absorb, root mean square (12,) over the noise floor."""
         difference = (self._rows(machine) - self.plain).ravel()
         wanted = np.linalg.solve(self.root.T, self.basis.T @ difference)
         absorbed = lsq_linear(self.root, wanted, self.room).x

@@ -31,21 +31,21 @@ import numpy as np
 
 from benchmarks.hidden_effects.generator import FLOOR, Machine, Truth, measured, simulate
 from benchmarks.hidden_effects.scenarios import Built, Scenario, build, ordered
-from mimic.calibration import Calibration, Errors
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import CATALOGUE, DECLARED
-from mimic.store import plain
+from mimic.dynamics.catalogue import BASELINE, CATALOGUE
+from mimic.dynamics.effect_set import EffectSet
+from mimic.io.joint_log import JointLog
+from mimic.io.store import plain
+from mimic.sysid.result import Calibration, Errors
 
-Calibrate = Callable[[MachineLog], Calibration]
+Calibrate = Callable[[JointLog], Calibration]
 
 
-def calibrate_log(log: MachineLog, device: str = "cpu") -> Calibration:
+def calibrate_log(log: JointLog, device: str = "cpu") -> Calibration:
     """Calibrate the hung robot against a log, as ``mimic calibrate`` does."""
-    from mimic.calibrate.flow import calibrate
+    from mimic.config.sysid import CalibrateSettings
+    from mimic.dynamics.machine import hung_robot
     from mimic.robot.description import load_description
-    from mimic.robot.machine import hung_robot
-    from mimic.settings import CalibrateSettings
+    from mimic.sysid.calibrate import calibrate
 
     return calibrate(log, hung_robot(load_description()), CalibrateSettings(device=device, threads=1))
 
@@ -74,7 +74,7 @@ def result_record(result: Calibration) -> dict[str, Any]:
             "added": s.added,
             "train": Errors.total(s.errors.train),
             "held_out": s.errors.held_out.tolist(),
-            "rivals": list(s.rivals),
+            "rivals": list(s.alternatives),
             "candidates": [
                 {
                     "name": c.name,
@@ -100,8 +100,8 @@ def result_record(result: Calibration) -> dict[str, Any]:
         for e in result.effects
     ]
     return {
-        "named": [s.added for s in result.stages if s.added in CATALOGUE and s.added not in DECLARED],
-        "belongs": result.belongs,
+        "named": [s.added for s in result.stages if s.added in CATALOGUE and s.added not in BASELINE],
+        "belongs": result.log_matches_model,
         "noise": result.noise.tolist(),
         "nominal": Errors.total(result.nominal.held_out),
         "stages": stages,

@@ -3,11 +3,11 @@
     python -m benchmarks.hidden_effects.summary RESULTS.jsonl ... [--markdown FILE] [--plot FILE.png]
 
 How a result is judged:
-    right        every hidden effect that the motion shows is among the names, and no name is false
-    or rival     as right, where a rival of the accepted name ("cannot be told from") counts as the name
-    first        the first name is a hidden effect
-    unexplained  an effect from outside the catalogue: nothing is named, and some affected joint is not "explained"
-    not shown    an effect without which no joint's positions change by a tenth of the noise floor in this motion: it cannot be named
+    right        every hidden effect that the motion shows is among the names, and no name is false or rival     as
+    right, where a rival of the accepted name ("cannot be told from") counts as the name first        the first name is
+    a hidden effect unexplained  an effect from outside the catalogue: nothing is named, and some affected joint is not
+    "explained" not shown    an effect without which no joint's positions change by a tenth of the noise floor in this
+    motion: it cannot be named
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import numpy as np
 from scipy import optimize
 
 from benchmarks.hidden_effects.scenarios import FAINT
-from mimic.robot.effects import CATALOGUE
-from mimic.types import JOINTS, FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.records import JOINTS, FloatArray
 
 Record = Mapping[str, Any]
 STRENGTHS = ("strong", "medium", "weak", *FAINT)
@@ -148,7 +148,7 @@ def error_after(r: Record) -> float:
 
 
 def declared_error(r: Record) -> float:
-    """Held-out error of the declared model over the true noise floor, over the affected joints."""
+    """Held-out error of the baseline model over the true noise floor, over the affected joints."""
     index = sorted({JOINTS.index(j) for joints in r["where"].values() for j in joints})
     return float(np.sqrt(np.mean(np.square(r["stages"][0]["held_out"])[index]))) / r["floor"]
 
@@ -169,7 +169,7 @@ def coverage(records: Iterable[Record], declared: bool) -> list[tuple[str, bool]
                     for joint, value in zip(e["joints"] or [""], values, strict=True):
                         truth[e["name"], parameter, joint] = value
         for e in r["effects"]:
-            is_declared = CATALOGUE[e["name"]].declared
+            is_declared = CATALOGUE[e["name"]].baseline
             if is_declared is not declared:
                 continue
             for parameter, rows_of in e["intervals"].items():
@@ -296,7 +296,8 @@ def markdown(records: Sequence[Record]) -> str:
 
 
 def detection_limits(singles: Sequence[Record], effects: Sequence[str]) -> dict[str, FloatArray]:
-    """Return for each effect the errors of the declared model, in noise floors, at which it is found with 10, 50 and 90 % (3,).
+    """Return for each effect the errors of the baseline model, in noise floors, at which it is found with 10, 50 and 90
+    % (3,).
 
     A logistic curve of the logarithm of what is beyond the noise, its slope shared and its middles spread by
     :data:`BETWEEN_EFFECTS`: an effect has a handful of logs, few of them near its limit.
@@ -316,7 +317,7 @@ def detection_limits(singles: Sequence[Record], effects: Sequence[str]) -> dict[
 
 
 def plot(records: Sequence[Record], path: Path) -> None:
-    """Draw the share named right against how much the declared model leaves."""
+    """Draw the share named right against how much the baseline model leaves."""
     import matplotlib
 
     matplotlib.use("Agg")

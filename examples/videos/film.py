@@ -51,8 +51,9 @@ def build_model(clip: Clip) -> mujoco.MjModel:
       <default><geom contype="0" conaffinity="0"/></default>
       <worldbody>
         <body name="room" euler="0 0 {turn:.6f}">
-          <light name="key" directional="true" castshadow="true" pos="{_text(np.array([0, 0, 0.9]) - 3 * np.array(key))}"
-            dir="{_text(key)}" diffuse="{_text(0.56 * warm)}" specular="0.25 0.25 0.22" ambient="0 0 0"/>
+          <light name="key" directional="true" castshadow="true"
+            pos="{_text(np.array([0, 0, 0.9]) - 3 * np.array(key))}" dir="{_text(key)}"
+            diffuse="{_text(0.56 * warm)}" specular="0.25 0.25 0.22" ambient="0 0 0"/>
           <light name="fill" directional="true" castshadow="false" pos="3 {-4 * key[1]:.3f} 2"
             dir="-0.8 {-key[1]:.3f} -0.25" diffuse="0.17 0.18 0.20" specular="0 0 0"/>
           <light name="rim" directional="true" castshadow="false" pos="-2 {3 * key[1]:.3f} 3"

@@ -1,616 +1,274 @@
-"""The commands and their options; each does its work in a module that is imported when it is called."""
+"""The table of commands, and what happens around every command: options from a file, errors, exit status."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+import os
+import sys
+from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError
 
-from mimic import __version__
+from mimic.cli.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
-from mimic.settings import (
-    BusSettings,
-    CalibrateSettings,
-    EffectsSettings,
-    EmulateSettings,
-    EvaluateSettings,
-    LanguageSettings,
-    LearnSettings,
-    LiveSettings,
-    LogSettings,
-    MdpSettings,
-    PoseSettings,
-    ProbeSettings,
-    RetargetSettings,
-    RobustnessSettings,
-    RunSettings,
-    SitDownEvaluateSettings,
-    StandUpSettings,
-    StoredSettings,
-    TableSettings,
+from mimic.version import __version__
+
+EXAMPLES = """Examples:
+  mimic video.mp4 --rate 0.1 --sim         play a video on the simulated robot
+  mimic video.mp4 --sim --video film.mp4   also film person and robot
+  mimic --text "wave the left hand" --sim  play a sentence
+  mimic --robot can0                       real robot: stand until Ctrl-C
+
+To see the options of a command: mimic COMMAND --help
+To read options from a file: --config FILE.toml, with a table for each command
+such as [retarget]; options of playing stand at the top of the file.
+
+Exit status: 0 done, 1 bug, 2 user error, 3 stopped by Ctrl-C or for safety,
+4 some files of a batch failed."""
+
+MUJOCO_GL = (
+    "",
+    "egl",
+    "osmesa",
+    "glfw",
+    "disable",
+    "disabled",
+    "off",
+    "false",
+    "0",
+    "enable",
+    "enabled",
+    "on",
+    "true",
+    "1",
 )
+"""Values of the environment variable MUJOCO_GL that MuJoCo understands."""
 
-DONE, BUG, USER, STOPPED = 0, 1, 2, 3
-"""Exit statuses."""
+DEFAULTS = Parameter(negative_iterable=(), negative_none=(), consume_multiple=True, show_env_var=False)
 
-Flat = Parameter(name="*")
 
 app = App(
     name="mimic",
     version=__version__,
-    help="A person in a video moves, and a CyberDog 2 standing on its hind legs moves the same way.",
-    default_parameter=Parameter(show_env_var=False),
+    help="Play human motion on a CyberDog 2 standing on its hind legs: in simulation or on a real robot.",
+    help_epilogue=EXAMPLES,
+    usage="Usage: mimic SOURCE --sim [OPTIONS]\n       mimic COMMAND [OPTIONS]",
+    default_parameter=DEFAULTS,
     result_action="return_value",
     help_format="plaintext",  # markdown would take another 40 ms to load
     suppress_keyboard_interrupt=False,  # run() turns it into an exit status
 )
+app.register_install_completion_command(help="Install completion for your shell.")
+
+COMMANDS = {
+    "demo": (
+        "mimic.cli.play:demo",
+        "Play a shipped clip in simulation.",
+        "mimic demo",
+        "mimic demo --video film.mp4",
+        "mimic demo --mirror --rate 0.2",
+    ),
+    "retarget": (
+        "mimic.cli.play:retarget",
+        "Turn a video or recorded motion into toe targets.",
+        "mimic retarget video.mp4 -o targets.parquet",
+        "mimic retarget motion.npz -o targets.parquet --names left_wrist=LWRA",
+        "mimic targets.parquet --sim",
+    ),
+    "batch": (
+        "mimic.cli.batch:batch",
+        "Play all files of a folder in simulation, into one table.",
+        "mimic batch videos/ -o out",
+        "mimic batch videos/ -o out --workers 8",
+        "mimic batch videos/ -o out --ray auto",
+    ),
+    "view": ("mimic.cli.play:view", "Open the Rerun scene of a run.", "mimic view runs/video"),
+    "evaluate": (
+        "mimic.cli.evaluate:evaluate",
+        "Evaluate a policy over many episodes.",
+        "mimic evaluate",
+        "mimic evaluate sit_down",
+        "mimic evaluate out/policy.onnx --table",
+    ),
+    "train": (
+        "mimic.cli.train:train",
+        "Train a low-level policy.",
+        "mimic train out/ --minutes 40",
+        "mimic train out/ --worlds 16 --iterations 2 --device cpu",
+        "mimic train out/ --minutes 9 --set rewards.slip=-0.4",
+    ),
+    "calibrate": (
+        "mimic.cli.calibrate:calibrate",
+        "Find what a model lacks, from a log of the machine.",
+        "mimic calibrate log.parquet",
+        "mimic calibrate log.csv --model arm.xml -o out",
+        "mimic calibrate log.parquet --effects stribeck backlash",
+    ),
+    "emulate": (
+        "mimic.cli.emulate:emulate",
+        "Serve an emulated robot, to rehearse --robot.",
+        "mimic emulate",
+        "mimic emulate --slcan 29600 --buses 2",
+        "mimic emulate --fault motor_dead:FL_knee@12.5",
+    ),
+}
+"""Name -> where the command is, what it does, and examples."""
+
+GROUPS = {
+    "log": (
+        "Logs of machines: simulate, replay, salvage.",
+        {
+            "simulate": (
+                "mimic.cli.log:simulate",
+                "Log a simulated machine with hidden effects.",
+                "mimic log simulate --effects hidden.toml -o log.parquet",
+                "mimic log simulate --model arm.xml --seconds 20 -o log.csv",
+                "mimic log simulate --motion random --seed 5 -o second.parquet",
+            ),
+            "replay": (
+                "mimic.cli.log:replay",
+                "Predict a log with calibrated models; nothing is fitted.",
+                "mimic log replay second.parquet --effects effects.toml",
+                "mimic log replay second.parquet --effects a.toml b.toml",
+            ),
+            "salvage": (
+                "mimic.cli.log:salvage",
+                "Recover the log of a run on the robot that was killed.",
+                "mimic log salvage runs/robot",
+            ),
+        },
+    ),
+    "robot": (
+        "A real robot on its buses: scan, zero, check, probe.",
+        {
+            "scan": (
+                "mimic.cli.robot:scan",
+                "Find motors and IMU on the buses; nothing moves.",
+                "mimic robot scan can0",
+            ),
+            "zero": ("mimic.cli.robot:zero", "Set the zeros after a power-up; nothing moves.", "mimic robot zero can0"),
+            "check": (
+                "mimic.cli.robot:check",
+                "Run the pre-flight check alone; nothing moves.",
+                "mimic robot check can0,can1",
+            ),
+            "probe": (
+                "mimic.cli.robot:probe",
+                "Move a suspended robot and log it for calibrate.",
+                "mimic robot probe can0 -o log.parquet",
+            ),
+        },
+    ),
+}
+"""Name -> what its commands are for, and these commands."""
 
 
-@app.default
-def play(
-    source: Path | None = None,
-    /,
-    *,
-    text: str | None = None,
-    camera: str | None = None,
-    sim: Annotated[bool, Parameter(negative="")] = False,
-    robot: str | None = None,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-    video: Path | None = None,
-    view: bool | None = None,
-    pose: Annotated[PoseSettings | None, Flat] = None,
-    stored: Annotated[StoredSettings | None, Flat] = None,
-    language: Annotated[LanguageSettings | None, Flat] = None,
-    live: Annotated[LiveSettings | None, Flat] = None,
-    retarget: Annotated[RetargetSettings | None, Flat] = None,
-    run: Annotated[RunSettings | None, Flat] = None,
-    model: Annotated[EffectsSettings | None, Flat] = None,
-    bus: Annotated[BusSettings | None, Flat] = None,
-) -> int:
-    """Play a human video, stored motion or a sentence on the robot.
+def _add(parent: App, commands: Mapping[str, tuple[str, ...]]) -> None:
+    for name, (target, purpose, *examples) in commands.items():
+        lines = "\n".join(f"  {line}" for line in examples)
+        parent.command(target, name=name, help=purpose, help_epilogue=f"Examples:\n{lines}", usage=None)
 
-    Parameters
-    ----------
-    source
-        A video of one person; motion of a person from elsewhere (.npz, .trc, .bvh); a motion in key frames (.yaml); or a
-        track that mimic wrote (.parquet).
-    text
-        Instead, a sentence such as "step forward, then wave the left hand".
-    camera
-        Instead, follow a camera while it looks: its number or device, or a video that is played in its place.
-    sim
-        Play it in MuJoCo.
-    robot
-        Play it on the robot on these buses: can0, several with commas, slcan:/dev/ttyACM0, socketcand://HOST:PORT/can0.
-        Without a source it stands until Ctrl-C.
-    out
-        Run folder; by default runs/NAME, with a number where that is taken.
-    video
-        Also film human and robot side by side into this MP4 file.
-    view
-        Open the Rerun viewer at the end; by default where a display exists.
-    """
-    if sim == (robot is not None):
-        raise ConfigError(
-            "say where to play it: add --sim for the simulated robot, or --robot can0 for the one on that bus"
-            if robot is None
-            else "--sim and --robot are two robots; give one of them"
-        )
-    given: Path | str | None = source if text is None else text
-    if sum(way is not None for way in (source, text, camera)) > 1:
-        raise ConfigError("a file, --text and --camera are ways in; give one of them")
-    inputs = _inputs(pose, stored, retarget, language)
-    if robot is not None:
-        if video is not None:
-            raise ConfigError("--video films the simulated robot; leave it out with --robot")
-        from mimic.cli.robot import play_on_robot
 
-        options = {"out": out, "view": view, "run": run or RunSettings(), "bus": bus or BusSettings()}
-        return play_on_robot(given, robot, inputs, **options, camera=camera, live=live or LiveSettings())
-    if camera is not None:
-        if video is not None:
-            raise ConfigError("--video films a run that is known before; leave it out with --camera")
-        from mimic.cli.live import play_camera
-
-        return play_camera(
-            camera,
-            inputs,
-            live or LiveSettings(),
-            out=out,
-            view=view,
-            run=run or RunSettings(),
-            robot=model or EffectsSettings(),
-        )
-    if given is None:
-        raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
-    from mimic.cli.play import play_source
-
-    return play_source(
-        given,
-        inputs,
-        out=out,
-        film=video,
-        view=view,
-        run=run or RunSettings(),
-        robot=model or EffectsSettings(),
+_add(app, COMMANDS)
+for _name, (_purpose, _commands) in GROUPS.items():
+    _group = App(
+        name=_name, help=_purpose, help_epilogue="", default_parameter=DEFAULTS, help_format="plaintext", usage=None
     )
-
-
-def _inputs(
-    pose: PoseSettings | None,
-    stored: StoredSettings | None,
-    retarget: RetargetSettings | None,
-    language: LanguageSettings | None = None,
-) -> Any:
-    """Return the settings of whatever is read; those not given are the defaults."""
-    from mimic.cli.inputs import InputSettings
-
-    given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
-    return InputSettings(**{name: value for name, value in given.items() if value is not None})
-
-
-@app.command
-def retarget(
-    source: Path,
-    /,
-    *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    pose: Annotated[PoseSettings | None, Flat] = None,
-    stored: Annotated[StoredSettings | None, Flat] = None,
-    retarget: Annotated[RetargetSettings | None, Flat] = None,
-) -> int:
-    """Turn a video or stored motion into targets and stop there; ``mimic TARGETS --sim`` plays them later.
-
-    Parameters
-    ----------
-    source
-        A video of one person, or motion of a person from elsewhere (.npz, .trc, .bvh).
-    out
-        Parquet file to write.
-    """
-    from mimic.cli.play import retarget_only
-
-    return retarget_only(source, out, _inputs(pose, stored, retarget))
-
-
-@app.command
-def batch(
-    folder: Path,
-    /,
-    *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    workers: int = 0,
-    ray: str | None = None,
-    pose: Annotated[PoseSettings | None, Flat] = None,
-    stored: Annotated[StoredSettings | None, Flat] = None,
-    retarget: Annotated[RetargetSettings | None, Flat] = None,
-    run: Annotated[RunSettings | None, Flat] = None,
-    robot: Annotated[EffectsSettings | None, Flat] = None,
-) -> int:
-    """Play every video and motion file of a folder in simulation, into one table; goes on where it was stopped.
-
-    Parameters
-    ----------
-    folder
-        Looked through with all folders in it.
-    out
-        Folder for summary.html, summary.parquet and a folder for each file.
-    workers
-        Processes; 0 takes one for each core.
-    ray
-        Address of a Ray cluster that plays them instead, such as auto or 10.0.0.5:6379; its nodes need the same paths.
-    """
-    from mimic.cli.batch import batch as play_batch
-
-    return play_batch(
-        folder,
-        out,
-        _inputs(pose, stored, retarget),
-        run=run or RunSettings(),
-        robot=robot or EffectsSettings(),
-        workers=workers,
-        ray=ray,
-    )
-
-
-@app.command
-def evaluate(
-    policy: Path,
-    /,
-    *,
-    table: Annotated[bool, Parameter(negative="")] = False,
-    robustness: Annotated[bool, Parameter(negative="")] = False,
-    stand_up: Annotated[bool, Parameter(negative="")] = False,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-    episodes: int | None = None,
-    seconds: float | None = None,
-    seed: int = EvaluateSettings().seed,
-    workers: int = 0,
-    robot: Annotated[EffectsSettings | None, Flat] = None,
-) -> int:
-    """Judge a policy in plain MuJoCo from the lying start: standing up, reaching, walking, turning.
-
-    A policy that sits down is judged by hand-overs from the shipped tracking policy.
-
-    Parameters
-    ----------
-    policy
-        ONNX file with its contract inside, such as policies/stand_track.onnx.
-    table
-        Instead, the columns of the paper's Table III, beside the paper's.
-    robustness
-        Instead, the share of survived episodes along each disturbance, with a heat map.
-    stand_up
-        Instead, standing up from 500 lying starts, and standing still for 20 s.
-    out
-        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json or
-        stand-up-NAME.json in the current folder. The heat map goes beside it.
-    episodes
-        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
-        --stand-up 500 starts; hand-overs to a policy that sits down: 500.
-    seconds
-        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; latest hand-over:
-        10 s.
-    seed
-        Seed of the first episode.
-    workers
-        Processes; 0 takes one for each core.
-    """
-    from mimic.cli import judge
-
-    if table + robustness + stand_up > 1:
-        raise ConfigError("--table, --robustness and --stand-up are ways of judging; give one of them")
-    given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
-    options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    if table:
-        return judge.evaluate_table(policy, out or Path(f"table-{policy.stem}.json"), TableSettings(**options))
-    if robustness:
-        settings = RobustnessSettings(**options)
-        return judge.evaluate_robustness(policy, out or Path(f"robustness-{policy.stem}.json"), settings)
-    if stand_up:
-        return judge.evaluate_stand_up(policy, out or Path(f"stand-up-{policy.stem}.json"), StandUpSettings(**options))
-    out = out or Path(f"evaluation-{policy.stem}.json")
-    checked = EvaluateSettings(**options)
-    if judge.task_of(policy) == "sit_down":
-        return judge.evaluate_sit_down(policy, out, SitDownEvaluateSettings(**options))
-    return judge.evaluate_policy(policy, out, checked)
-
-
-@app.command
-def train(
-    out: Path,
-    /,
-    *,
-    resume: Path | None = None,
-    task: Literal["stand-track", "sit-down"] = "stand-track",
-    worlds: int = MdpSettings().worlds,
-    robot: Annotated[EffectsSettings | None, Flat] = None,
-    learn: Annotated[LearnSettings | None, Flat] = None,
-    set: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None,
-) -> int:
-    """Train the low-level policy; on a GPU in minutes, on a CPU with few worlds to try it out.
-
-    Parameters
-    ----------
-    out
-        Folder for checkpoints, TensorBoard files and policy.onnx.
-    resume
-        Checkpoint (.pt) to go on from.
-    task
-        What is learnt: to stand up, walk and bring the front toes to goals, or to sit down.
-    worlds
-        Robots simulated at once.
-    set
-        name=value for any other setting, such as rewards.slip=-0.4 or randomisation.push=[0,0.5].
-    """
-    from mimic.cli.judge import train_policy
-
-    robot = robot or EffectsSettings()
-    around = {"effects": robot.effects, "timestep": robot.timestep} if robot.effects else {}
-    mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"), **around)
-    return train_policy(out, resume, mdp, learn or LearnSettings(), set or [])
-
-
-@app.command
-def calibrate(
-    log: Path,
-    /,
-    *,
-    model: Path | None = None,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-    settings: Annotated[CalibrateSettings | None, Flat] = None,
-) -> int:
-    """Explain a log of a machine: what its model lacks, with evidence, and a model that has it.
-
-    Parameters
-    ----------
-    log
-        Parquet or CSV with a row a reading: t, q.JOINT and q_des.JOINT; see docs/log-format.md.
-    model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
-    out
-        Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
-    """
-    from mimic.cli.calibrate import calibrate_log
-
-    return calibrate_log(log, model, out or Path("calibration") / log.stem, settings or CalibrateSettings())
-
-
-log_app = App(name="log", help="Logs of machines.")
-app.command(log_app)
-
-
-@log_app.command
-def simulate(
-    *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    effects: Path | None = None,
-    model: Path | None = None,
-    motion: Literal["probe", "random"] = "probe",
-    seconds: float = 120.0,
-    size: float = 1.0,
-    kp: float | None = None,
-    kd: float | None = None,
-    settings: Annotated[LogSettings | None, Flat] = None,
-) -> int:
-    """Log a simulated machine with hidden effects, as a real one would be logged.
-
-    Parameters
-    ----------
-    out
-        Parquet or CSV file to write.
-    effects
-        effects.toml with what the machine has; without, it is as its model says.
-    model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
-    motion
-        probe shows every effect; random is for a second log.
-    seconds
-        Length [s].
-    size
-        Share of the joints' ranges that the motion uses.
-    kp
-        Position gain of the drives [N m/rad]; by default the model's.
-    kd
-        Velocity gain of the drives [N m s/rad]; by default the model's.
-    """
-    from mimic.cli.calibrate import MotionOptions, simulate_to
-
-    options = MotionOptions(kind=motion, seconds=seconds, size=size, kp=kp, kd=kd)
-    return simulate_to(out, effects, model, options, settings or LogSettings())
-
-
-@log_app.command
-def replay(
-    log: Path,
-    /,
-    *,
-    effects: Annotated[tuple[Path, ...], Parameter(negative="")] = (),
-    model: Path | None = None,
-    whole: Annotated[bool, Parameter(negative="")] = False,
-    threads: int = 0,
-    out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
-) -> int:
-    """Tell how well models foretell a log, such as one that was not calibrated from; nothing is fitted.
-
-    Parameters
-    ----------
-    log
-        Parquet or CSV as for calibrate.
-    effects
-        effects.toml of a calibration; again for more, to compare them.
-    model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
-    whole
-        Replay it in one piece from its first reading. Without, pieces of 6 s begin with a measured position each.
-    threads
-        Threads; 0 takes one for each core.
-    out
-        JSON file for the errors.
-    """
-    from mimic.cli.calibrate import replay_log
-
-    return replay_log(log, effects, model, whole, threads, out)
-
-
-@app.command
-def emulate(
-    *,
-    listen: str = "127.0.0.1:29536",
-    slcan: int | None = None,
-    buses: int = 1,
-    wiring: Path | None = None,
-    fault: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    fault_seed: int | None = None,
-    seconds: float | None = None,
-    every: float = 10.0,
-    view: Annotated[bool, Parameter(negative="")] = False,
-    settings: Annotated[EmulateSettings | None, Flat] = None,
-    robot: Annotated[EffectsSettings | None, Flat] = None,
-) -> int:
-    """Serve an emulated robot on emulated CAN buses, for rehearsals with ``--robot``.
-
-    Parameters
-    ----------
-    listen
-        Address for socketcand; port 0 takes a free one. Keep it on this computer: anybody who reaches it moves the robot.
-    slcan
-        Also serve slcan, the first bus on this port, the others on those after it; 0 takes free ones.
-    buses
-        How many buses the motors are on.
-    wiring
-        Copy of bus.toml; by default the one that ships with the robot.
-    fault
-        What goes wrong: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5; again for more. Seconds of
-        the emulation, or with + since the first motor was switched on. docs/robot.md lists the kinds.
-    fault_seed
-        Also draw one.
-    seconds
-        End after this; by default at Ctrl-C.
-    every
-        Tell bus load and lateness this often [s]; 0 not at all.
-    view
-        Watch it in MuJoCo's viewer.
-    """
-    from mimic.cli.emulate import ServeOptions
-    from mimic.cli.emulate import emulate as serve
-
-    options = ServeOptions(
-        listen=listen,
-        slcan=slcan,
-        buses=buses,
-        wiring=wiring,
-        faults=fault,
-        fault_seed=fault_seed,
-        seconds=seconds,
-        every=every,
-        view=view,
-    )
-    return serve(options, settings or EmulateSettings(), robot or EffectsSettings())
-
-
-@log_app.command
-def salvage(run: Path, /) -> int:
-    """Turn what a run on the robot had on disk when it was killed into its log.
-
-    Parameters
-    ----------
-    run
-        Folder of the run.
-    """
-    from mimic.cli.robot import salvage_run
-
-    return salvage_run(run)
-
-
-robot_app = App(name="robot", help="The robot on its CAN bus: find it, set its zeros, check it, measure its drives.")
-app.command(robot_app)
-
-
-@robot_app.command
-def scan(buses: str, /, *, bus: Annotated[BusSettings | None, Flat] = None) -> int:
-    """Find motors and IMU on the buses; nothing moves.
-
-    Parameters
-    ----------
-    buses
-        Such as can0; see mimic --help.
-    """
-    from mimic.cli.robot import scan_buses
-
-    return scan_buses(buses, bus or BusSettings())
-
-
-@robot_app.command
-def zero(
-    buses: str,
-    /,
-    *,
-    again: Annotated[bool, Parameter(negative="")] = False,
-    bus: Annotated[BusSettings | None, Flat] = None,
-) -> int:
-    """Set the zeros of a robot that lies on its folded legs; needed after every power-up. Nothing moves.
-
-    Parameters
-    ----------
-    buses
-        Such as can0; see mimic --help.
-    again
-        Forget what was known of this robot: the pose it lies in now is exactly the lying pose.
-    """
-    from mimic.cli.robot import zero_joints
-
-    return zero_joints(buses, bus or BusSettings(), again=again)
-
-
-@robot_app.command
-def check(
-    buses: str,
-    /,
-    *,
-    hung: Annotated[bool, Parameter(negative="")] = False,
-    bus: Annotated[BusSettings | None, Flat] = None,
-) -> int:
-    """Do the pre-flight alone; nothing moves.
-
-    Parameters
-    ----------
-    buses
-        Such as can0; see mimic --help.
-    hung
-        The robot hangs instead of lying.
-    """
-    from mimic.cli.robot import check_robot
-
-    return check_robot(buses, bus or BusSettings(), hung=hung)
-
-
-@robot_app.command
-def probe(
-    buses: str,
-    /,
-    *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"])] = Path("probe.parquet"),
-    motion: Path | None = None,
-    probe: Annotated[ProbeSettings | None, Flat] = None,
-    bus: Annotated[BusSettings | None, Flat] = None,
-) -> int:
-    """Move the joints of a robot that hangs with its feet free, and log what ``mimic calibrate`` reads.
-
-    Parameters
-    ----------
-    buses
-        Such as can0; see mimic --help.
-    out
-        Parquet or CSV file to write.
-    motion
-        Play the targets of this run folder or log.parquet instead, drawn into the ranges in which nothing can touch.
-    """
-    from mimic.cli.robot import probe_robot
-
-    return probe_robot(buses, out, motion, probe or ProbeSettings(), bus or BusSettings())
-
-
-@app.command
-def view(run: Path, /) -> int:
-    """Open the Rerun scene of a run folder.
-
-    Parameters
-    ----------
-    run
-        Folder that ``mimic … --sim`` wrote, or its scene.rrd.
-    """
-    from mimic.cli.play import view_run
-
-    return view_run(run)
+    _add(_group, _commands)
+    app.command(_group)
 
 
 def run(arguments: list[str]) -> int:
     """Parse the arguments, run the command and return the exit status."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
-    from rich.console import Console
-
-    errors = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
+        arguments = _with_config(arguments)
+        _check_environment()
+        _check_command(arguments)
+        if not app.default_command:
+            from mimic.cli.play import play
+
+            app.default(play)
+        if arguments in ([], ["--help"], ["-h"]):
+            app.help_print([])  # without parsing first, which would take another 0.1 s
+            return DONE
         result = app(arguments, exit_on_error=False, print_error=False)
     except MimicError as error:
-        errors.print(f"[bold red]mimic:[/] {_escaped(error)}")
-        return USER
+        return _failed(error)
     except CycloptsError as error:
-        cause = error.__cause__
-        errors.print(f"[bold red]mimic:[/] {_escaped(cause if isinstance(cause, MimicError) else error)}")
-        return USER
+        return _failed(error.__cause__ if isinstance(error.__cause__, MimicError) else error)
+    except EOFError:
+        return _failed("a question could not be answered: there is no input; run it in a terminal, or add --yes")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except OSError as error:
+        if error.filename is None and error.errno is None:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        return _failed(f"{where}{error.strerror}; free some space, change the rights or name another place")
     except KeyboardInterrupt:
-        errors.print("[bold red]mimic:[/] interrupted")
+        _failed("interrupted")
         return STOPPED
     return result if isinstance(result, int) else DONE
 
 
-def _escaped(error: BaseException) -> str:
+def _failed(error: object) -> int:
+    from rich.console import Console
     from rich.markup import escape
 
-    return escape(str(error).strip())
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(f"[bold red]mimic:[/] {escape(str(error).strip())}")
+    return USER_ERROR
+
+
+def _with_config(arguments: list[str]) -> list[str]:
+    """Return the arguments without --config FILE, whose options count from now on."""
+    app.config = ()
+    for index, word in enumerate(arguments):
+        name, equals, value = word.partition("=")
+        if name != "--config":
+            continue
+        rest = arguments[index + 1 :]
+        if not equals:
+            if not rest:
+                raise ConfigError("--config needs a file, such as --config mimic.toml")
+            value, rest = rest[0], rest[1:]
+        path = Path(value)
+        if not path.is_file():
+            raise ConfigError(f"there is no file {path}; --config expects a TOML file with options")
+        from tomllib import TOMLDecodeError, loads
+
+        try:
+            loads(path.read_text(encoding="utf-8"))
+        except (TOMLDecodeError, UnicodeDecodeError) as reason:
+            raise ConfigError(f"{path} is not a TOML file: {reason}") from None
+        from cyclopts.config import Toml
+
+        app.config = (Toml(path, must_exist=True),)
+        return [*arguments[:index], *rest]
+    return arguments
+
+
+def _check_environment() -> None:
+    given = os.environ.get("MUJOCO_GL", "")
+    if given.lower().strip() not in MUJOCO_GL:
+        raise ConfigError(
+            f"the environment variable MUJOCO_GL is {given!r}; set it to egl, osmesa or disable, or unset it"
+        )
+
+
+def _check_command(arguments: list[str]) -> None:
+    """Raise if the first word is neither a command nor anything that could be a file."""
+    if not arguments or arguments[0].startswith("-"):
+        return
+    word = arguments[0]
+    names = [*COMMANDS, *GROUPS]
+    if word in names or Path(word).exists() or Path(word).suffix or os.sep in word:
+        return
+    close = get_close_matches(word, names, n=1)
+    hint = f"did you mean: mimic {close[0]}" if close else f"commands are {', '.join(names)}"
+    raise ConfigError(f"there is no command and no file {word!r}; {hint}")

@@ -1,8 +1,10 @@
-"""What the commands print: progress bars, notes and tables."""
+"""What the commands print: progress, notes, warnings and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -18,35 +20,72 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from mimic.flows.reporter import Activity
+from mimic.flows.reporter import Progress as Steps
+
 console = Console(highlight=False)
 
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int | None], None]]:
-    """Yield a function that takes the steps done and in all, and shows them on a line of their own."""
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(what, total=None)
-        yield lambda done, total=None: progress.update(task, completed=done, total=total)
+LINE_INTERVAL = 20.0
+"""Without a terminal, long work prints a line this often [s]."""
 
 
-@contextmanager
-def working(unit: str) -> Iterator[Callable[[str, int], None]]:
-    """Yield a function that takes what is being done and a count, for work whose end is not known."""
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("", total=None)
+class ConsoleReporter:
+    """Shows notes, warnings and progress on the terminal; without a terminal, progress is a line now and then."""
 
-        def tell(text: str, count: int) -> None:
-            progress.update(task, description=escape(f"{text}, {count} {unit} so far" if count else text))
+    def note(self, text: str) -> None:
+        """Print it."""
+        note(text)
 
-        yield tell
+    def warn(self, text: str) -> None:
+        """Print it."""
+        warn(text)
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Steps]:
+        """Yield a function that shows the steps done and their total as a bar."""
+        if not console.is_terminal:
+            lines = _Lines()
+            yield lambda done, total=None: lines.put(f"{what}: {done} of {total}" if total else f"{what}: {done}")
+            return
+        columns = (
+            TextColumn("{task.description:<12}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console) as progress:
+            task = progress.add_task(what, total=None)
+            yield lambda done, total=None: progress.update(task, completed=done, total=total)
+
+    @contextmanager
+    def activity(self, unit: str) -> Iterator[Activity]:
+        """Yield a function that shows what is being done, and a count."""
+
+        def line(text: str, count: int) -> str:
+            return f"{text}, {count} {unit} so far" if count else text
+
+        if not console.is_terminal:
+            lines = _Lines()
+            yield lambda text, count: lines.put(line(text, count))
+            return
+        columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        with Progress(*columns, console=console, transient=True) as progress:
+            task = progress.add_task("", total=None)
+            yield lambda text, count: progress.update(task, description=escape(line(text, count)))
+
+
+class _Lines:
+    """Prints the newest of many lines now and then."""
+
+    def __init__(self) -> None:
+        self._began = self._printed = time.monotonic()
+
+    def put(self, text: str) -> None:
+        now = time.monotonic()
+        if now - self._printed >= LINE_INTERVAL:
+            self._printed = now
+            note(f"{now - self._began:6.0f} s  {text}")
 
 
 def note(text: str) -> None:
@@ -57,6 +96,11 @@ def note(text: str) -> None:
 def warn(text: str) -> None:
     """Print a warning."""
     console.print("note: " + text, style="yellow", soft_wrap=True, markup=False)
+
+
+def number(value: float, form: str) -> str:
+    """Return a number in a format such as "{:.1f} cm", and a dash where it is not finite."""
+    return form.format(value) if math.isfinite(value) else "–"
 
 
 def table(title: str, rows: Mapping[str, str]) -> None:

@@ -1,244 +1,232 @@
-"""The main flow: source → commands → run → files, and what is told about it."""
+"""``mimic SOURCE``: play a motion in simulation or on a robot; retarget, demo, view."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from mimic import store
-from mimic.cli import COMMAND
-from mimic.cli.app import DONE, STOPPED
-from mimic.cli.console import progress_bar, table, warn
-from mimic.cli.inputs import Aloud, InputSettings, Motion, load_motion
-from mimic.cli.judge import tell_of_stand
-from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.settings import EffectsSettings, RunSettings
-from mimic.types import Provenance, TargetTrack
+from cyclopts import Parameter
+
+from mimic.cli import options as o
+from mimic.cli.exit_status import DONE, STOPPED
+from mimic.errors import AssetError, ConfigError
 
 if TYPE_CHECKING:
-    from mimic.robot.description import RobotDescription
-    from mimic.run.loop import RunResult
-
-SCENE, LOG, JOINTS, TARGETS, COMMANDS, SCRIPT, POSE, METRICS = (
-    "scene.rrd",
-    "log.parquet",
-    "joints.parquet",
-    "targets.parquet",
-    "commands.parquet",
-    "motion.yaml",
-    "pose.parquet",
-    "metrics.json",
-)
-"""Files of a run folder."""
+    from mimic.flows.motion import InputSettings
+    from mimic.flows.run_folder import SavedRun
 
 
-def retarget_only(source: Path, out: Path, settings: InputSettings) -> int:
-    """Write the targets of a source, and print what retargeting did."""
-    _keep_source(source, out)
-    motion = load_motion(source, settings, Aloud())
-    if motion.targets is None:
-        raise SourceError(
-            f"{source} holds commands, which have no targets to make; play them with: mimic {source} --sim"
+def play(
+    source: Path | None = None,
+    /,
+    *,
+    sim: Annotated[bool, o.Flag] = False,
+    robot: str | None = None,
+    text: str | None = None,
+    camera: str | None = None,
+    out: o.Out = None,
+    video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
+    view: o.View = None,
+    retarget: o.Retarget = None,
+    run: o.Run = None,
+    model: o.Effects = None,
+    pose: o.Pose = None,
+    stored: o.Stored = None,
+    language: o.Language = None,
+    live: o.Live = None,
+    bus: o.Bus = None,
+) -> int:
+    """Play human motion on the robot.
+
+    Parameters
+    ----------
+    source
+        A video of one person; recorded motion (.npz, .trc, .bvh); key frames (.yaml); or a track that mimic wrote
+        (.parquet).
+    sim
+        Play it on the simulated robot.
+    robot
+        Play it on the real robot on these buses: can0, several with commas, slcan:/dev/ttyACM0,
+        socketcand://HOST:PORT/can0. Without a source it stands until Ctrl-C.
+    text
+        Play a sentence instead, such as "step forward, then wave the left hand".
+    camera
+        Follow a camera live instead: its number or device, or a video that is played in its place.
+    out
+        Run folder; by default runs/NAME, with a number if that is taken.
+    video
+        Also write a film of person and robot side by side (.mp4).
+    view
+        Open the Rerun viewer at the end; by default where there is a display.
+    """
+    if sim == (robot is not None):
+        raise ConfigError(
+            "add --sim for the simulated robot, or --robot can0 for a real one on that bus"
+            if robot is None
+            else "--sim and --robot are two robots; give one of them"
         )
-    store.save(motion.targets, out, made_by=_made_by(settings, {"source": source}))
+    if sum(given is not None for given in (source, text, camera)) > 1:
+        raise ConfigError("a file, --text and --camera are different inputs; give one of them")
+    if video is not None and (robot is not None or camera is not None):
+        raise ConfigError(
+            f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
+        )
+    from mimic.flows.motion import InputSettings
+
+    given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
+    settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
+    if robot is not None:
+        from mimic.cli.robot import play_on_robot
+
+        return play_on_robot(
+            robot,
+            source if text is None else text,
+            settings,
+            camera=camera,
+            live=live,
+            run=run,
+            bus=bus,
+            out=out,
+            view=view,
+        )
+    if camera is not None:
+        return _play_camera(camera, settings, live=live, run=run, model=model, out=out, view=view)
+    if source is None and text is None:
+        raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
+    from mimic.cli.console import ConsoleReporter
+    from mimic.flows.play import play_source
+
+    played: Path | str = source if text is None else text  # type: ignore[assignment]
+    saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
+    return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:
+    """Print the figures of a simulated run, open its scene, and return the exit status."""
+    from mimic.cli.console import table, warn
+    from mimic.cli.rows import metric_rows, target_rows
+
+    result, motion = saved.run.result, saved.run.motion
+    figures = target_rows(None if motion is None else motion.targets) | (rows or {}) | metric_rows(dict(saved.metrics))
+    figures |= {"run folder": str(saved.folder)} | ({"film": str(saved.film)} if saved.film else {})
+    table(title, figures)
+    if result.fell_at is not None:
+        warn(f"the robot was about to fall at {result.fell_at:.1f} s and was damped")
+    if result.error is not None:
+        raise result.error
+    open_scene(saved.folder, view)
+    return STOPPED if result.fell_at is not None or result.interrupted else DONE
+
+
+def open_scene(folder: Path, view: bool | None) -> None:
+    """Open the scene of a run folder if asked for, or by default where there is a display."""
+    from mimic.flows.run_folder import SCENE
+    from mimic.view.scene.viewer import display_available, open_viewer
+
+    if view or (view is None and display_available()):
+        open_viewer(folder / SCENE)
+
+
+def _play_camera(
+    camera: str,
+    settings: InputSettings,
+    *,
+    live: o.Live,
+    run: o.Run,
+    model: o.Effects,
+    out: Path | None,
+    view: bool | None,
+) -> int:
+    from mimic.cli.console import ConsoleReporter, warn
+    from mimic.flows.camera import play_camera
+    from mimic.view.scene.viewer import display_available
+
+    window = bool(view or (view is None and display_available()))
+    done = play_camera(
+        camera, settings, live=live, run=run, effects=model, out=out, window=window, reporter=ConsoleReporter()
+    )
+    ticks = len(done.saved.run.log.t)
+    if done.late_steps:
+        warn(f"the simulation was late in {done.late_steps} of {ticks} steps: this computer is too busy")
+    status = show_simulated(done.saved, f"camera {camera}", False, {"frame to target": done.record.summary()})
+    if done.record.error is not None:
+        raise done.record.error
+    return DONE if done.saved.run.result.fell_at is None else status
+
+
+def demo(
+    *,
+    out: o.Out = None,
+    video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
+    view: o.View = None,
+    retarget: o.Retarget = None,
+    run: o.Run = None,
+) -> int:
+    """Play a clip that ships with mimic in simulation.
+
+    Parameters
+    ----------
+    out
+        Run folder; by default runs/NAME, with a number if that is taken.
+    video
+        Also write a film of person and robot side by side (.mp4).
+    view
+        Open the Rerun viewer at the end; by default where there is a display.
+    """
+    from mimic.io.assets import DEMO_CLIP, shipped
+
+    clip = shipped(*DEMO_CLIP)
+    return play(clip, sim=True, out=out, video=video, view=view, retarget=retarget, run=run)
+
+
+def retarget(
+    source: Path,
+    /,
+    *,
+    out: o.RequiredOut,
+    robot_model: Path | None = None,
+    retarget: o.Retarget = None,
+    pose: o.Pose = None,
+    stored: o.Stored = None,
+) -> int:
+    """Turn a video or recorded motion into toe targets; mimic TARGETS --sim plays them later.
+
+    Parameters
+    ----------
+    source
+        A video of one person, or recorded motion (.npz, .trc, .bvh).
+    out
+        Parquet file to write.
+    robot_model
+        Folder of another robot, with its robot.toml and its MJCF; the targets stay in its workspace.
+    """
+    from mimic.cli.console import ConsoleReporter, table
+    from mimic.cli.rows import target_rows
+    from mimic.flows.motion import InputSettings
+    from mimic.flows.play import load_robot, save_targets
+
+    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
+    robot = None if robot_model is None else load_robot(robot_model)
+    motion = save_targets(source, out, settings, description=robot, reporter=ConsoleReporter())
     table("Targets", target_rows(motion.targets) | {"written": str(out)})
     return DONE
 
 
-def _made_by(settings: InputSettings, inputs: dict[str, Path], **more: Any) -> Provenance:
-    parts = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    return store.provenance(command=COMMAND.get(), settings=parts | more, inputs=inputs)
+def view(run: Path, /) -> int:
+    """Open the Rerun scene of a run folder.
 
-
-def target_rows(targets: TargetTrack) -> dict[str, str]:
-    """Return what retargeting did, a figure a row."""
-    report: dict[str, Any] = dict(targets.report)
-    if "targets" not in report:  # not made by mimic retarget
-        return {"targets": f"{targets.t[-1]:.1f} s in all"}
-    rows = {
-        "targets": f"{report['targets']} at {report['rate_s']:.3g} s, {targets.t[-1]:.1f} s in all",
-        "clamped": f"{report['clamped_share']:.1%}, moved {report['moved_mean_cm']:.2f} cm on average, "
-        f"{report['moved_max_cm']:.1f} cm at most",
-        "limited by speed": f"{report['limited_share']:.1%}",
-    }
-    pose = report.get("pose")
-    if pose:
-        rows |= {
-            "frames with a person": f"{pose['frames_with_person']} of {pose['frames']}",
-            "left/right exchanged": f"{pose['frames_exchanged']} frames",
-        } | ({"camera": str(pose["unseen"])} if "unseen" in pose else {})
-    return rows
-
-
-def run_folder(source: Path | str, out: Path | None) -> Path:
-    """Return the folder of a run, which is not there yet or empty."""
-    if out is not None:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise ConfigError(f"{out} exists and is not empty; name another folder with --out, or remove it")
-        return out
-    if isinstance(source, str):
-        name = "-".join(re.findall(r"[a-z0-9]+", source.lower())[:6]) or "text"
-    else:
-        name = source.parent.name if source.name in (TARGETS, COMMANDS, SCRIPT) else source.stem
-    folder, number = Path("runs") / name, 2
-    while folder.exists():
-        folder, number = Path("runs") / f"{name}-{number}", number + 1
-    return folder
-
-
-def _keep_source(source: Path, written: Path | None) -> None:
-    if written is not None and written.exists() and source.exists() and written.samefile(source):
-        raise ConfigError(f"{written} is the source itself and would be overwritten; name another file")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Simulated:
-    """A motion that was played in simulation."""
-
-    result: RunResult
-    description: RobotDescription
-    inputs: dict[str, Path]
-    """Files that decided it, besides the source."""
-
-
-def run_simulated(
-    motion: Motion,
-    run: RunSettings,
-    robot: EffectsSettings,
-    progress: Callable[[int, int], None] | None = None,
-) -> Simulated:
-    """Play a motion on the simulated robot.
-
-    Raises:
-        AssetError, ConfigError, ContractError: If policy, effects or commands do not fit.
+    Parameters
+    ----------
+    run
+        Run folder, or its scene.rrd.
     """
-    from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
-    from mimic.run.loop import run_policy
-    from mimic.run.pool import simulated
-    from mimic.run.simulation import SimulatedPlant
-
-    options = simulated(robot)
-    description = load_description()
-    policy = load_policy(run.policy, description)
-    sit_down = load_policy(None, description, task="sit_down")
-    plant = SimulatedPlant(description, seed=run.seed, **options)
-    result = run_policy(plant, policy, motion.commands, run, sit_down=sit_down, progress=progress)
-    inputs = {"policy": policy.path, "sit_down": sit_down.path}
-    inputs |= {} if robot.effects is None else {"effects": Path(robot.effects)}
-    return Simulated(result=result, description=description, inputs=inputs)
-
-
-def save_motion(motion: Motion, folder: Path, made_by: Provenance) -> None:
-    """Write what was played into a run folder."""
-    if motion.pose is not None:
-        store.save(motion.pose, folder / POSE, made_by=made_by)
-    if motion.targets is not None:
-        store.save(motion.targets, folder / TARGETS, made_by=made_by)
-    if motion.targets is None or motion.commands.v.any():
-        store.save(motion.commands, folder / COMMANDS, made_by=made_by)
-    if motion.script is not None:
-        from mimic.keyframes import save_keyframes
-
-        save_keyframes(motion.script, folder / SCRIPT)
-
-
-def play_source(
-    source: Path | str,
-    settings: InputSettings,
-    *,
-    out: Path | None,
-    film: Path | None,
-    view: bool | None,
-    run: RunSettings,
-    robot: EffectsSettings,
-) -> int:
-    """Play a file, or a sentence, in simulation and write its run folder."""
-    from mimic.metrics import run_metrics
-    from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
-    from mimic.run.pool import simulated
-
-    file = source if isinstance(source, Path) else None
-    if file is not None and not file.exists():
-        raise SourceError(f"there is no file {file}")
-    if film is not None and film.suffix != ".mp4":
-        raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
-    if file is not None:
-        _keep_source(file, film)
-    folder = run_folder(source, out)
-    tell_of_stand(robot)
-    simulated(robot)  # what cannot be played is told before the long work
-    load_policy(run.policy, load_description())
-    motion = load_motion(source, settings, Aloud())
-    with progress_bar("simulation") as progress:
-        done = run_simulated(motion, run, robot, progress)
-    result, description = done.result, done.description
-    made_by = _made_by(settings, done.inputs | ({} if file is None else {"source": file}), run=run, robot=robot)
-    save_motion(motion, folder, made_by)
-    store.save(result.log, folder / LOG, made_by=made_by)
-    if result.samples is not None:
-        store.save(result.samples, folder / JOINTS, made_by=made_by)
-    metrics = run_metrics(result.log, description)
-    report = {} if motion.targets is None else motion.targets.report
-    everything = {**metrics, "interrupted": result.interrupted, "retarget": report, "provenance": made_by}
-    store.save_json(everything, folder / METRICS)
-
-    shown: dict[str, Any] = {
-        "made_by": made_by,
-        "log": result.log,
-        "description": description,
-        "targets": motion.targets,
-        "pose": motion.pose,
-        "video": motion.video,
-    }
-    from mimic.view.scene import save_scene
-    from mimic.view.viewer import display_available, open_viewer
-
-    with progress_bar("scene") as progress:
-        save_scene(folder / SCENE, **shown, progress=progress)
-    if film is not None:
-        from mimic.view.side_by_side import save_video
-
-        with progress_bar("film") as progress:
-            save_video(film, **shown, progress=progress)
-    rows = {} if motion.targets is None else target_rows(motion.targets)
-    rows |= metric_rows(metrics) | {"run folder": str(folder)}
-    table(source.name if isinstance(source, Path) else source, rows | ({"film": str(film)} if film else {}))
-    if result.fell_at is not None:
-        warn(f"the robot was about to fall at {result.fell_at:.1f} s and sat down")
-    if result.error is not None:
-        raise result.error
-    if view or (view is None and display_available()):
-        open_viewer(folder / SCENE)
-    return STOPPED if result.fell_at is not None or result.interrupted else DONE
-
-
-def metric_rows(m: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of a run, a figure a row."""
-    error = m["toe_error_cm"]
-    return {
-        "stood up in": f"{m['stand_up_s']:.2f} s",
-        "upright": f"{m['standing_share']:.1%} of the time after standing up",
-        "toe error": f"{error['mean']:.1f} cm mean, {error['p95']:.1f} cm at the 95th percentile",
-        "of it lag": f"{1e3 * m['lag_s']:.0f} ms; without it {m['toe_error_without_lag_cm']:.1f} cm",
-        "knee torque": f"{m['torque_nm']['knee_rms']:.1f} N m rms, {m['torque_nm']['max']:.1f} N m peak of any joint",
-        "heat": f"{m['hottest_motor']} reaches its limit after {m['minutes_to_limit']:.0f} min of this"
-        if m["minutes_to_limit"] < 1e4
-        else "no motor above its continuous rating",
-    }
-
-
-def view_run(run: Path) -> int:
-    """Open the scene of a run."""
-    from mimic.view.viewer import display_available, open_viewer
+    from mimic.flows.run_folder import SCENE
+    from mimic.view.scene.viewer import display_available, open_viewer
 
     scene = run / SCENE if run.is_dir() else run
     if not scene.is_file():
-        raise AssetError(f"there is no {SCENE} in {run}; expected a folder that mimic … --sim wrote")
+        raise AssetError(f"there is no {SCENE} in {run}; expected the folder of a run")
     if not display_available():
         raise ConfigError(f"there is no display here; copy {scene} to a computer with one and run: rerun {scene.name}")
     open_viewer(scene)

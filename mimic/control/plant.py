@@ -1,11 +1,11 @@
-"""What the loop needs of a robot; simulation and hardware are plants alike."""
+"""The interface between the control loop and a robot, in simulation or on its bus."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
+from mimic.records import JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
-from mimic.types import JointCommand, RobotState, Tick
 
 
 class Plant(Protocol):
@@ -21,7 +21,7 @@ class Plant(Protocol):
         ...
 
     def step(self, command: JointCommand) -> Tick:
-        """Send a command, let one control step pass, and return what came of it."""
+        """Send a command, let one control step pass, and return the state, the health and the command that was sent."""
         ...
 
     def close(self) -> None:

@@ -1,18 +1,18 @@
-"""Real-time priority for a thread that has to keep its time, where the system gives it."""
+"""Real-time priority for a thread with deadlines, where the system allows it."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
-LOOP, GUARDIAN = 10, 20
-"""Priorities of the loop and of its guardian, which has next to nothing to do until it must."""
+LOOP, WATCHDOG = 10, 20
+"""Priorities of the control loop, and of its watchdog, which is idle until the loop fails."""
 
 
 @contextmanager
-def real_time(priority: int) -> Iterator[bool]:
-    """Run this thread before all that have no such priority; gives whether the system allowed it.
+def real_time(priority: int) -> Generator[bool]:
+    """Run this thread before all threads without real-time priority; yield whether the system allowed it.
 
     Linux allows it to root and to users with an ``rtprio`` limit. Processes started meanwhile do not inherit it.
     """

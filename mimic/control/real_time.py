@@ -1,16 +1,16 @@
-"""A plant that follows the clock of the computer: for a simulated robot that answers to a camera."""
+"""A plant in real time, for a simulated robot that follows a camera."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
+from mimic.control.plant import Plant
+from mimic.records import JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
-from mimic.run.plant import Plant
-from mimic.types import JointCommand, RobotState, Tick
 
-BEHIND = 0.2
-"""A plant that is later than this starts to count anew instead of hurrying [s]."""
+LONGEST_LAG = 0.2
+"""A plant that lags behind the clock by more than this gives up the lost time instead of catching up [s]."""
 
 
 class PacedPlant:
@@ -25,8 +25,8 @@ class PacedPlant:
     ) -> None:
         self._plant, self._clock, self._sleep = plant, clock, sleep
         self._due = 0.0
-        self.late = 0
-        """Steps that were late by more than a control step."""
+        self.overruns = 0
+        """Steps that ended more than a control step too late."""
 
     @property
     def description(self) -> RobotDescription:
@@ -34,13 +34,13 @@ class PacedPlant:
         return self._plant.description
 
     def start(self) -> RobotState:
-        """Bring the robot to its start, and begin to count."""
+        """Bring the robot to its start, and start the clock."""
         state = self._plant.start()
         self._due = self._clock()
         return state
 
     def step(self, command: JointCommand) -> Tick:
-        """Let one control step pass, and the time it takes in the world."""
+        """Let one control step pass, in real time."""
         tick = self._plant.step(command)
         dt = self._plant.description.dt
         self._due += dt
@@ -48,8 +48,8 @@ class PacedPlant:
         if left > 0:
             self._sleep(left)
         else:
-            self.late += left < -dt
-            if left < -BEHIND:
+            self.overruns += left < -dt
+            if left < -LONGEST_LAG:
                 self._due = self._clock()
         return tick
 

@@ -1,4 +1,4 @@
-"""The log of a run as it grows: every control tick on disk before the next one begins, events as lines of JSON."""
+"""The log of a run while it grows: every control tick is on disk before the next one; events are lines of JSON."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from mimic.run.row_file import RowFile, read_rows
-from mimic.run.safety import Event
-from mimic.store import plain
-from mimic.types import AXES, Health, HealthLog, Record, RunLog
+from mimic.control.row_file import RowFile, read_rows
+from mimic.control.supervisor import Event
+from mimic.io.store import plain
+from mimic.records import AXES, Health, HealthLog, Record, RunLog
 
 ROWS, EVENTS = "log.rows", "events.jsonl"
-"""Files in a run folder; the rows are there only until log.parquet is."""
+"""Files in a run folder; the rows are removed once log.parquet exists."""
 
 _HEALTH = "health_"
 
@@ -42,7 +42,7 @@ def health_row(health: Health | None, t: float, clamped: int, mode: int) -> dict
 
 
 class RunRecorder:
-    """Writes rows and events into a run folder as they come."""
+    """Writes rows and events into a run folder at once."""
 
     def __init__(self, folder: Path, observation: int, metadata: Mapping[str, Any]) -> None:
         """Begin a log.
@@ -50,16 +50,16 @@ class RunRecorder:
         Args:
             folder: Run folder.
             observation: Width of the policies' observation.
-            metadata: Of the RunLog, should it have to be salvaged.
+            metadata: Of the RunLog that `salvage` returns.
         """
         health = {_HEALTH + name: shape for name, shape in _shapes(HealthLog, observation).items()}
-        self._folder, self._begun = folder, False
+        self._folder, self._has_rows = folder, False
         self._rows = RowFile(folder / ROWS, _shapes(RunLog, observation) | health, metadata)
         self._events = os.open(folder / EVENTS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
 
     def row(self, values: Mapping[str, Any], health: Mapping[str, Any]) -> None:
         """Append a tick."""
-        self._begun = True
+        self._has_rows = True
         self._rows.add({**values, **{_HEALTH + name: value for name, value in health.items()}})
 
     def event(self, event: Event) -> None:
@@ -75,14 +75,14 @@ class RunRecorder:
             self._events = -1
 
     def discard(self) -> None:
-        """Close the files and remove the rows, once they are stored in another form."""
+        """Close the files and remove the rows, once they are stored in another format."""
         self.close()
         self._rows.path.unlink(missing_ok=True)
 
     def abandon(self) -> None:
-        """Close the files, and leave nothing behind of a run that never began."""
+        """Close the files; remove them if the run never began."""
         self.close()
-        if not self._begun:
+        if not self._has_rows:
             self.discard()
             (self._folder / EVENTS).unlink(missing_ok=True)
             if not any(self._folder.iterdir()):
@@ -90,7 +90,7 @@ class RunRecorder:
 
 
 def salvage(folder: Path) -> tuple[RunLog, HealthLog]:
-    """Return the logs of a run whose process was killed, up to the last whole tick.
+    """Return the logs of a run whose process was killed, up to the last complete tick.
 
     Raises:
         AssetError: If the folder holds no rows.

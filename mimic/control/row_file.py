@@ -1,7 +1,7 @@
-"""Rows of numbers on disk that are whole up to the last one, whatever happens to the process.
+"""Rows of numbers on disk that survive the process that writes them.
 
-A line of JSON with the columns, then 64-bit floats, row after row, each handed to the system at once: what was written
-survives the process. A row that was cut short is left out on reading. Made to be turned into Parquet at the end of a run.
+The file is a line of JSON with the columns, then 64-bit floats, row after row, each passed to the system at once.
+Reading leaves out an incomplete last row. At the end of a run the rows are stored as Parquet.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import AssetError, ContractError
-from mimic.store import plain
-from mimic.types import FloatArray
+from mimic.io.store import plain
+from mimic.records import FloatArray
 
 _FORM = "mimic rows 1"
 
@@ -30,7 +30,7 @@ class RowFile:
         Args:
             path: Where; its folder is made.
             shapes: Name of each column and the shape of a row of it.
-            metadata: Plain data, kept beside.
+            metadata: Plain data, stored in the first line.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self._shapes = path, {name: tuple(shape) for name, shape in shapes.items()}
@@ -44,7 +44,7 @@ class RowFile:
         Raises:
             ContractError: If a column is missing or has another shape.
         """
-        parts = []
+        parts: list[FloatArray] = []
         for name, shape in self._shapes.items():
             part = np.asarray(values.get(name), dtype=np.float64)
             if part.shape != shape or name not in values:
@@ -60,20 +60,22 @@ class RowFile:
 
 
 def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """Return the columns of all whole rows, each (rows, *shape), and the metadata.
+    """Return the columns of all complete rows, each (rows, *shape), and the metadata.
 
     Raises:
-        AssetError: If the file is missing or is something else.
+        AssetError: If the file is missing or has another format.
     """
     if not path.is_file():
         raise AssetError(f"there is no file {path}")
+    shapes: dict[str, tuple[int, ...]] = {}
+    head: dict[str, Any] = {}
     with open(path, "rb") as file:
         try:
             head = json.loads(file.readline())
-            shapes = {name: tuple(shape) for name, shape in head["shapes"].items()}
+            shapes = {str(name): tuple(map(int, shape)) for name, shape in head["shapes"].items()}
             known = head["form"] == _FORM
         except (ValueError, KeyError, TypeError, AttributeError):
-            known, head, shapes = False, {}, {}
+            known = False
         if not known:
             raise AssetError(f"{path} does not hold rows of a run; expected a file that begins with {_FORM!r}")
         numbers = file.read()

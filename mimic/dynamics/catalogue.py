@@ -1,11 +1,13 @@
-"""The catalogue of physical effects: equation, parameters with units and bounds, and what each looks like in a residual.
+"""The catalogue of physical effects: equations, parameters, units, bounds and signatures.
 
-One catalogue for simulation, training, calibration and the emulator. :mod:`mimic.robot.law` turns the parameters into
-what the physics is given at every step; this module only says what exists. A parameter at its neutral value has no
+One catalogue for simulation, training, calibration and the emulator. `mimic.dynamics.law` turns the parameters
+into what the physics is given at every step; this module only says what exists. A parameter at its neutral value has no
 effect at all. Signs and letters: tau torque at the joint, q and v its position and velocity, e the target less the
 measured position, residual = measured - predicted.
 
 Joints may slide instead of turn: read N for N m, m for rad.
+
+Longer than 350 lines: a table of data, one entry for each effect.
 """
 
 from __future__ import annotations
@@ -43,8 +45,9 @@ class Parameter:
     low: float
     high: float
     step: float
-    """A difference that matters, and the unit of ``starts`` and ``spread``: a share of the machine's own scale for units
-    that have one (:func:`scale_of`), else a value."""
+    """A difference that matters, and the unit of ``starts`` and ``spread``: a share of the machine's own scale for
+    units that have one (`scale_of`), else a value.
+    """
     starts: tuple[float, ...] = ()
     """Values from which a fit begins, in steps; empty where it begins at neutral. Of the torque-speed line: shares of
     the largest torque and speed of the log. Of a fixed parameter: its value."""
@@ -67,15 +70,18 @@ class Effect:
     parameters: tuple[Parameter, ...]
     scope: Literal["joint", "machine"] = "joint"
     """Whether each joint has parameters of its own, or the machine has one set."""
-    declared: bool = False
+    baseline: bool = False
     """Part of every model; fitted first."""
     structural: bool = False
     """A threshold or an added state: a derivative at neutral does not see it, so it is always refitted."""
     tip: bool = False
     """Only the last joint of a chain can have it."""
-    together: bool = False
-    """All joints of a chain have it or none. A factor common to these numbers, masses and friction hardly changes the motion, so
-    that any one of them may seem to be none, and would fix that factor were it left out."""
+    chain_shared: bool = False
+    """All joints of a chain have it or none.
+
+    A factor common to these numbers, masses and friction hardly changes the motion, so that any one of them may seem to
+    be none, and would fix that factor were it left out.
+    """
     random: bool = False
     """Drawn anew for each target, so a replay needs what was drawn: it is read off the log, not fitted."""
     signature: str
@@ -107,13 +113,13 @@ class Effect:
 _CAL = "standard model; MuJoCo 4 documentation, Computation"
 
 _ALL = (
-    # ---------------------------------------------------------------- declared: what every model has
+    # ---------------------------------------------------------------- baseline: what every model has
     Effect(
         name="coulomb",
         title="dry friction",
         equation="tau = -level sgn(v), up to level while at rest",
         parameters=(Parameter(name="level", unit="N m", neutral=MODEL, low=0.0, high=50.0, step=0.01),),
-        declared=True,
+        baseline=True,
         signature="lag at every reversal",
         experiment="slow ramps against fast sines",
         enters="dof_frictionloss",
@@ -124,7 +130,7 @@ _ALL = (
         title="viscous friction",
         equation="tau = -coefficient v",
         parameters=(Parameter(name="coefficient", unit="N m s/rad", neutral=MODEL, low=0.0, high=500.0, step=0.01),),
-        declared=True,
+        baseline=True,
         signature="lag in proportion to speed",
         experiment="fast sines; a second log with another Kd tells it from Kd",
         enters="dof_damping",
@@ -135,7 +141,7 @@ _ALL = (
         title="mass of the moved link",
         equation="mass and inertia of the link times factor",
         parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.03, spread=5),),
-        declared=True,
+        baseline=True,
         signature="error that follows gravity over the pose, and acceleration",
         experiment="static poses and a chirp",
         enters="body_mass, body_inertia",
@@ -147,7 +153,7 @@ _ALL = (
         equation="the target acts time later",
         parameters=(Parameter(name="time", unit="s", neutral=0.0, low=-0.01, high=0.1, step=0.001, spread=30),),
         scope="machine",
-        declared=True,
+        baseline=True,
         signature="residual in proportion to the speed of the target",
         experiment="steps and a chirp",
         enters="command path; actuator delay in MJCF",
@@ -172,8 +178,8 @@ _ALL = (
             Parameter(name="kp", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
             Parameter(name="kd", unit="1", neutral=1.0, low=0.2, high=5.0, step=0.02, spread=20),
         ),
-        together=True,
-        signature="as friction and mass together; without measured torque kd is not told from viscous friction and stays 1",
+        chain_shared=True,
+        signature="as friction and mass together; without measured torque kd stays 1: viscous friction acts alike",
         experiment="two logs with gains that differ by a known factor",
         enters="actuator_gainprm, actuator_biasprm",
         source="Li et al. 2024, Table II",
@@ -224,7 +230,7 @@ _ALL = (
         title="torque constant",
         equation="tau = factor tau_cmd",
         parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.3, high=3.0, step=0.02, spread=15),),
-        together=True,
+        chain_shared=True,
         signature="in proportion to torque; the same motion as other masses and friction",
         experiment="a known mass, or measured torque",
         enters="actuator_gainprm, actuator_biasprm",
@@ -545,7 +551,7 @@ _ALL = (
 CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _ALL}
 """Every effect by name."""
 
-DECLARED = tuple(e.name for e in _ALL if e.declared)
+BASELINE = tuple(e.name for e in _ALL if e.baseline)
 """Effects that every model has: friction, damping, limb mass, delay. Source: Li et al. 2024, section IV."""
 
 

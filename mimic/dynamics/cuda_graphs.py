@@ -52,7 +52,7 @@ class Replayed:
 
 
 class ReplayedWarp:
-    """Launches of Warp's on arrays that stay where they are: on a GPU captured at the first call, on PyTorch's stream."""
+    """Warp launches on fixed arrays: captured at the first call on a GPU, on PyTorch's stream."""
 
     def __init__(self, function: Callable[[], None], device: str) -> None:
         self._function, self._device = function, device

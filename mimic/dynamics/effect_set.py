@@ -21,10 +21,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mimic.dynamics.catalogue import effect as find_effect
 from mimic.errors import ConfigError
-from mimic.robot.effects import effect as find_effect
-from mimic.store import written_whole
-from mimic.types import FloatArray
+from mimic.io.store import written_whole
+from mimic.records import FloatArray
 
 Role = Literal["off", "fixed", "fitted"]
 

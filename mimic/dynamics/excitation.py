@@ -1,6 +1,6 @@
 """Motions that make a machine show its effects: position targets for calibration, the same for the same seed.
 
-``probe`` holds what section 3 of docs/calibration.md asks for: the same multisine at both ends (noise floor, heat and
+``probe`` holds what docs/manual/calibration.md asks for: the same multisine at both ends (noise floor, heat and
 drift), a chirp (inertia, elasticity, lags), random steps (delay), slow triangles over the whole range (friction,
 cogging), still poses (gravity, tilt, offsets), small reversals without and with load (backlash, Stribeck) and large
 fast moves (torque limit). ``random`` is smoothed noise of mixed bandwidth with holds, for a second log.
@@ -18,8 +18,9 @@ from typing import Literal
 import numpy as np
 
 from mimic.errors import ConfigError
+from mimic.geometry import smoothstep
+from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.types import LEGS, FloatArray
 
 Kind = Literal["probe", "random"]
 
@@ -50,17 +51,8 @@ class Excitation:
 
 def hung_ranges(description: RobotDescription) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return low, high and centre (12,) [rad]: joint ranges of the hung robot in which nothing can touch."""
-    probe = description.raw["probe"]
-    rows = []
-    for leg in LEGS:
-        end = "front" if leg.startswith("F") else "rear"
-        bounds = np.array([probe["abad"], probe[f"hip_{end}"], probe[f"knee_{end}"]])
-        centre = np.array(probe[f"centre_{end}"])
-        if leg.endswith("R"):
-            bounds[0], centre[0] = -bounds[0, ::-1], -centre[0]
-        rows.append(np.column_stack((bounds, centre)))
-    low, high, centre = np.concatenate(rows).T
-    return low, high, centre
+    probe = description.probe
+    return probe.low, probe.high, probe.centre
 
 
 def probe_targets(
@@ -77,7 +69,7 @@ def probe_targets(
     """Return targets that never leave the ranges.
 
     Args:
-        low: Least target of each joint (J,) [rad or m]; see :func:`hung_ranges`.
+        low: Least target of each joint (J,) [rad or m]; see `hung_ranges`.
         high: Greatest target (J,).
         centre: Where the motion begins, and around which it is small where it is small (J,).
         seconds: Length; sections shrink in proportion, the multisines last 10 s from 60 s on.
@@ -228,8 +220,7 @@ def _random(draw: _Draw, seconds: float) -> list[_Section]:
 
 def _ease(n: int) -> FloatArray:
     """Return 0 to 1 (n, 1) with rest at both ends."""
-    s = np.linspace(0.0, 1.0, n)[:, None]
-    return s * s * (3.0 - 2.0 * s)
+    return smoothstep(np.linspace(0.0, 1.0, n)[:, None])
 
 
 def _joined(signals: list[_Section], count: int, blend: int) -> tuple[FloatArray, tuple[tuple[str, int, int], ...]]:

@@ -7,16 +7,20 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mimic.dynamics.robot_model import load_model
+from mimic.records import LEGS, BoolArray, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import TOES, load_model
-from mimic.types import LEGS, BoolArray, FloatArray, RunLog
+from mimic.robot.model import FLOOR, TOES
 
-PARTS = {"base": ("body",), "head": ("head_0", "head_1")} | {
-    f"{leg}_{part}": tuple(f"{leg}_{geom}" for geom in geoms)
-    for leg in LEGS
-    for part, geoms in (("thigh", ("thigh",)), ("calf", ("shank", "rubber")), ("foot", ("toe",)))
-}
-"""Collision shapes of each link, by the names that the paper's code gives to links; its 'hip' (abad) is left out."""
+_LINKS = {"thigh": ("thigh",), "calf": ("shank", "knee"), "foot": ("toe",)}
+"""Link by the paper's name -> roles of its collision shapes; the paper's 'hip' (abad) is left out."""
+
+
+def ground_parts(description: RobotDescription) -> dict[str, tuple[str, ...]]:
+    """Return the collision shapes of each link, by the names that the paper's code gives to links."""
+    shapes = description.names.shapes
+    legs = {f"{leg}_{part}": shapes(*roles, legs=(leg,)) for leg in LEGS for part, roles in _LINKS.items()}
+    return {"base": shapes("trunk"), "head": shapes("head")} | legs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +34,7 @@ class GroundFacts:
     toe_yaw_rate: FloatArray
     """Angular velocity of each lower leg about the vertical (ticks, 4) [rad/s]."""
     touching: dict[str, BoolArray]
-    """Whether each of PARTS touches the ground (ticks,)."""
+    """Whether each of ground_parts touches the ground (ticks,)."""
 
 
 def ground_facts(log: RunLog, description: RobotDescription) -> GroundFacts:
@@ -41,12 +45,13 @@ def ground_facts(log: RunLog, description: RobotDescription) -> GroundFacts:
     """
     model = load_model(description, visuals=False)
     data = mujoco.MjData(model)
-    floor = model.geom("floor").id
+    floor = model.geom(FLOOR).id
     sites = [model.site(name).id for name in TOES]
-    part_of = {model.geom(name).id: part for part, names in PARTS.items() for name in names}
+    parts = ground_parts(description)
+    part_of = {model.geom(name).id: part for part, names in parts.items() for name in names}
     ticks = len(log.t)
     position, motion = np.zeros((ticks, 4, 3)), np.zeros((ticks, 4, 6))
-    touching = {part: np.zeros(ticks, dtype=bool) for part in PARTS}
+    touching = {part: np.zeros(ticks, dtype=bool) for part in parts}
     qpos = np.concatenate([log.p_WB, log.quat_WB, log.q], axis=1)
     qvel = np.concatenate([log.v_WB, log.omega_B, log.dq], axis=1)
     seen = np.zeros(6)

@@ -1,12 +1,14 @@
 """What a drive does in one physics step: the laws of the catalogue, the same code in NumPy and in PyTorch.
 
 A step of the physics is given a position servo ``force = kp (ctrl - q) - kd v + bias`` for each joint, which MuJoCo
-integrates with an implicit ``kd``, limits of that force, dry friction and a torque from outside. :class:`Law` computes
+integrates with an implicit ``kd``, limits of that force, dry friction and a torque from outside. `Law` computes
 these seven from position, velocity and target. Damping acts on the mean of the velocities at both ends of a step
 (Crank and Nicolson), lags on its mean over the step, so that steps of 2.5 ms come within 0.2 mrad of steps of 0.25 ms;
 the rotor behind a gear is implicit in both of its velocities. All is stable at any step.
 
 Arrays are (N, J): N simulations, J joints; parameters of the whole machine are (N, 1).
+
+Longer than 350 lines: the laws of one step share its torques, and read best in the order in which they act.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.robot.effects import effect
+from mimic.dynamics.catalogue import effect
 
 Parameters = Mapping[tuple[str, str], Any]
 """(effect, parameter) -> values (N, J), or (N, 1) for the whole machine. What is not there is neutral."""
@@ -33,7 +35,9 @@ LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
 HALVINGS, AT_ONCE = 15, 5
-"""Of the range in which the share of the supply left is looked for; so many at once where little runs side by side on a device."""
+"""Of the range in which the share of the supply left is looked for; so many at once where little runs side by side on a
+device.
+"""
 
 LITTLE = 1 << 14
 """Torques up to which a device takes longer to begin an operation than to do it."""
@@ -217,7 +221,7 @@ class Law:
         return q
 
     def reading(self, q: Any) -> Any:
-        """Return what the encoders read at link positions q; call it after :meth:`step` or :meth:`reset`."""
+        """Return what the encoders read at link positions q; call it after `step` or `reset`."""
         value = self._position(q)
         if "encoder_scale" in self._has:
             value = value * self.get("encoder_scale", "factor")
@@ -255,7 +259,7 @@ class Law:
     def step(
         self, q: Any, dq: Any, target: Any, time: Any, force: Any = None, parts: Sequence[tuple[Any, Any]] = ()
     ) -> StepInputs:
-        """Return what the physics gets for the next step; :meth:`settle` must follow once it is made.
+        """Return what the physics gets for the next step; `settle` must follow once it is made.
 
         Args:
             q: Link positions (N, J) [rad].
@@ -315,10 +319,11 @@ class Law:
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
     ) -> tuple[Any, Any, Any, Any]:
-        """Return means over a step of the torques of its targets, each limited by itself, and the share of it inside the limits.
+        """Return mean torques over a step with several targets, each limited by itself, and the share in limits.
 
-        Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean where a
-        target asks for more than it can, and torques of both signs cancel in their mean but not in gears and windings.
+        Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean
+        where a target asks for more than it can, and torques of both signs cancel in their mean but not in gears and
+        windings.
         """
         xp, tau, free = self.xp, self._zero, self._zero
         size, square = self._zero, self._zero
@@ -336,7 +341,7 @@ class Law:
     def _where_limited(
         self, mean: Any, free: Any, kp: Any, kd: Any, bias: Any, omega: Any, tau: Any
     ) -> tuple[Any, Any, Any, Any]:
-        """Return the servo with a mean torque, damped for a share of the step, where its limits made that another torque."""
+        """Return the servo with a mean torque where limits changed it, damped for a share of the step."""
         there = self.xp.abs(mean - tau) > NOTICED
         kept = self.xp.where(there, free * kd, kd)
         return (
@@ -357,9 +362,10 @@ class Law:
         return low, high
 
     def _supply_left(self, asked: Any, omega: Any) -> Any:
-        """Return the share of the supply (N, 1) at which motors asked for these torques draw what leaves just that share.
+        """Return the share of the supply (N, 1) that is left when motors draw what that share allows.
 
-        The more is left, the more they draw: the one root of a falling function, by cutting the range in two, or in many at once.
+        The more is left, the more they draw: the one root of a falling function, by cutting the range in two, or in
+        many at once.
         """
         if "supply_sag" not in self._has:
             return 1.0
@@ -374,14 +380,14 @@ class Law:
         return low + width * (above / self.xp.clip(above + below, 1e-30, None))  # straight but for a few kinks
 
     def _too_much(self, left: Any, asked: Any, omega: Any) -> Any:
-        """Return by how much less than what the motors leave a share of the supply (…, N, 1) is, if it is what they have."""
+        """Return how far a share of the supply (…, N, 1) exceeds what the motors leave."""
         xp = self.xp
         least, most = self._torque_limits(omega, left)
         power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
         return 1.0 - self.get("supply_sag", "drop") * power - left
 
     def _friction(self, dq: Any, load: Any) -> tuple[Any, Any]:
-        """Return dry friction at motor torques of this size, and the torque from outside by which one direction has more of it.
+        """Return dry friction at these motor torques, and the torque by which one direction has more.
 
         Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
         """

@@ -11,10 +11,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mimic.dynamics.law import UNLIMITED, Drives
 from mimic.errors import AssetError
+from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.law import UNLIMITED, Drives
-from mimic.types import FloatArray, IntArray
+from mimic.robot.model import read_model, remove_free_joint
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -56,12 +57,9 @@ class MachineModel:
 
 def hung_robot(description: RobotDescription) -> MachineModel:
     """Return the robot hung up by its trunk: base fixed, belly down, in the air."""
-    spec = mujoco.MjSpec.from_file(str(description.mjcf))
-    for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
-            spec.delete(joint)
-    count = 12
-    one = np.ones(count)
+    spec = read_model(description)
+    remove_free_joint(spec)
+    one = np.ones(len(JOINTS))
     return _machine(
         spec,
         kp=description.kp * one,
@@ -99,9 +97,7 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
         raise AssetError(f"{path} has no joints")
     tied = [n for n, count in (("equality", original.neq), ("tendon", original.ntendon)) if count]
     if tied:
-        raise AssetError(
-            f"{path} has elements of {' and '.join(tied)}, which a replay of single joints lacks; take them out of the model"
-        )
+        raise AssetError(f"{path} has elements of {' and '.join(tied)}, which replays do not model; remove them")
     names = [original.joint(j).name for j in range(original.njnt)]
     kp, kd, most = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(names))
     for a in range(original.nu):
@@ -124,7 +120,7 @@ def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = 
 
     Args:
         machine: The model.
-        notes: ``kp``, ``kd`` and ``gravity`` (see docs/log-format.md).
+        notes: ``kp``, ``kd`` and ``gravity`` (see docs/manual/log-format.md).
         by_force: Only forces were asked for, and no targets: drives have no gains then.
     """
     machine = with_gains(machine, {"kp": 0.0, "kd": 0.0} if by_force else notes)
@@ -136,7 +132,7 @@ def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = 
 
 
 def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
-    """Return the machine with the gains that a log was made with (see :func:`read_machine`)."""
+    """Return the machine with the gains that a log was made with (see `read_machine`)."""
     rows = {}
     for key in ("kp", "kd"):
         given, own = gains.get(key), np.asarray(getattr(machine.drives, key))
@@ -292,7 +288,7 @@ def changed_inertias(
     shift: FloatArray | None,
     payload: FloatArray | None,
 ) -> Inertias:
-    """Return the inertial numbers of N simulations changed in place (see :func:`inertias`).
+    """Return the inertial numbers of N simulations changed in place (see `inertias`).
 
     Args:
         own: Numbers before.
@@ -338,7 +334,7 @@ def _load(mass: Any, ipos: Any, inertia: Any, iquat: Any, i: int, b: int, load: 
 
 
 def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:
-    """Return gravity (N, 3) in the axes of a base turned by roll about x, then pitch about y [rad]; roll, pitch (N,)."""
+    """Return gravity (N, 3) in the axes of a base turned by roll (N,) about x, then pitch (N,) about y [rad]."""
     g = np.asarray(gravity, dtype=np.float64)
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     # R = Ry(pitch) Rx(roll) takes base to world; gravity in the base is R^T g

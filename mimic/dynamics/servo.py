@@ -1,8 +1,8 @@
 """How the law of the drives enters the physics: one affine position servo for each joint, and what is written once.
 
-The same for a batch of hung machines (calibration), the simulated robot, and training worlds: an :class:`EffectSet`
-becomes parameters (:func:`parameters_of`), these become a :class:`~mimic.robot.law.Law`, whose inputs a
-:class:`Servo` writes at every step.
+The same for a batch of hung machines (calibration), the simulated robot, and training worlds: an `EffectSet`
+becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, whose inputs a
+`Servo` writes at every step.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet, read_effects
+from mimic.dynamics.law import Law, Parameters
+from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet, read_effects
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.law import Law, Parameters
-from mimic.robot.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 """Fields of a model that masses and their places are in."""
@@ -87,8 +87,7 @@ def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) 
 
 
 def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) -> None:
-    """Write what the effects change once into a model that has the machine's joints and links last, such as the robot on
-    its floor; parameters of one simulation, (1, J). Gravity stays: ``base_tilt`` belongs to a base that is held."""
+    """Write the effects that never change into a model whose last joints and links are the machine's."""
     dofs = slice(model.nv - len(machine.joints), None)
     if ("viscous", "coefficient") in p:
         model.dof_damping[dofs] = p["viscous", "coefficient"][0]
@@ -166,7 +165,7 @@ def of_stand(effects: EffectSet) -> tuple[str, ...]:
 
 
 def read_standing(path: Path) -> EffectSet:
-    """Read an effects.toml without the effects of the stand: of :func:`of_stand`, whoever reads it should tell.
+    """Read an effects.toml without the effects of the stand: of `of_stand`, whoever reads it should tell.
 
     Raises:
         ConfigError: If it is no such file, or a value does not fit the catalogue.

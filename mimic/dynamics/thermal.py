@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.types import FloatArray
 
 AMBIENT, WINDING = 25.0, 120.0
 """The overload table was measured from this temperature of everything to this one of the winding [degC]; manual."""
@@ -21,9 +21,9 @@ LONGEST = 1e6
 
 def _modes(description: RobotDescription) -> tuple[FloatArray, FloatArray]:
     """Return the share of each response (2,) and its time constant (2,) [s], fast and slow."""
-    thermal = description.raw["motor"]["thermal"]
-    share = float(thermal["winding_share"])
-    return np.array([share, 1.0 - share]), np.array([thermal["winding_seconds"], thermal["housing_seconds"]])
+    thermal = description.thermal
+    share = thermal.winding_share
+    return np.array([share, 1.0 - share]), np.array([thermal.winding_time, thermal.housing_time])
 
 
 def _responses(tau: FloatArray, dt: float, description: RobotDescription) -> tuple[FloatArray, FloatArray]:
@@ -50,7 +50,7 @@ def winding_rise(tau: FloatArray, dt: float, description: RobotDescription) -> F
 
 
 class MotorHeat:
-    """The rise of each winding as it goes, one torque at a time; the same responses as :func:`winding_rise`."""
+    """The rise of each winding as it goes, one torque at a time; the same responses as `winding_rise`."""
 
     def __init__(self, description: RobotDescription, temperature: FloatArray) -> None:
         """Begin with motors that have this temperature all through [degC] (motors,); NaN counts as cold.
@@ -76,7 +76,7 @@ class MotorHeat:
 
 
 def seconds_to_limit(tau: FloatArray, dt: float, description: RobotDescription) -> FloatArray:
-    """Return when each winding first reaches its limit if these torques repeat for ever (motors,) [s]; infinite if never.
+    """Return when each winding reaches its limit if these torques repeat (motors,) [s]; infinite if never.
 
     Args:
         tau: Torques (ticks, motors) [N m].

@@ -1,7 +1,7 @@
-"""The body that emulated motors move: the robot in MuJoCo, on the floor or hung up, driven joint by joint at any time.
+"""The body that emulated motors move: the robot in MuJoCo, lying or suspended, driven joint by joint at any time.
 
-The same law of the drives as in simulation and calibration (:mod:`mimic.robot.law`), with the same effects. Unlike a
-simulated plant it has no control step: each motor is told something else at another time, when its frame arrives.
+The same law of the drives as in simulation and calibration (`mimic.dynamics.law`), with the same effects. Unlike a
+simulated plant it has no control step: each motor gets its command when its own frame arrives.
 """
 
 from __future__ import annotations
@@ -11,29 +11,29 @@ from collections import deque
 import mujoco
 import numpy as np
 
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.law import Law
+from mimic.dynamics.machine import SOLREF_STEPS, hung_robot, tilted_gravity
+from mimic.dynamics.robot_model import load_model
+from mimic.dynamics.servo import Servo, parameters_of, refuse_stand, static_model
+from mimic.emulator.motor import FREE, HOT, Drive
 from mimic.errors import PlantError
+from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription, with_timestep
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.law import Law
-from mimic.robot.machine import SOLREF_STEPS, hung_robot, tilted_gravity
-from mimic.robot.model import load_model
-from mimic.robot.servo import Servo, parameters_of, refuse_stand, static_model
-from mimic.run.emulated_motor import FREE, HOT, Drive
-from mimic.types import FloatArray
 
 AMBIENT = 25.0
 """Temperature of a motor that has not worked [degC]; that of the manual's overload table."""
 
 
 class EmulatedBody:
-    """Twelve joints and a trunk, from time 0 on. Held still by somebody until :meth:`release`."""
+    """Twelve joints and a trunk, from time 0 on. Held still by somebody until `release`."""
 
     def __init__(
         self,
         description: RobotDescription,
         *,
         effects: EffectSet | None = None,
-        hung: bool = False,
+        suspended: bool = False,
         timestep: float = 0.0025,
         placement: float = 0.0,
         seed: int = 0,
@@ -44,7 +44,7 @@ class EmulatedBody:
         Args:
             description: The robot.
             effects: What its drives, links and encoders have besides.
-            hung: Hang it up by its trunk instead, its feet free.
+            suspended: Hang it up by its trunk instead, its feet free.
             timestep: Of the physics [s].
             placement: Joints are placed as far as this from the lying pose [rad].
             seed: Draws the placement, late and lost commands.
@@ -54,7 +54,7 @@ class EmulatedBody:
             ConfigError: If the effects are not of this robot, or of a stand and it does not hang.
         """
         effects = EffectSet(()) if effects is None else effects
-        if not hung:
+        if not suspended:
             refuse_stand(effects)
         self.description = d = with_timestep(description, timestep)
         machine = hung_robot(d)
@@ -65,19 +65,19 @@ class EmulatedBody:
         )
         delays = [np.broadcast_to(p.pop(key, none)[0], 12) for key in (("delay", "time"), ("joint_delay", "time"))]
         self._delay = delays[0] + delays[1]
-        self.model = machine.model if hung else load_model(d, visuals=visuals, servos=True)
+        self.model = machine.model if suspended else load_model(d, visuals=visuals, servos=True)
         model = self.model
         model.opt.timestep = timestep
         model.dof_solref[-12:] = [SOLREF_STEPS * timestep, 1.0]
         static_model(model, machine, p)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
-        if hung and ("base_tilt", "roll") in p:
+        if suspended and ("base_tilt", "roll") in p:
             roll, pitch = float(p["base_tilt", "roll"][0, 0]), float(p["base_tilt", "pitch"][0, 0])
             model.opt.gravity[:] = tilted_gravity(np.array([roll]), np.array([pitch]))[0]
             self._quat = _tilt(roll, pitch)
         self.data = mujoco.MjData(model)
         self._rng = np.random.default_rng([seed, 17])
-        self._place(placement, hung)
+        self._place(placement, suspended)
         self._law = Law(machine.drives, p, timestep, (1, 12), np)
         self._applied = np.zeros((1, 12))
         self._servo = Servo(
@@ -99,19 +99,19 @@ class EmulatedBody:
         self._target = np.array(self.data.qpos[-12:])
         self._changed = True
         self._mixed = np.zeros(12, dtype=bool)
-        """Motors that were told something else during the last step."""
+        """Motors whose command changed during the last step."""
         self._tau = np.zeros(12)
-        thermal = d.raw["motor"]["thermal"]
-        self._share = np.array([[thermal["winding_share"]], [1.0 - thermal["winding_share"]]])
-        self._left = np.exp(-timestep / np.array([[thermal["winding_seconds"]], [thermal["housing_seconds"]]]))
+        thermal = d.thermal
+        self._share = np.array([[thermal.winding_share], [1.0 - thermal.winding_share]])
+        self._left = np.exp(-timestep / np.array([[thermal.winding_time], [thermal.housing_time]]))
         self._rise = np.zeros((2, 12))
         self._readings: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
-    def _place(self, placement: float, hung: bool) -> None:
+    def _place(self, placement: float, suspended: bool) -> None:
         d, data = self.description, self.data
         q = d.poses["lie"] + self._rng.uniform(-placement, placement, 12)
         data.qpos[-12:] = np.clip(q, d.q_min + 0.01, d.q_max - 0.01)
-        if not hung:
+        if not suspended:
             data.qpos[:7] = 0.0, 0.0, d.pose_height["lie"] + 0.005, 1.0, 0.0, 0.0, 0.0
         mujoco.mj_forward(self.model, data)
 
@@ -130,7 +130,7 @@ class EmulatedBody:
         Args:
             joint: Index of the joint.
             drive: In the joint's sign and zero, as its encoder reads.
-            t: When the motor was told.
+            t: When the command arrived [s].
         """
         if self._lost and drive.kp and self._rng.random() < self._lost:
             return
@@ -179,7 +179,7 @@ class EmulatedBody:
             )
 
     def _take_commands(self, begin: float, end: float) -> None:
-        """Let what the motors are told until the end of a step act in it, for as long as it acts in it."""
+        """Apply the commands that arrive until the end of a step, each for its share of the step."""
         for joint, coming in enumerate(self._coming):
             if not self._mixed[joint] and not (coming and coming[0][0] < end):
                 continue
@@ -210,7 +210,7 @@ class EmulatedBody:
         return float(q[joint] + dq[joint] * (t - self.time)), float(dq[joint]), float(tau[joint])
 
     def temperature(self, joint: int) -> float:
-        """Return how warm a motor is [degC]: its fault comes when the winding is as warm as its continuous torque makes it."""
+        """Return the temperature of a motor [degC]; it reaches its fault when the winding model reaches its limit."""
         return AMBIENT + (HOT - AMBIENT) * float(self._rise[0, joint] + self._rise[1, joint])
 
     def base(self) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from mimic.run.can_frame import CanFrame, arbitration_key, frame_bits
+from mimic.hardware.can.frame import CanFrame, arbitration_key, frame_bits
 
 
 class Sent(NamedTuple):

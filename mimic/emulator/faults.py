@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from mimic.errors import ConfigError
-from mimic.types import JOINTS
+from mimic.records import JOINTS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,7 +29,7 @@ class FaultKind:
     default: float = 1.0
     """Value where none is given."""
     drawn: tuple[float, float] | None = None
-    """Range from which :func:`random_fault` draws the value; None takes the default."""
+    """Range from which `random_fault` draws the value; None takes the default."""
     unit: str = ""
 
 
@@ -64,7 +64,7 @@ KINDS: dict[str, FaultKind] = {
         unit="rad",
     ),
     "stalled": FaultKind(text="the adapter keeps everything back and lets it go at the end", scope="bus"),
-    "bus_off": FaultKind(text="nothing gets through, and nobody is told", scope="bus"),
+    "bus_off": FaultKind(text="nothing gets through, and no error is reported", scope="bus"),
     "unplugged": FaultKind(text="the adapter is gone: the connection breaks", scope="bus"),
 }
 
@@ -86,7 +86,7 @@ class EmulatedFault:
     """Index of the bus; None for all of them."""
 
     def __str__(self) -> str:
-        """Return it as :func:`parse_fault` reads it."""
+        """Return it as `parse_fault` reads it."""
         place = (
             f":{JOINTS[self.joint]}" if self.joint is not None else f":bus{self.bus}" if self.bus is not None else ""
         )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.frames import multiply_quats, rotation_from_quat
-from mimic.robot.wiring import ImuWiring
-from mimic.run.can_frame import CanFrame
-from mimic.run.imu import ORIENTATION_VALID, MtiSample, encode_mti
-from mimic.types import FloatArray
+from mimic.geometry import multiply_quats, rotation_from_quat
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.wiring import ImuWiring
+from mimic.hardware.xsens_mti import ORIENTATION_VALID, MtiSample, encode_mti
+from mimic.records import FloatArray
 
 SELF_TEST_PASSED = 1
 """Bit of the status word."""

@@ -1,15 +1,15 @@
-"""A host on the emulated robot's buses in the same process; waiting lets the robot's time go on."""
+"""A host on the emulated robot's buses in the same process; waiting advances the robot's time."""
 
 from __future__ import annotations
 
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError
-from mimic.run.can_frame import CanFrame
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.link import Received
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.link import Received
 
 
 class EmulatedLink:
-    """A link (:class:`mimic.run.link.Link`) without a wire. Several links to one robot are several hosts."""
+    """A link (`mimic.hardware.can.link.Link`) without a wire. Several links to one robot are several hosts."""
 
     def __init__(self, robot: EmulatedRobot) -> None:
         self._robot, self._host = robot, robot.connect()
@@ -24,7 +24,7 @@ class EmulatedLink:
         return self._robot.now
 
     def sleep(self, seconds: float) -> None:
-        """Let the robot's time go on."""
+        """Advance the robot's time."""
         self._robot.advance(self._robot.now + max(seconds, 0.0))
 
     def send(self, bus: int, frame: CanFrame) -> None:
@@ -49,5 +49,5 @@ class EmulatedLink:
         return self._host.heard.popleft() if self._host.heard else None
 
     def close(self) -> None:
-        """Leave the buses; the robot goes on with its last commands when time goes on."""
+        """Leave the buses; the robot continues with its last commands."""
         self._robot.disconnect(self._host)

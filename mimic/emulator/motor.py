@@ -1,6 +1,6 @@
-"""A CyberGear motor as it shows itself on the bus: modes, parameters, faults, and a zero that does not survive power.
+"""An emulated CyberGear motor as seen on the bus: modes, parameters, faults, and a zero that is lost with the power.
 
-What it makes of commands is a :class:`Drive`; the physics is elsewhere (:mod:`mimic.run.emulated_body`).
+It turns commands into a `Drive`; the physics is in `mimic.emulator.body`.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mimic.errors import FrameError
-from mimic.run.can_frame import CanFrame
-from mimic.run.cybergear import Codec
-from mimic.run.motor_messages import (
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_CUR,
@@ -61,7 +61,7 @@ LOW_VOLTAGE = 16.0
 """Least operating voltage [V]; manual."""
 
 TIMEOUT_TICK = 50e-6
-"""Unit of CAN_TIMEOUT where firmware takes it [s]; of the successor family (20000 = 1 s). CyberGear's is not known."""
+"""Unit of CAN_TIMEOUT in firmware that supports it [s]: that of the successor family (20000 = 1 s)."""
 
 _DETAIL = {
     Fault.UNDER_VOLTAGE: DetailedFault.UNDER_VOLTAGE,
@@ -72,7 +72,7 @@ _DETAIL = {
 
 
 class Drive(NamedTuple):
-    """What a motor does until it is told otherwise, in its own sign and counted from where its encoder was mounted:
+    """What a motor does until the next command, in its own sign and from where its encoder was mounted:
     torque = tau + kp (q - position) + kd (dq - velocity)."""
 
     kp: float = 0.0
@@ -108,7 +108,7 @@ class EmulatedMotor:
     uid: int
     codec: Codec
     encoder: float
-    """Angle of the encoder where the motor's own angle is zero; stays for ever [rad]."""
+    """Angle of the encoder where the motor's own angle is zero; never changes [rad]."""
     timeout_honoured: bool = False
     """Whether this firmware stops the motor after CAN_TIMEOUT; otherwise writing it has no effect."""
     mode: Mode = Mode.RESET
@@ -117,16 +117,16 @@ class EmulatedMotor:
     zero: float = 0.0
     """Own angle at which it reads zero [rad]."""
     last_command_at: float = -math.inf
-    """When an operation command came last [s]."""
+    """Time of the last operation command [s]."""
     heard_at: float = -math.inf
-    """When any frame came last [s]."""
+    """Time of the last frame [s]."""
     host: int = 0xFD
-    """Who gets unasked reports."""
+    """Id of the host that gets fault reports."""
     values: dict[int, float] = field(default_factory=dict)
     _reported: tuple[Fault, bool] = (Fault(0), False)
 
     def power_up(self, q: float) -> MotorMessage:
-        """Forget everything but the id, and tell it.
+        """Forget everything but the id, and return the announcement of the id.
 
         Args:
             q: Own angle [rad].
@@ -136,7 +136,7 @@ class EmulatedMotor:
         self.zero = q - ((q + self.encoder + ROTOR_TURN / 2) % ROTOR_TURN - ROTOR_TURN / 2)
         return DeviceId(motor=self.id, uid=self.uid)
 
-    # ------------------------------------------------------------------ what it hears
+    # ------------------------------------------------------------------ commands
 
     def hear(self, frame: CanFrame, t: float, measured: Measured) -> MotorMessage | None:
         """Take a frame from the bus and return the answer; frames for others and malformed ones have none.
@@ -144,7 +144,7 @@ class EmulatedMotor:
         Args:
             frame: From the bus.
             t: When its last bit was [s].
-            measured: What the sensors say then.
+            measured: What the sensors read then.
         """
         if not frame.extended or frame.id & 0xFF != self.id:
             return None
@@ -155,9 +155,9 @@ class EmulatedMotor:
         if isinstance(message, DeviceId | Feedback | ParameterValue | FaultReport):
             return None
         self.heard_at = t
-        return self._obey(message, t, measured)
+        return self._execute(message, t, measured)
 
-    def _obey(self, message: HostMessage, t: float, measured: Measured) -> MotorMessage | None:
+    def _execute(self, message: HostMessage, t: float, measured: Measured) -> MotorMessage | None:
         if not isinstance(message, Operation):
             self.host = message.host
         match message:
@@ -201,7 +201,7 @@ class EmulatedMotor:
         self.mode, self.drive = Mode.RESET, FREE
 
     def feedback(self, measured: Measured) -> Feedback:
-        """Return what it measures, as it tells it."""
+        """Return the feedback message of these measurements."""
         return Feedback(
             motor=self.id,
             host=self.host,
@@ -247,10 +247,10 @@ class EmulatedMotor:
             case RunMode.CURRENT:
                 return Drive(tau=v[IQ_REF] * TORQUE_PER_AMPERE, limit=12.0)
 
-    # ------------------------------------------------------------------ what happens to it
+    # ------------------------------------------------------------------ faults
 
-    def look_after(self, t: float, temperature: float, voltage: float, more: Fault) -> MotorMessage | None:
-        """Notice faults and a host that fell silent; return the report that is due.
+    def check_faults(self, t: float, temperature: float, voltage: float, more: Fault) -> MotorMessage | None:
+        """Check for faults and for a silent host; return the fault report that is due, or None.
 
         Args:
             t: Now [s].
@@ -277,5 +277,5 @@ class EmulatedMotor:
         for fault, named in _DETAIL.items():
             detail |= named if fault in self.faults else DetailedFault(0)
         if self.faults and not detail:
-            return None  # such as an encoder's, which only the feedback tells
+            return None  # such as an encoder's, which only the feedback reports
         return FaultReport(motor=self.id, host=self.host, faults=detail, warnings=int(now[1]))

@@ -1,7 +1,7 @@
-"""The emulated robot: motors, IMU and body on one or more buses, in a time of its own.
+"""The emulated robot: motors, IMU and body on one or more buses, in its own time.
 
-Whoever has it says how far time goes: a server lets it follow the clock on the wall (:mod:`mimic.run.emulator_server`), a
-link in the same process lets it run as fast as it can be computed (:mod:`mimic.run.emulated_link`) and repeatably.
+Its owner advances the time: a server lets it follow the clock on the wall (`mimic.emulator.server`), a
+link in the same process lets it run as fast as it can be computed (`mimic.emulator.link`) and repeatably.
 """
 
 from __future__ import annotations
@@ -13,33 +13,33 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mimic.config.emulator import EmulateSettings
+from mimic.dynamics.effect_set import EffectSet
+from mimic.emulator.body import EmulatedBody
+from mimic.emulator.bus import EmulatedBus, Sent
+from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.imu import EmulatedMti
+from mimic.emulator.motor import FREE, ROTOR_TURN, Drive, EmulatedMotor, Measured
 from mimic.errors import BusError, ConfigError
+from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
+from mimic.hardware.can.link import Received
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import Fault, Mode, MotorMessage
+from mimic.hardware.wiring import Wiring
+from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.wiring import Wiring
-from mimic.run.can_frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
-from mimic.run.cybergear import Codec
-from mimic.run.emulated_body import EmulatedBody
-from mimic.run.emulated_bus import EmulatedBus, Sent
-from mimic.run.emulated_faults import EmulatedFault
-from mimic.run.emulated_imu import EmulatedMti
-from mimic.run.emulated_motor import FREE, ROTOR_TURN, Drive, EmulatedMotor, Measured
-from mimic.run.link import Received
-from mimic.run.motor_messages import Fault, Mode, MotorMessage
-from mimic.settings import EmulateSettings
-from mimic.types import JOINTS
 
 VOLTAGE = 24.0
 """Of the supply [V]; manual, rated."""
 
-LOOK_EVERY = 0.01
-"""How often motors look at temperature, voltage and the time since they heard a host [s]."""
+CHECK_PERIOD = 0.01
+"""How often motors check temperature, voltage and the time since the last frame of a host [s]."""
 
-HUNG_TIMESTEP = 0.0005
-"""Longest step of the physics of a robot that hangs [s]: it is there to be measured, and motors read between the steps."""
+SUSPENDED_TIMESTEP = 0.0005
+"""Longest physics step of a suspended robot [s]: it is there to be measured, and motors read between the steps."""
 
 POWER_UP = 0.05
-"""Motors have told their ids within this after the power came [s]."""
+"""Motors announce their ids within this time after power-up [s]."""
 
 IMU = "imu"
 
@@ -51,13 +51,13 @@ class Host:
     node: str
     """Name on the buses."""
     bus: int | None = None
-    """The only one it is on; None for all."""
+    """The only bus it is on; None for all."""
     heard: deque[Received] = field(default_factory=deque)
-    """Frames that it has not taken yet; its own are not among them."""
+    """Received frames that it has not read yet; its own are not among them."""
 
 
 class EmulatedRobot:
-    """Twelve motors and an IMU on their buses, and the body that they move."""
+    """Twelve motors and an IMU on their buses, and the body they move."""
 
     def __init__(
         self,
@@ -75,22 +75,24 @@ class EmulatedRobot:
         Args:
             description: The robot.
             wiring: Where its motors are.
-            settings: How it is; by default lying, its zeros lost.
-            effects: What its drives, links and encoders have besides.
-            faults: What goes wrong and when; more by :meth:`inject`.
-            timestep: Of the physics [s]; no more than HUNG_TIMESTEP for a robot that hangs.
-            visuals: Keep the shapes that are only looked at.
+            settings: How it behaves; by default it lies on the floor, its zeros lost.
+            effects: Hidden effects of its drives, links and encoders.
+            faults: Scheduled faults; more by `inject`.
+            timestep: Of the physics [s]; no more than SUSPENDED_TIMESTEP for a robot that hangs.
+            visuals: Keep the visual shapes.
 
         Raises:
-            ConfigError: If the effects are not of this robot, or a fault is on a bus that is not there.
+            ConfigError: If the effects are not of this robot, or the bus of a fault does not exist.
         """
+        if wiring.maker != "cybergear":
+            raise ConfigError(f"the emulated robot has CyberGear motors; {wiring.path} names {wiring.maker!r}")
         self.settings = s = EmulateSettings() if settings is None else settings
         self.wiring = wiring
         self.body = EmulatedBody(
             description,
             effects=effects,
-            hung=s.hung,
-            timestep=min(timestep, HUNG_TIMESTEP) if s.hung else timestep,
+            suspended=s.suspended,
+            timestep=min(timestep, SUSPENDED_TIMESTEP) if s.suspended else timestep,
             placement=s.placement,
             seed=s.seed,
             visuals=visuals,
@@ -117,42 +119,42 @@ class EmulatedRobot:
         """In the order of the joints."""
         self._on_bus = [[i for i in range(len(JOINTS)) if wiring.bus[i] == bus] for bus in range(wiring.buses)]
         self._driven = [FREE] * len(JOINTS)
-        self.told: deque[tuple[float, str]] = deque(maxlen=1000)
-        """What happened to it and when [s]: faults, the first motor switched on."""
+        self.events: deque[tuple[float, str]] = deque(maxlen=1000)
+        """Log of events with their times [s]: faults, the first motor switched on."""
         self._late: list[tuple[float, int, int, Sent]] = []
         self._late_count = 0
-        self._next_look = LOOK_EVERY
+        self._next_check = CHECK_PERIOD
         self._hosts: list[Host] = []
         self._host_count = 0
         for i, motor in enumerate(self.motors):
-            told = motor.power_up(self._measured(i).q)
-            if s.homed:
+            announcement = motor.power_up(self._measured(i).q)
+            if s.zeroed:
                 motor.zero = 0.0
-            self._tell(i, told, self._rng.uniform(0.0, POWER_UP))
+            self._answer(i, announcement, self._rng.uniform(0.0, POWER_UP))
         for fault in faults:
             self.inject(fault)
 
-    # ------------------------------------------------------------------ from outside
+    # ------------------------------------------------------------------ hosts and faults
 
     def inject(self, fault: EmulatedFault) -> None:
-        """Put a fault on the schedule; one that should have begun begins now.
+        """Schedule a fault; one whose start has passed begins now.
 
         Raises:
-            ConfigError: If it is on a bus that is not there.
+            ConfigError: If its bus does not exist.
         """
         if fault.bus is not None and fault.bus >= len(self.buses):
             raise ConfigError(f"the fault {fault} is on bus {fault.bus}; this robot has {len(self.buses)}")
         self._faults.append(fault if self.body.held else fault.released(self.now))
 
     def connect(self, *, bus: int | None = None) -> Host:
-        """Return another host, on one bus or on all."""
+        """Return a new host, on one bus or on all."""
         self._host_count += 1
         host = Host(f"host{self._host_count}", bus)
         self._hosts.append(host)
         return host
 
     def disconnect(self, host: Host) -> None:
-        """Take a host from the buses; what it has sent still goes out."""
+        """Remove a host from the buses; frames it has sent still go out."""
         if host in self._hosts:
             self._hosts.remove(host)
 
@@ -168,21 +170,21 @@ class EmulatedRobot:
         self.buses[bus].submit(host.node, frame, max(at, self._held_until(bus)))
 
     def unplugged(self, bus: int) -> bool:
-        """Return whether the adapter of a bus is gone."""
+        """Return whether the adapter of a bus is unplugged."""
         return self._value("unplugged", bus=bus) is not None
 
     @property
     def next_event(self) -> float:
-        """When something happens next if no host sends anything [s]."""
+        """Time of the next event if no host sends anything [s]."""
         times = [bus.next_event for bus in self.buses]
-        times += [self.imu.next_sample, self._next_look]
+        times += [self.imu.next_sample, self._next_check]
         if self._late:
             times.append(self._late[0][0])
         times += [f.start for i, f in enumerate(self._faults) if i not in self._happened and not f.after_release]
         return min(times)
 
     def advance(self, until: float, *, waiting: Host | None = None) -> None:
-        """Let time go on to ``until`` [s], or only until a waiting host hears something."""
+        """Advance time to ``until`` [s], or only until a waiting host receives a frame."""
         while (event := self.next_event) <= until:
             self.now = max(self.now, event)
             self._happen()
@@ -192,17 +194,17 @@ class EmulatedRobot:
         self.body.advance(self.now)
 
     def load(self, bus: int = 0) -> float:
-        """Return which share of its time a bus was busy since the beginning."""
+        """Return the share of time that a bus was busy since power-up."""
         return self.buses[bus].bits / self.buses[bus].bitrate / self.now if self.now else 0.0
 
     # ------------------------------------------------------------------ events
 
     def _happen(self) -> None:
-        """Do all that is due now."""
+        """Process all events that are due now."""
         for i, fault in enumerate(self._faults):
             if i not in self._happened and fault.start <= self.now and not fault.after_release:
                 self._happened.add(i)
-                self.told.append((self.now, str(fault)))
+                self.events.append((self.now, str(fault)))
                 self._begin(fault)
         for index, bus in enumerate(self.buses):
             bus.off = self._value("bus_off", bus=index) is not None or self.unplugged(index)
@@ -215,23 +217,23 @@ class EmulatedRobot:
             self._deliver(index, sent._replace(t=self.now))
         if self.imu.next_sample <= self.now:
             self._sample_imu()
-        if self._next_look <= self.now:
-            self._next_look += LOOK_EVERY
-            self._look_after_motors()
+        if self._next_check <= self.now:
+            self._next_check += CHECK_PERIOD
+            self._check_motors()
 
     def _begin(self, fault: EmulatedFault) -> None:
-        """Do what happens once when a fault begins."""
+        """Apply the immediate effect of a fault that begins."""
         if fault.kind == "power_cycle" and fault.joint is not None:
             i = fault.joint
-            told = self.motors[i].power_up(self._measured(i).q)
+            announcement = self.motors[i].power_up(self._measured(i).q)
             self._apply(i)
-            self._tell(i, told, self.now + self._rng.uniform(0.0, POWER_UP))
+            self._answer(i, announcement, self.now + self._rng.uniform(0.0, POWER_UP))
         elif fault.kind == "motor_dead" and fault.joint is not None:
             self.motors[fault.joint].power_up(self._measured(fault.joint).q)
             self._apply(fault.joint)
 
     def _pass_on(self, index: int, sent: Sent) -> None:
-        """Let a frame that was on the bus come to its listeners: once, twice, late, wrong or never."""
+        """Deliver a frame to its receivers: once, twice, late, corrupted or never."""
         lost, twice = self._value("frames_lost", bus=index), self._value("frames_doubled", bus=index)
         wrong, late = self._value("frames_corrupted", bus=index), self._value("frames_late", bus=index)
         if lost is not None and self._rng.random() < lost:
@@ -275,17 +277,17 @@ class EmulatedRobot:
         self._apply(i)
         if motor.mode is Mode.RUN and self.body.held:
             self.body.release()
-            self.told.append((self.now, "first motor switched on; nobody holds the robot any more"))
+            self.events.append((self.now, "first motor switched on; nobody holds the robot any more"))
             self._faults = [fault.released(self.now) for fault in self._faults]
         if answer is not None:
-            self._tell(i, answer, sent.t + self.settings.reply)
+            self._answer(i, answer, sent.t + self.settings.reply)
 
-    def _tell(self, i: int, message: MotorMessage, ready: float) -> None:
+    def _answer(self, i: int, message: MotorMessage, ready: float) -> None:
         if self._value("motor_mute", joint=i) is None and self._value("motor_dead", joint=i) is None:
             self.buses[int(self.wiring.bus[i])].submit(f"motor{i}", self._codec.encode(message), ready)
 
     def _apply(self, i: int) -> None:
-        """Hand over to the body what a motor does, in the joint's sign and zero."""
+        """Pass a motor's drive to the body, in the joint's sign and zero."""
         drive = self.motors[i].drive
         if drive is self._driven[i]:
             return
@@ -307,17 +309,17 @@ class EmulatedRobot:
         hot, voltage = self._value("motor_hot", joint=i), self._value("under_voltage")
         return heat if hot is None else max(heat, hot), VOLTAGE if voltage is None else voltage
 
-    def _look_after_motors(self) -> None:
+    def _check_motors(self) -> None:
         self.body.advance(self.now)
         for i, motor in enumerate(self.motors):
             if self._value("motor_dead", joint=i) is not None:
                 continue
             bits = self._value("motor_fault", joint=i)
             more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
-            report = motor.look_after(self.now, *self._heat_and_voltage(i), more)
+            report = motor.check_faults(self.now, *self._heat_and_voltage(i), more)
             self._apply(i)
             if report is not None:
-                self._tell(i, report, self.now)
+                self._answer(i, report, self.now)
 
     def _sample_imu(self) -> None:
         self.body.advance(self.now)
@@ -333,7 +335,7 @@ class EmulatedRobot:
                 self.buses[self.wiring.imu.bus].submit(IMU, frame, self.now)
 
     def _value(self, kind: str, *, joint: int | None = None, bus: int | None = None) -> float | None:
-        """Return the value of a fault that is there now, or None."""
+        """Return the value of an active fault, or None."""
         if not self._faults:
             return None
         for fault in self._faults:
@@ -342,6 +344,6 @@ class EmulatedRobot:
         return None
 
     def _held_until(self, bus: int) -> float:
-        """Return until when the adapter of a bus keeps everything back [s]."""
+        """Return until when the adapter of a bus holds frames back [s]; 0 if it does not."""
         ends = [f.until for f in self._faults if f.kind == "stalled" and f.bus in (None, bus) and f.active(self.now)]
         return max(ends, default=0.0)

@@ -1,8 +1,8 @@
-"""Lets other processes talk to the emulated robot, over TCP as to a real adapter, while its time follows the wall clock.
+"""Serves the emulated robot to other processes, over TCP as a real adapter does; its time follows the wall clock.
 
-One thread does all: it reads what clients sent, lets the emulation go on to now, hands out what was heard, and sleeps until
-something is due. When the machine is late the emulation catches up; when it is very late, time stands still for it and that
-is counted, because a robot that runs on while nobody could answer shows nothing.
+One thread does everything: it reads from the clients, advances the emulation to now, sends frames to the clients, and
+sleeps until the next event. If the machine is slow, the emulation catches up. If it is very slow, emulated time stops
+and the pause is counted: a robot that goes on while nobody can answer shows nothing.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mimic.emulator.robot import EmulatedRobot, Host
+from mimic.emulator.wire_formats import Session, SlcanSession, SocketcandSession
 from mimic.errors import BusError
-from mimic.run.can_text import Session, SlcanSession, SocketcandSession
-from mimic.run.emulator import EmulatedRobot, Host
 
 GRAIN = 0.0002
-"""It does not sleep for less than this [s]: frames that are due sooner go out together."""
+"""Shortest sleep [s]: frames that are due sooner go out together."""
 
 LONGEST_SLEEP = 0.01
-"""Nor for longer [s]."""
+"""Longest sleep [s]."""
 
 CATCH_UP = 0.1
-"""More than this [s] is not caught up with."""
+"""A longer delay than this is not caught up [s]."""
 
 LATE = 0.002
-"""A frame that is handed out later than this after it was on the bus counts as late [s]."""
+"""A frame that is delivered later than this after it was on the bus counts as late [s]."""
 
 QUIET = 0.05
-"""Frames for a client of socketcand are kept for so long after it was told ok [s]: python-can expects that answer alone."""
+"""How long frames are held back after a client of socketcand was answered [s]: python-can expects the answer alone."""
 
 MOST_WAITING = 1 << 20
 """A client that leaves more than this many bytes unread is dropped."""
@@ -39,7 +39,7 @@ MOST_WAITING = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EmulatorStatus:
-    """How the emulation went since the last time it was asked."""
+    """Statistics of the emulation since the last call."""
 
     t: float
     """Time of the emulation [s]."""
@@ -51,9 +51,9 @@ class EmulatorStatus:
     late: int
     """Frames handed out more than 2 ms after they were on the bus."""
     latest: float
-    """The most that a frame was late [s]."""
+    """Longest delay of a frame [s]."""
     stood_still: float
-    """How long time stood still because the machine was too slow [s]."""
+    """How long emulated time stopped because the machine was too slow [s]."""
 
 
 @dataclass(eq=False)
@@ -74,7 +74,7 @@ class EmulatorServer:
         """Listen.
 
         Args:
-            robot: The robot; nobody else may let its time go on.
+            robot: The robot; nothing else may advance its time.
             host: Address to listen at.
             port: For socketcand, all buses; 0 takes a free one.
             slcan: For slcan, the first bus, the others on the ports after it; 0 takes free ones, None does without.
@@ -113,7 +113,7 @@ class EmulatorServer:
     # ------------------------------------------------------------------ the loop
 
     def run(self, stop: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
-        """Serve until ``stop`` says so; ``each`` is called at every turn."""
+        """Serve until ``stop`` returns True; ``each`` is called at every turn."""
         self._begin = time.monotonic() - self.robot.now
         while not stop():
             self.turn()
@@ -152,7 +152,7 @@ class EmulatorServer:
             self._stood_still += behind - CATCH_UP
 
     def status(self) -> EmulatorStatus:
-        """Return how it went since the last call."""
+        """Return the statistics since the last call."""
         robot, (before, counts) = self.robot, self._before
         span = max(robot.now - before, 1e-9)
         now = [(bus.bits, bus.frames) for bus in robot.buses]
@@ -170,7 +170,7 @@ class EmulatorServer:
         return status
 
     def close(self) -> None:
-        """Let go of all connections."""
+        """Close all connections."""
         for client in list(self._clients):
             self._drop(client)
         for sock in self._listening:

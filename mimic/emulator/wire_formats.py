@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from mimic.errors import FrameError
-from mimic.run.can_frame import CanFrame
+from mimic.hardware.can.frame import CanFrame
 
 LONGEST = 4096
 """Characters without an end of a message, after which they are dropped."""
@@ -61,11 +61,11 @@ class SocketcandSession:
         answer, end = b"", 0
         for found in self._MESSAGE.finditer(self._text):
             end = found.end()
-            answer += self._obey(found[1].split(), frames)
+            answer += self._execute(found[1].split(), frames)
         self._text = self._text[end:][-LONGEST:]
         return frames, answer
 
-    def _obey(self, words: list[str], frames: list[CanFrame]) -> bytes:
+    def _execute(self, words: list[str], frames: list[CanFrame]) -> bytes:
         match words:
             case ["open", name] if name in self._buses:
                 self.bus = self._buses.index(name)
@@ -116,10 +116,10 @@ class SlcanSession:
         frames: list[CanFrame] = []
         answer = b""
         for line in lines:
-            answer += self._obey(line.decode("ascii", "replace").strip(), frames)
+            answer += self._execute(line.decode("ascii", "replace").strip(), frames)
         return frames, answer
 
-    def _obey(self, line: str, frames: list[CanFrame]) -> bytes:
+    def _execute(self, line: str, frames: list[CanFrame]) -> bytes:
         match line[:1]:
             case "" | "S" | "s" | "Y":  # bit rates: the emulated bus has its own
                 pass

@@ -1,4 +1,4 @@
-"""Ways to disturb a robot by a number, and the values that are tried."""
+"""Disturbances with one parameter each, and the values at which they are evaluated."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mimic.settings import CALM, NOMINAL, TRAINING_RANDOMISATION, Disturbance, DisturbanceRanges, Randomisation
+from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, Randomisation
+from mimic.config.training import TRAINING_RANDOMISATION, DisturbanceRanges
 
 START = dataclasses.replace(
     NOMINAL,
@@ -23,21 +24,21 @@ PUSH_INTERVAL = TRAINING_RANDOMISATION.push_interval
 """Time between two pushes [s]."""
 
 World = tuple[Randomisation, Disturbance]
-"""What a robot is drawn from, and what happens to it."""
+"""Ranges that a robot is drawn from, and its disturbance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """One way to disturb a robot, by a number."""
+    """A disturbance with one parameter."""
 
     unit: str
     nominal: float
     points: tuple[float, ...]
-    """Values that are tried; some lie outside the range that is asked for, to find where it breaks."""
+    """Evaluated values; some lie outside the target range, to find where the policy fails."""
     asked: tuple[float, float]
-    """Range that is asked for."""
+    """Range that a policy should tolerate."""
     trained: tuple[float, float] | None
-    """Range that training sees by default; None where it sees none."""
+    """Range of the training by default; None where it has none."""
     apply: Callable[[World, float], World]
 
 
@@ -110,9 +111,9 @@ AXES = _axes()
 
 
 def all_at_once(share: float, seed: int) -> World:
-    """Return a world in which every axis is drawn between its nominal value and a share of its asked range."""
+    """Return a world in which every axis is drawn between its nominal value and a share of its target range."""
     rng = np.random.default_rng([seed, 11])
-    world: World = (START, CALM)
+    world: World = (START, NO_DISTURBANCE)
     for axis in AXES.values():
         low, high = (axis.nominal + share * (end - axis.nominal) for end in axis.asked)
         world = axis.apply(world, float(rng.uniform(low, high)))

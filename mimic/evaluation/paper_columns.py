@@ -1,10 +1,10 @@
-"""The figures of the paper's Table III, from the log of an episode: terms, terminations, columns.
+"""The figures of the paper's Table III from the log of an episode: terms, terminations, columns.
 
 Definitions follow the public code (c2_standdance_env.py, c2_standdance_config.py) where the text leaves them open.
-Step k (from 1) is the state after k control steps, judged against the commands that the policy had during that step.
-So a log of n + 1 ticks holds n steps.
+Step k (from 1) compares the state after k control steps with the commands of that step, so a log of n + 1 ticks holds
+n steps.
 
-Where the paper is ambiguous, and what is done here:
+The paper is ambiguous in some places. What is computed here:
 
 * **The columns are sums over the episode divided by 1000 steps**, whether or not it lasted that long. The paper says
   mean per step; only this reading fits its figures: 0.389 for the height term of weight 0.5 over 826.68 steps would
@@ -14,8 +14,8 @@ Where the paper is ambiguous, and what is done here:
   ``upright`` and the penalties in WEIGHTS, but not foot clearance (-300), which belongs to the paper's own gait clock.
 * **Slip counts all four toes** whose centre is lower than 3 cm, with the turning of the lower leg about the vertical.
 * Contacts between parts of the robot end an episode in the paper; here only the ground does.
-* An episode is judged under three sets of rules, RULES: contacts alone, with the joint limits, and with the rules of
-  the first 30 steps too (hind toe above 6 cm, a joint that moves more than 0.3 rad in a step).
+* An episode is evaluated with three sets of terminations (TERMINATIONS): contacts alone, contacts and joint limits, and
+  both with those of the first 30 steps (hind toe above 6 cm, a joint that moves more than 0.3 rad in a step).
 * The heading is the yaw of the left axis less 90 degrees; the paper's is that of the belly, the same when upright.
 
 Source: Li et al. 2024, section III, Table III; IrisLi17/legged_stand_dance, commit 5515c10.
@@ -25,16 +25,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, wrap_angle
+from mimic.dynamics.ground_contacts import GroundFacts
+from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.metrics import uprightness
+from mimic.records import LEGS, BoolArray, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
-from mimic.robot.ground import GroundFacts
-from mimic.types import LEGS, BoolArray, FloatArray, RunLog
 
 STEPS = 1000
 """Control steps of an episode."""
 
-MERCY_STEPS = 30
+GRACE_STEPS = 30
 """Only from here on contacts end an episode."""
 
 STAND_STEPS = 50
@@ -79,7 +79,7 @@ PAPER = {
 ACTION_UNIT = 0.25
 """Radians per unit of the paper's action, for its action rate."""
 
-ENDS = {
+CONTACT_TERMINATIONS = {
     "base": ("base",),
     "head": ("head",),
     "front_leg": tuple(f"{leg}_{part}" for leg in LEGS[:2] for part in ("thigh", "calf", "foot")),
@@ -87,15 +87,17 @@ ENDS = {
 }
 """Parts whose contact with the ground ends an episode, by the kind that is reported."""
 
-COLLIDING = tuple(part for parts in ENDS.values() for part in parts) + tuple(f"{leg}_calf" for leg in LEGS[2:])
-"""Parts whose contact with the ground costs."""
+COLLIDING = tuple(part for parts in CONTACT_TERMINATIONS.values() for part in parts) + tuple(
+    f"{leg}_calf" for leg in LEGS[2:]
+)
+"""Parts whose contact with the ground is penalised."""
 
-RULES = {
-    "contacts": tuple(ENDS),
-    "contacts and joint limits": (*ENDS, "joint_limit"),
-    "all of the paper's": (*ENDS, "joint_limit", "early_foot", "early_joint"),
+TERMINATIONS = {
+    "contacts": tuple(CONTACT_TERMINATIONS),
+    "contacts and joint limits": (*CONTACT_TERMINATIONS, "joint_limit"),
+    "all of the paper's": (*CONTACT_TERMINATIONS, "joint_limit", "early_foot", "early_joint"),
 }
-"""Kinds of termination that end an episode, for each way of judging it."""
+"""Kinds of termination that end an episode, for each set."""
 
 EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 0.06, 0.3
 """Highest hind toe [m] and largest joint motion in a step [rad] that the paper allows in the first 30 steps."""
@@ -108,7 +110,7 @@ def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
 def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> dict[str, FloatArray]:
     """Return each unweighted term of WEIGHTS for each step (ticks - 1,)."""
     step = np.arange(1, len(log.t))
-    early = step <= MERCY_STEPS
+    early = step <= GRACE_STEPS
     z, q, dq = log.p_WB[1:, 2], log.q[1:], log.dq[1:]
     up = uprightness(log.quat_WB[1:], description)
     heading = heading_from_quat(log.quat_WB[1:])
@@ -140,7 +142,7 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
         "joint_acceleration": np.square(acceleration).sum(-1),
         "joint_limits": np.maximum(np.abs(q - middle) - 0.95 * half, 0.0).sum(-1),
         "torque": np.maximum(np.abs(log.tau[1:]) - 0.5 * description.torque_max, 0.0).sum(-1),
-        "foot_shift": foot_shift(log, ground, description) * (step < MERCY_STEPS),
+        "foot_shift": foot_shift(log, ground, description) * (step < GRACE_STEPS),
     }
 
 
@@ -153,14 +155,14 @@ def velocity_error(log: RunLog) -> FloatArray:
 
 
 def foot_shift(log: RunLog, ground: GroundFacts, description: RobotDescription) -> FloatArray:
-    """Return the mean way of the hind toes from where they started (ticks - 1,) [m].
+    """Return the mean distance of the hind toes from where they started (ticks - 1,) [m].
 
     Toes have moved by the integral of their horizontal velocity; the paper's front-toe part, which holds only until
     the front legs leave the ground, is left out.
     """
-    way = np.cumsum(ground.toe_velocity[1:, 2:] * description.dt, axis=0)
+    path = np.cumsum(ground.toe_velocity[1:, 2:] * description.dt, axis=0)
     up = ground.toe_height[1:, 2:, None] - description.toe_radius
-    return np.linalg.norm(np.concatenate([way, up], -1), axis=-1).mean(-1)
+    return np.linalg.norm(np.concatenate([path, up], -1), axis=-1).mean(-1)
 
 
 def near_limits(q: FloatArray, description: RobotDescription) -> BoolArray:
@@ -168,17 +170,17 @@ def near_limits(q: FloatArray, description: RobotDescription) -> BoolArray:
     return (q < description.q_min + LIMIT_MARGIN) | (q > description.q_max - LIMIT_MARGIN)
 
 
-def endings(log: RunLog, ground: GroundFacts, description: RobotDescription) -> dict[str, BoolArray]:
+def terminations(log: RunLog, ground: GroundFacts, description: RobotDescription) -> dict[str, BoolArray]:
     """Return for each kind of termination whether it holds at each step (ticks - 1,)."""
     step = np.arange(1, len(log.t))
     q = log.q[1:]
     near = near_limits(q, description)
     moved = np.abs(np.diff(log.q, axis=0)).max(-1)
     lifted = ground.toe_height[1:, 2:].max(-1)
-    early = (step > 3) & (step <= MERCY_STEPS)
+    early = (step > 3) & (step <= GRACE_STEPS)
     touched = {
-        kind: np.any([ground.touching[part][1:] for part in parts], axis=0) & (step > MERCY_STEPS)
-        for kind, parts in ENDS.items()
+        kind: np.any([ground.touching[part][1:] for part in parts], axis=0) & (step > GRACE_STEPS)
+        for kind, parts in CONTACT_TERMINATIONS.items()
     }
     return touched | {
         "joint_limit": near.any(-1) & (step > 3),

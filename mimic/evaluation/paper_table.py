@@ -1,4 +1,4 @@
-"""Judging a policy as the paper's Table III does: random robots from the lying start, over evaluation seeds."""
+"""Evaluation of a policy as in the paper's Table III: random robots from the lying start, over evaluation seeds."""
 
 from __future__ import annotations
 
@@ -10,26 +10,28 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, wrap_angle
-from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.ground import GroundFacts, ground_facts
-from mimic.run.evaluation import command_script
-from mimic.run.loop import run_policy
-from mimic.run.paper_table import (
+from mimic.config.evaluation import TableSettings
+from mimic.config.play import RunSettings
+from mimic.dynamics.ground_contacts import GroundFacts, ground_facts
+from mimic.evaluation.episode import play_episode
+from mimic.evaluation.paper_columns import (
     COLUMNS,
     PAPER,
-    RULES,
     STAND_STEPS,
+    TERMINATIONS,
     WEIGHTS,
-    endings,
     near_limits,
+    terminations,
     terms,
     velocity_error,
 )
-from mimic.run.pool import Progress, loaded_policy, play_all, simulated
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import RunSettings, TableSettings
-from mimic.types import JOINTS, FloatArray, RunLog
+from mimic.evaluation.policy import command_script
+from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.jobs.local import Progress, run_all
+from mimic.policy.runtime import cached_policy
+from mimic.records import JOINTS, FloatArray, RunLog
+from mimic.robot.description import RobotDescription, load_description
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 TIMING = RunSettings(stand_up=1.0, blend=0.1, hold=0.0)
 """As in the paper the first goal is approached from the neutral toes over 3 s, after 50 steps; the run loop commands no
@@ -41,7 +43,7 @@ SEEDS_APART = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One episode in the paper's figures, under one set of rules."""
+    """One episode in the paper's figures, with one set of terminations."""
 
     columns: dict[str, float]
     """Sum of each weighted term over the episode, divided by its full length."""
@@ -49,7 +51,7 @@ class Episode:
     """Sum of all weighted terms times the control step."""
     steps: int
     ended_by: str
-    """Kind of termination, ``fall`` where the run loop gave up before one, or ``time``."""
+    """Kind of termination, ``fall`` where the run ended before one, or ``time``."""
     toe_error_cm: float
     velocity_error: float
     """[m/s]"""
@@ -63,8 +65,8 @@ def _mean(values: FloatArray) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def judge(
-    log: RunLog, ground: GroundFacts, description: RobotDescription, *, steps: int, rules: tuple[str, ...]
+def evaluate_episode(
+    log: RunLog, ground: GroundFacts, description: RobotDescription, *, steps: int, kinds: tuple[str, ...]
 ) -> Episode:
     """Return the figures of one episode; unweighted errors are means after the 50th step.
 
@@ -73,10 +75,10 @@ def judge(
         ground: Of the same log.
         description: The robot.
         steps: Control steps of a full episode.
-        rules: Kinds of termination that end it.
+        kinds: Kinds of termination that end it.
     """
-    held = endings(log, ground, description)
-    first = {kind: int(np.argmax(held[kind])) + 1 for kind in rules if held[kind].any()}
+    held = terminations(log, ground, description)
+    first = {kind: int(np.argmax(held[kind])) + 1 for kind in kinds if held[kind].any()}
     count = min([*first.values(), steps, len(log.t) - 1])
     ended_by = next((kind for kind, at in first.items() if at == count), "time" if count == steps else "fall")
     values = {name: WEIGHTS[name] * value[:count] for name, value in terms(log, ground, description).items()}
@@ -103,21 +105,24 @@ class _Job:
 
 
 def _play(job: _Job, policy_path: str) -> tuple[int, dict[str, Episode]]:
-    description, policy = load_description(), loaded_policy(policy_path)
+    description, policy = load_description(), cached_policy(policy_path)
     steps = round(job.settings.seconds / description.dt)
     rng = np.random.default_rng([job.seed, 5])
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     seconds = (steps + 1) * description.dt - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, first=neutral)
     s = job.settings
-    plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, samples=False, **simulated(s.robot))
-    log = run_policy(plant, policy, track, TIMING).log
+    plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, samples=False, **plant_options(s.robot))
+    log = play_episode(plant, policy, track, TIMING).log
     ground = ground_facts(log, description)
-    return job.group, {name: judge(log, ground, description, steps=steps, rules=rules) for name, rules in RULES.items()}
+    return job.group, {
+        name: evaluate_episode(log, ground, description, steps=steps, kinds=kinds)
+        for name, kinds in TERMINATIONS.items()
+    }
 
 
 def over_seeds(groups: dict[int, list[Episode]]) -> dict[str, Any]:
-    """Return mean and standard deviation over evaluation seeds of each figure, and how the episodes ended.
+    """Return mean and standard deviation over evaluation seeds of each figure, and the terminations.
 
     Args:
         groups: Episodes of each evaluation seed; figures that an episode lacks are left out of its seed's mean.
@@ -151,21 +156,21 @@ def over_seeds(groups: dict[int, list[Episode]]) -> dict[str, Any]:
 
 
 def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Return the paper's Table III for a policy, for each of RULES; the same seeds give the same figures.
+    """Return the paper's Table III for a policy, for each set of terminations; the same seeds give the same figures.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
-    loaded_policy(str(policy_path))
-    simulated(settings.robot)
+    cached_policy(str(policy_path))
+    plant_options(settings.robot)
     jobs = [
         _Job(group=group, seed=settings.seed + group * SEEDS_APART + i, settings=settings)
         for group in range(settings.seeds)
         for i in range(settings.episodes)
     ]
-    rows = play_all(partial(_play, policy_path=str(policy_path)), jobs, workers=settings.workers, progress=progress)
+    rows = run_all(partial(_play, policy_path=str(policy_path)), jobs, workers=settings.workers, progress=progress)
     table, episodes = {}, {}
-    for name in RULES:
+    for name in TERMINATIONS:
         groups = {group: [found[name] for at, found in rows if at == group] for group in range(settings.seeds)}
         table[name] = over_seeds(groups)
         episodes[name] = [asdict(episode) | {"group": at} for at, episode in ((at, f[name]) for at, f in rows)]

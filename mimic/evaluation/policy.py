@@ -1,4 +1,4 @@
-"""Judging a policy in plain MuJoCo, from the lying start: does it stand up, keep standing, reach, walk and turn."""
+"""Evaluation of a policy in plain MuJoCo, from the lying start: standing up, standing, reaching, walking, turning."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, wrap_angle
+from mimic.config.evaluation import EvaluateSettings
+from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
+from mimic.control.loop import RunResult
+from mimic.evaluation.episode import play_episode
+from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.jobs.local import run_all
 from mimic.metrics import run_metrics, standing
-from mimic.policy.runtime import Policy
+from mimic.policy.runtime import Policy, cached_policy
+from mimic.records import CommandTrack, FloatArray
 from mimic.robot.description import RobotDescription, load_description
 from mimic.robot.goals import draw_goals
-from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import loaded_policy, play_all, simulated
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, EffectsSettings, EvaluateSettings, Randomisation, RunSettings
-from mimic.types import CommandTrack, FloatArray
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 STOOD_WITHIN = 1.5
 """A stand-up counts when the robot stands within this [s]."""
@@ -32,6 +34,12 @@ COMMAND_SECONDS = 10.0
 
 TURNS = (np.pi / 2, -np.pi / 3)
 """Heading commands that must be reached [rad]."""
+
+TOE_EPISODES = 10
+"""Nominal episodes that only reach for goals."""
+
+COMMAND_EPISODES = 4
+"""Nominal episodes of each walking speed and each turn."""
 
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.0)
 """One second to stand up, as in the paper, then half a second to the first goal."""
@@ -60,7 +68,7 @@ def command_script(
         seconds: Length of the track [s].
         speed: Forward speed throughout [m/s].
         turn: Heading throughout, relative to the start [rad].
-        first: Toes (2, 3) from which the way to the first goal begins [m]; by default at another goal.
+        first: Toes (2, 3) where the path to the first goal begins [m]; by default at another goal.
     """
     dt = description.dt
     ticks = round(seconds / dt)
@@ -91,8 +99,8 @@ def _play(job: _Job, policy: Policy, description: RobotDescription) -> RunResult
     rng = np.random.default_rng([job.seed, 5])
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False, **simulated(job.robot))
-    return run_policy(plant, policy, track, TIMING)
+    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False, **plant_options(job.robot))
+    return play_episode(plant, policy, track, TIMING)
 
 
 def stands_at_end(result: RunResult, description: RobotDescription, *, ground: FloatArray | float = 0.0) -> bool:
@@ -112,7 +120,7 @@ def stands_at_end(result: RunResult, description: RobotDescription, *, ground: F
 
 def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     description = load_description()
-    policy = loaded_policy(policy_path)
+    policy = cached_policy(policy_path)
     result = _play(job, policy, description)
     log = result.log
     figures = run_metrics(log, description) | {"kind": job.kind, "seed": job.seed}
@@ -122,7 +130,7 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
         rows = log.t > 2.0
         travelled = np.diff(log.p_WB[rows, :2], axis=0)
         ahead = np.stack([np.cos(heading[rows]), np.sin(heading[rows])], axis=-1)[:-1]
-        duration = np.ptp(log.t[rows]) if len(travelled) else np.inf  # who fell before that walked nowhere
+        duration = np.ptp(log.t[rows]) if len(travelled) else np.inf  # a robot that fell before has walked nowhere
         figures["forward_m_s"] = float(np.sum(travelled * ahead) / duration)
         figures["commanded_m_s"] = job.speed
     if job.kind == "turn":
@@ -139,11 +147,11 @@ def _jobs(settings: EvaluateSettings) -> Iterator[_Job]:
         yield _Job(
             kind="randomised", seed=settings.seed + i, seconds=seconds, ranges=settings.randomisation, robot=robot
         )
-    for i in range(10):
+    for i in range(TOE_EPISODES):
         yield _Job(
             kind="toes", seed=settings.seed + i, seconds=seconds, ranges=NOMINAL, speed=0.0, turn=0.0, robot=robot
         )
-    for i in range(4):
+    for i in range(COMMAND_EPISODES):
         for speed in (-0.3, 0.3):
             yield _Job(
                 kind="walk", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=speed, turn=0.0, robot=robot
@@ -157,17 +165,17 @@ def _jobs(settings: EvaluateSettings) -> Iterator[_Job]:
 def evaluate(
     policy_path: Path, settings: EvaluateSettings, *, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Any]:
-    """Judge a policy, episodes in parallel; the same seeds give the same figures on one machine.
+    """Evaluate a policy, episodes in parallel; the same seeds give the same figures on one machine.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
         ConfigError: If its effects cannot be read.
     """
     Policy(policy_path, load_description())
-    simulated(settings.robot)
+    plant_options(settings.robot)
     jobs = list(_jobs(settings))
     play = partial(_figures, policy_path=str(policy_path))
-    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
+    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 
@@ -178,7 +186,7 @@ def _mean_minutes(minutes: list[float]) -> float:
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures that decide, from the rows of all episodes."""
+    """Return the main figures of all episodes."""
     kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("randomised", "toes", "walk", "turn")}
     randomised = kinds["randomised"]
     stand_up = np.array([r["stand_up_s"] for r in randomised])

@@ -1,4 +1,4 @@
-"""How far a policy can be disturbed before it falls: one axis at a time, all together, and under other solvers.
+"""How much disturbance a policy survives: one axis at a time, all together, and with other solvers.
 
 An episode begins lying, with start pose, heading, goals and commands drawn as in the paper, and is survived when the
 robot has not fallen and stands in its last second. Along an axis everything else is nominal, and each point sees the
@@ -16,24 +16,27 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.evaluation import RobustnessSettings
+from mimic.config.play import NO_DISTURBANCE, EffectsSettings, Randomisation, Solver
+from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
+from mimic.evaluation.disturbance_axes import AXES, START, World, all_at_once
+from mimic.evaluation.episode import play_episode
+from mimic.evaluation.policy import TIMING, command_script, stands_at_end
+from mimic.jobs.local import Progress, run_all
+from mimic.policy.runtime import cached_policy
+from mimic.records import SIDES
 from mimic.robot.description import load_description
-from mimic.run.axes import AXES, START, World, all_at_once
-from mimic.run.evaluation import TIMING, command_script, stands_at_end
-from mimic.run.loop import run_policy
-from mimic.run.pool import Progress, loaded_policy, play_all, simulated
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import CALM, TRAINING_RANDOMISATION, EffectsSettings, Randomisation, RobustnessSettings, Solver
-from mimic.types import SIDES
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
-KEPT = 0.95
-"""Share of survived episodes that counts as holding."""
+REQUIRED = 0.95
+"""Share of survived episodes from which on a disturbance counts as tolerated."""
 
 TOGETHER = (0.25, 0.5, 0.75, 1.0)
-"""Shares of every asked range, from nominal to its end, in which all axes are drawn at once."""
+"""Shares of every target range, from nominal to its end, from which all axes are drawn at once."""
 
 FRICTION_1 = dataclasses.replace(Randomisation(), ground_friction=(1.0, 1.0))
-"""With pyramidal cones the feet sink into the ground where friction is high."""
+"""With pyramidal cones the feet sink into ground with high friction."""
 
 SOLVERS: dict[str, tuple[Solver, Randomisation]] = {
     "2.5 ms implicitfast elliptic": (Solver(), Randomisation()),
@@ -46,7 +49,7 @@ SOLVERS: dict[str, tuple[Solver, Randomisation]] = {
     "2.5 ms implicitfast elliptic, friction 1": (Solver(), FRICTION_1),
     "2.5 ms implicitfast pyramidal, friction 1": (Solver(cone="pyramidal"), FRICTION_1),
 }
-"""Ways to integrate the same physics, on the paper's random robots; the first is the one of training."""
+"""Integrators of the same physics, on the paper's random robots; the first is that of training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,32 +77,32 @@ def _jobs(settings: RobustnessSettings) -> list[_Job]:
 
     for name, axis in AXES.items():
         for value in axis.points:
-            add(name, f"{value:g}", fixed(axis.apply((START, CALM), value)))
+            add(name, f"{value:g}", fixed(axis.apply((START, NO_DISTURBANCE), value)))
     for share in TOGETHER:
         add("together", f"{share:g}", partial(all_at_once, share))
-    add("randomised", "the paper's Table II", fixed((Randomisation(), CALM)))
-    add("randomised", "training's ranges", fixed((TRAINING_RANDOMISATION, CALM)))
+    add("randomised", "the paper's Table II", fixed((Randomisation(), NO_DISTURBANCE)))
+    add("randomised", "training's ranges", fixed((TRAINING_RANDOMISATION, NO_DISTURBANCE)))
     for name, (solver, ranges) in SOLVERS.items():
-        add("solver", name, fixed((ranges, CALM)), solver)
+        add("solver", name, fixed((ranges, NO_DISTURBANCE)), solver)
     return jobs
 
 
 def _survives(job: _Job, policy_path: str) -> bool:
-    description, policy = load_description(), loaded_policy(policy_path)
+    description, policy = load_description(), cached_policy(policy_path)
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, np.random.default_rng([job.seed, 5]))
     ranges, disturbance = job.world
-    robot: dict[str, Any] = simulated(job.robot) | ({} if job.solver is None else {"solver": job.solver})
+    robot: dict[str, Any] = plant_options(job.robot) | ({} if job.solver is None else {"solver": job.solver})
     plant = SimulatedPlant(description, ranges=ranges, seed=job.seed, samples=False, disturbance=disturbance, **robot)
     try:
-        result = run_policy(plant, policy, track, TIMING)
+        result = play_episode(plant, policy, track, TIMING)
     except PlantError:  # the simulation exploded
         return False
     return stands_at_end(result, description, ground=plant.disturber.ground_height(result.log.p_WB))
 
 
 def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | None:
-    """Return the widest range of values around the nominal one over which at least KEPT survive; None if it is empty.
+    """Return the widest range of values around the nominal one at which at least REQUIRED survive, or None.
 
     Args:
         shares: Survived share at each value.
@@ -107,12 +110,12 @@ def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | N
     """
     values = sorted(shares)
     begin = min(range(len(values)), key=lambda i: abs(values[i] - nominal))
-    if shares[values[begin]] < KEPT:
+    if shares[values[begin]] < REQUIRED:
         return None
     low = high = begin
-    while low > 0 and shares[values[low - 1]] >= KEPT:
+    while low > 0 and shares[values[low - 1]] >= REQUIRED:
         low -= 1
-    while high + 1 < len(values) and shares[values[high + 1]] >= KEPT:
+    while high + 1 < len(values) and shares[values[high + 1]] >= REQUIRED:
         high += 1
     return values[low], values[high]
 
@@ -120,17 +123,17 @@ def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | N
 def evaluate_robustness(
     policy_path: Path, settings: RobustnessSettings, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Return the survived share along each axis, with all axes at once, and under other solvers.
+    """Return the survived share along each axis, with all axes at once, and with other solvers.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
-    loaded_policy(str(policy_path))
-    simulated(settings.robot)
+    cached_policy(str(policy_path))
+    plant_options(settings.robot)
     jobs = _jobs(settings)
     play = partial(_survives, policy_path=str(policy_path))
     survived: dict[tuple[str, str], list[bool]] = {}
-    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
+    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
     for job, ok in zip(jobs, rows, strict=True):
         survived.setdefault(job.key, []).append(ok)
     share = {key: float(np.mean(values)) for key, values in survived.items()}

@@ -1,4 +1,4 @@
-"""Judging a policy that sits down, in plain MuJoCo: hand-overs from a tracking policy that stands, walks or turns."""
+"""Evaluation of a policy that sits down, in plain MuJoCo, after a switch from a policy that stands or walks."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import rotation_from_quat
-from mimic.policy.runtime import Policy, load_policy
+from mimic.config.evaluation import SitDownEvaluateSettings
+from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
+from mimic.control.loop import RunResult
+from mimic.evaluation.contact_recorder import ContactRecorder
+from mimic.evaluation.episode import play_episode
+from mimic.evaluation.policy import TIMING, command_script
+from mimic.geometry import rotation_from_quat
+from mimic.jobs.local import run_all
+from mimic.policy.runtime import Policy, cached_policy, load_policy
+from mimic.records import PHASES, RunLog
 from mimic.robot.description import RobotDescription, load_description
-from mimic.run.evaluation import TIMING, command_script
-from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import loaded_policy, play_all, simulated
-from mimic.run.simulation import SimulatedPlant
-from mimic.run.touches import TouchRecorder
-from mimic.settings import AS_DESCRIBED, EffectsSettings, Randomisation, SitDownEvaluateSettings
-from mimic.types import PHASES, RunLog
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 GENTLE = 0.8
 """The base must be slower than this when trunk or belly first touches the ground [m/s]."""
 
 EARLIEST = 1.6
-"""Earliest hand-over after the start [s]: the robot has just stood up."""
+"""Earliest policy switch after the start [s]: the robot has just stood up."""
 
 LEVEL = 0.25
 """A lying robot is level within this [rad]."""
@@ -34,19 +36,21 @@ POSE = 0.4
 """… and each joint is within this of the lying pose [rad]."""
 
 HEIGHTS = (0.07, 0.16)
-"""… and its base this high [m]; 0.136 with legs that do not give way, about 0.11 with the motors' gains."""
+"""… and its base this high [m]; 0.136 with rigid legs, about 0.11 with the motors' gains."""
 
-STILL = 0.12
-"""… and its base moves less than this over the last half second [m]. As large as it is because on bouncy ground
-(restitution 0.2 to 0.4) the feet of a robot that lies on powered legs chatter and creep by up to 0.1 m, with any commands
-that do not change; at a physics step of 1 ms instead of 5 ms they do not."""
+RESTING = 0.12
+"""… and its base moves less than this over the last half second [m]. The limit is this large because on bouncy ground
+(restitution 0.2 to 0.4) the feet of a robot that lies on powered legs chatter and creep by up to 0.1 m, even with
+constant commands; at a physics step of 1 ms instead of 5 ms they do not."""
 
 LAST = 0.5
-"""What lying is judged on: the end of the run [s]."""
+"""The end of the run over which lying is evaluated [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
+class SitDownEpisode:
+    """One episode: a random robot that stands up, tracks for a random time, and sits down."""
+
     seed: int
     seconds: float
     ranges: Randomisation
@@ -54,7 +58,7 @@ class _Job:
 
 
 def final_pose(log: RunLog, description: RobotDescription) -> dict[str, float]:
-    """Return how a run ended: means over its last half second, except the joint that is furthest off."""
+    """Return the final pose: means over the last half second, and the largest error of a joint."""
     rows = slice(-round(LAST / description.dt), None)
     up = rotation_from_quat(log.quat_WB[rows])[:, 2, :]
     error = np.abs(log.q[rows].mean(axis=0) - description.poses["lie"])
@@ -68,34 +72,34 @@ def final_pose(log: RunLog, description: RobotDescription) -> dict[str, float]:
 
 
 def lies(end: dict[str, float]) -> bool:
-    """Return whether a robot with this final pose lies as it should."""
+    """Return whether this final pose is that of a robot that lies on its legs, level and at rest."""
     return (
         end["tilt_rad"] < LEVEL
         and HEIGHTS[0] < end["height_m"] < HEIGHTS[1]
-        and end["moved_m"] < STILL
+        and end["moved_m"] < RESTING
         and end["pose_error_max_rad"] < POSE
     )
 
 
-def hand_over(job: _Job, tracker: Policy, sit_down: Policy) -> tuple[RunResult, TouchRecorder]:
+def play_policy_switch(job: SitDownEpisode, tracker: Policy, sit_down: Policy) -> tuple[RunResult, ContactRecorder]:
     """Play one episode: stand up, track random commands for a random time, sit down."""
     description = load_description()
     rng = np.random.default_rng([job.seed, 7])
     seconds = rng.uniform(EARLIEST, job.seconds) - TIMING.stand_up - TIMING.blend
     track = command_script(description, max(seconds, 2 * description.dt), rng)
-    recorder = TouchRecorder()
-    options = {"samples": False, "watch": recorder, **simulated(job.robot)}
+    recorder = ContactRecorder(description)
+    options = {"samples": False, "observer": recorder, **plant_options(job.robot)}
     plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **options)
-    return run_policy(plant, tracker, track, TIMING, sit_down=sit_down), recorder
+    return play_episode(plant, tracker, track, TIMING, sit_down=sit_down), recorder
 
 
-def _figures(job: _Job, tracker: str, sit_down: str) -> dict[str, Any]:
+def _figures(job: SitDownEpisode, tracker: str, sit_down: str) -> dict[str, Any]:
     description = load_description()
-    result, recorder = hand_over(job, loaded_policy(tracker), loaded_policy(sit_down))
+    result, recorder = play_policy_switch(job, cached_policy(tracker), cached_policy(sit_down))
     log = result.log
     begin = float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))])
-    landing, end = recorder.landing(begin), final_pose(log, description)
-    gentle = not landing.head_touched and landing.impact_speed < GENTLE
+    touchdown, end = recorder.touchdown(begin), final_pose(log, description)
+    gentle = not touchdown.head_touched and touchdown.impact_speed < GENTLE
     return {
         "seed": job.seed,
         "handed_over": result.fell_at is None,
@@ -103,7 +107,7 @@ def _figures(job: _Job, tracker: str, sit_down: str) -> dict[str, Any]:
         "gentle": gentle,
         "lies": lies(end),
         "success": gentle and lies(end),
-        **asdict(landing),
+        **asdict(touchdown),
         **end,
     }
 
@@ -111,30 +115,32 @@ def _figures(job: _Job, tracker: str, sit_down: str) -> dict[str, Any]:
 def evaluate_sit_down(
     policy_path: Path, settings: SitDownEvaluateSettings, *, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Any]:
-    """Judge a policy that sits down, episodes in parallel; the same seeds give the same figures on one machine.
+    """Evaluate a policy that sits down, episodes in parallel; the same seeds give the same figures on one machine.
 
     Raises:
         AssetError, ContractError: If a policy cannot be run on this robot, or does something else.
     """
     description = load_description()
-    simulated(settings.robot)
+    plant_options(settings.robot)
     tracker = load_policy(settings.tracker, description).path
     load_policy(policy_path, description, task="sit_down")
     jobs = [
-        _Job(seed=settings.seed + i, seconds=settings.seconds, ranges=settings.randomisation, robot=settings.robot)
+        SitDownEpisode(
+            seed=settings.seed + i, seconds=settings.seconds, ranges=settings.randomisation, robot=settings.robot
+        )
         for i in range(settings.episodes)
     ]
     play = partial(_figures, tracker=str(tracker), sit_down=str(policy_path))
-    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
+    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
     return {"policy": policy_path.name, "tracker": tracker.name, "summary": summarise(rows), "episodes": rows}
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures that decide; robots that were about to fall before the hand-over are counted apart."""
-    judged = [r for r in rows if r["handed_over"]]
+    """Return the main figures; robots that were about to fall before the policy switch are counted separately."""
+    evaluated = [r for r in rows if r["handed_over"]]
 
     def column(name: str) -> np.ndarray:
-        return np.array([r[name] for r in judged], dtype=np.float64)
+        return np.array([r[name] for r in evaluated], dtype=np.float64)
 
     def spread(name: str) -> dict[str, float]:
         values = column(name)
@@ -157,11 +163,11 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "moved_m",
     )
     return {
-        "hand_overs": len(judged),
-        "falling_before": len(rows) - len(judged),
-        "success": float(column("success").mean()) if judged else float("nan"),
-        "gentle": float(column("gentle").mean()) if judged else float("nan"),
-        "lies": float(column("lies").mean()) if judged else float("nan"),
+        "hand_overs": len(evaluated),
+        "falling_before": len(rows) - len(evaluated),
+        "success": float(column("success").mean()) if evaluated else float("nan"),
+        "gentle": float(column("gentle").mean()) if evaluated else float("nan"),
+        "lies": float(column("lies").mean()) if evaluated else float("nan"),
         "head_contacts": int(column("head_touched").sum()),
         "trunk_contacts": int(column("trunk_touched").sum()),
         **{name: spread(name) for name in names},

@@ -1,4 +1,4 @@
-"""Judging how a policy stands up from lying, and how still it stands when nothing is asked of it."""
+"""Evaluation of standing up from lying, and of standing still without commands."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from mimic.frames import heading_from_quat, wrap_angle
+from mimic.config.evaluation import StandUpSettings
+from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
+from mimic.control.loop import RunResult
+from mimic.evaluation.episode import play_episode
+from mimic.evaluation.policy import STOOD_WITHIN, TIMING, stands_at_end
+from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.jobs.local import Progress, run_all
 from mimic.metrics import stand_up_time
+from mimic.policy.runtime import cached_policy
+from mimic.records import CommandTrack
 from mimic.robot.description import load_description
-from mimic.run.evaluation import STOOD_WITHIN, TIMING, stands_at_end
-from mimic.run.loop import RunResult, run_policy
-from mimic.run.pool import Progress, loaded_policy, play_all, simulated
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, EffectsSettings, Randomisation, StandUpSettings
-from mimic.types import CommandTrack
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SETTLED = 2.0
-"""Standing still is judged from here on [s]."""
+"""Standing still is evaluated from this time on [s]."""
 
-STILL_RANGES = replace(NOMINAL, start_q=Randomisation().start_q, heading=Randomisation().heading)
+STANDING_RANGES = replace(NOMINAL, start_q=Randomisation().start_q, heading=Randomisation().heading)
 """The robot as described, at the paper's random starts."""
 
 
@@ -36,8 +39,8 @@ class _Job:
 
 
 def _stand(job: _Job, policy_path: str) -> RunResult:
-    """Play a run in which nothing is asked for but neutral toes."""
-    description, policy = load_description(), loaded_policy(policy_path)
+    """Play a run whose only commands are neutral toes."""
+    description, policy = load_description(), cached_policy(policy_path)
     ticks = round((job.seconds - TIMING.stand_up - TIMING.blend) / description.dt)
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     track = CommandTrack(
@@ -46,8 +49,8 @@ def _stand(job: _Job, policy_path: str) -> RunResult:
         heading=np.zeros(ticks),
         p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
     )
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **simulated(job.robot))
-    return run_policy(plant, policy, track, TIMING)
+    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **plant_options(job.robot))
+    return play_episode(plant, policy, track, TIMING)
 
 
 def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
@@ -73,29 +76,29 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
 def evaluate_stand_up(
     policy_path: Path, settings: StandUpSettings, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Return how lying starts end, and how far robots that should stand still go; the same seeds give the same figures.
+    """Evaluate lying starts, and the drift of robots that should stand still; the same seeds give the same figures.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
-    loaded_policy(str(policy_path))
-    simulated(settings.robot)
+    cached_policy(str(policy_path))
+    plant_options(settings.robot)
     rise = {"kind": "rise", "seconds": settings.seconds, "ranges": settings.randomisation, "robot": settings.robot}
     still = {
         "kind": "still",
         "seconds": SETTLED + settings.still_seconds,
-        "ranges": STILL_RANGES,
+        "ranges": STANDING_RANGES,
         "robot": settings.robot,
     }
     jobs = [_Job(seed=settings.seed + i, **still) for i in range(settings.still_episodes)]
     jobs += [_Job(seed=settings.seed + i, **rise) for i in range(settings.episodes)]
     play = partial(_figures, policy_path=str(policy_path))
-    rows = play_all(play, jobs, workers=settings.workers, progress=progress)
+    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures that decide, from the rows of all episodes."""
+    """Return the main figures of all episodes."""
     description = load_description()
     rise = [r for r in rows if r["kind"] == "rise"]
     still = [r for r in rows if r["kind"] == "still"]

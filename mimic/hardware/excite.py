@@ -1,9 +1,13 @@
-"""Moving a robot that hangs so that its drives show what they are, and logging it as calibration reads it.
+"""Probing: moves a suspended robot so that its drives show their properties, and logs it as calibration reads it.
 
-A row is one exchange with the motors of legs that move, and with some of the others in turn: the commands go out at once, and
-each motor measures when its own arrives. An answer that comes too late for its own row but before the next commands still
-belongs to it; one that is later is missing, as is that of a motor that was not asked. Motors tell the torque of that instant, not the mean since the row before, which a log's ``tau`` is; so it stands beside the log, as
-``tau_now``. A position is told as a word that was rounded down; the log has the middle of what the word stands for.
+A row is one exchange with the motors: commands go to all joints of moving legs, and in turn to some of the others. The
+commands go out at once, and each motor measures when its own arrives. An answer that misses its row but comes before
+the next commands still belongs to it. A later answer is missing from the log, as is that of a motor that was not
+asked.
+
+Motors report the torque of an instant. A log's ``tau`` is the mean since the row before, so the reported torque is
+kept in a column of its own, ``tau_now``. Motors round positions down to a word; the log has the middle of what the
+word stands for.
 """
 
 from __future__ import annotations
@@ -14,74 +18,74 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.hardware import ProbeSettings
+from mimic.control.safety_limits import LIMITS
+from mimic.control.safety_rules import SUSPENDED_RULES
+from mimic.control.signals import Signals
+from mimic.control.step_history import StepReport
+from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.errors import PlantError
-from mimic.machine_log import HELD, MachineLog
-from mimic.robot.goals import eased
-from mimic.robot.wiring import Wiring
-from mimic.run.bus_load import expected_load
-from mimic.run.can_robot import CanRobot
-from mimic.run.cybergear import half_a_word
-from mimic.run.exchange import ALL
-from mimic.run.motor_messages import VBUS, ReadParameter
-from mimic.run.probe_motion import Motion, turns
-from mimic.run.safety import Event, Mode, Supervisor
-from mimic.run.safety_rules import HUNG_RULES, LIMITS, Facts
-from mimic.run.signals import Signals
-from mimic.settings import ProbeSettings
-from mimic.types import JOINTS, BoolArray, FloatArray, JointCommand
+from mimic.geometry import smoothstep
+from mimic.hardware.can.load import expected_load
+from mimic.hardware.excite_motion import ProbeMotion, turns
+from mimic.hardware.motor import Register
+from mimic.hardware.motor_bus import ALL
+from mimic.hardware.plant import CanRobot
+from mimic.io.joint_log import HELD, JointLog
+from mimic.records import JOINTS, BoolArray, FloatArray, JointCommand
 
 VOLTAGE_EVERY = 0.5
-"""How often a motor is asked for the supply's voltage [s]."""
+"""Time between two questions for the supply voltage [s]."""
 
-SILENT_TURNS = 3
-"""A reading of a joint that is held may be carried on over so many turns at most; the supervisor ends a longer silence."""
+MAX_GAP_TURNS = 3
+"""A reading of a held joint is carried forward over at most so many turns; the supervisor ends a longer silence."""
 
-STILL_WORDS = 2.0
-"""... if the readings around differ by no more than so many words of a position."""
+HELD_STEPS = 2.0
+"""It is carried forward only if the readings around it differ by at most so many steps of a position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Probe:
-    """What came of probing."""
+class ProbeResult:
+    """The result of probing."""
 
-    log: MachineLog
+    log: JointLog
     ended: Event | None
-    """What ended it early, if anything did."""
+    """Event that ended it early, if any."""
     missing: float
-    """Share of the readings asked for that did not come."""
+    """Share of the requested readings that are missing."""
     load: FloatArray
-    """Share of its time that each bus was busy while the motion was played, by the frames seen here (buses,)."""
+    """Measured share of time that each bus was busy during the motion (buses,)."""
     expected: FloatArray
-    """The same by the arithmetic (buses,)."""
+    """Expected share, estimated from the rates (buses,)."""
 
 
 def probe(
     robot: CanRobot,
-    motion: Motion,
+    motion: ProbeMotion,
     settings: ProbeSettings,
     signals: Signals,
     *,
     progress: Callable[[int, int], None] | None = None,
-) -> Probe:
-    """Move a robot that hangs, and return its log; the robot is left damped and off, whatever happens.
+) -> ProbeResult:
+    """Move a suspended robot and return its log; the robot is left damped and off, whatever happens.
 
     Args:
         robot: Not started yet.
-        motion: Targets, and which joints are asked in every row.
+        motion: Targets, and which joints are read in every row.
         settings: Rate and gains.
         signals: Ctrl-C ends it and keeps the log.
-        progress: Called once a second with the rows done and in all.
+        progress: Called once a second with the rows done and the rows in total.
 
     Raises:
         PlantError: If it ended before the first row.
     """
     limits = replace(
         LIMITS,
-        silent_ticks=round(LIMITS.silent_ticks * robot.description.dt * settings.rate),
-        slow_ticks=round(LIMITS.slow_ticks * robot.description.dt * settings.rate),
-        late_ticks=round(LIMITS.late_ticks * robot.description.dt * settings.rate),
+        silent_ticks=round(LIMITS.silent_ticks * robot.description.dt * settings.rate_hz),
+        small_overrun_ticks=round(LIMITS.small_overrun_ticks * robot.description.dt * settings.rate_hz),
+        overrun_ticks=round(LIMITS.overrun_ticks * robot.description.dt * settings.rate_hz),
     )
-    supervisor = Supervisor(robot.description, limits, rules=HUNG_RULES, sits=False)
+    supervisor = Supervisor(robot.description, limits, rules=SUSPENDED_RULES, sits=False)
     rows = _Rows(robot, supervisor, signals, settings)
     try:
         state = robot.start()
@@ -91,34 +95,36 @@ def probe(
             rows.step(gain, target, motion.watched[0], keep=False)
         for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
             rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
-            if progress is not None and number % round(settings.rate) == 0:
+            if progress is not None and number % round(settings.rate_hz) == 0:
                 progress(number, len(motion))
         rows.end()
     except _Ended:
         pass
     except (PlantError, KeyboardInterrupt) as reason:
-        supervisor.decide("exception", Mode.DAMP, str(reason) or type(reason).__name__, robot.exchange.link.now())
+        supervisor.decide(
+            "exception", SafetyMode.DAMP, str(reason) or type(reason).__name__, robot.motor_bus.link.now()
+        )
     finally:
         robot.close()
     return rows.result()
 
 
 def _approach(begin: FloatArray, first: FloatArray, settings: ProbeSettings) -> Iterator[tuple[float, FloatArray]]:
-    """Yield share of the gains and target: first the gains rise, then the joints move."""
-    begin, ticks = np.where(np.isnan(begin), first, begin), max(2, round(settings.approach * settings.rate))
+    """Yield share of the gains and targets (12,) [rad]: first the gains rise, then the joints move."""
+    begin, ticks = np.where(np.isnan(begin), first, begin), max(2, round(settings.approach * settings.rate_hz))
     for tick in range(ticks):
         yield (tick + 1) / ticks, begin
     for tick in range(ticks):
         way = (tick + 1) / ticks
-        yield 1.0, begin + eased(way) * (first - begin)
+        yield 1.0, begin + smoothstep(way) * (first - begin)
 
 
 class _Ended(Exception):
-    """A supervisor ended the motion."""
+    """The supervisor ended the motion."""
 
 
 class _Rows:
-    """Sends targets and keeps what comes back."""
+    """Sends targets and records the answers."""
 
     def __init__(self, robot: CanRobot, supervisor: Supervisor, signals: Signals, settings: ProbeSettings) -> None:
         self._robot, self._supervisor, self._signals, self._settings = robot, supervisor, signals, settings
@@ -126,70 +132,70 @@ class _Rows:
             name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
         }
         self._asked = self._due = self._began = 0.0
-        self._turns, self._keeps = turns(settings.rate, robot.description.dt), False
+        self._turns, self._keeps = turns(settings.rate_hz, robot.description.dt), False
         self._joints: list[int] = []
-        """Those asked in the last row."""
+        """Joints asked in the last row."""
         self._watched: BoolArray = np.zeros(len(JOINTS), dtype=bool)
-        """Those of legs that moved in it."""
+        """Joints of legs that moved in it."""
         self._since: FloatArray = np.full(len(JOINTS), -np.inf)
         """When each motor was asked last [s]."""
         self._in_effect: FloatArray = np.full(len(JOINTS), np.nan)
-        """Target that each motor was sent last [rad]."""
+        """Last target sent to each motor [rad]."""
         self._bits: list[tuple[float, FloatArray]] = []
-        """Time [s] and bits so far, at the beginning of the first row that is kept and at the end of the last one."""
+        """Time [s] and bits so far, at the start of the first recorded row and at the end of the last one."""
         self._voltage, self._next_voltage, self._volted = float("nan"), 0.0, 0
 
     def begin(self) -> None:
-        self._began = self._due = self._asked = self._robot.exchange.link.now()
+        self._began = self._due = self._asked = self._robot.motor_bus.link.now()
 
     def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
-        robot, exchange, settings = self._robot, self._robot.exchange, self._settings
-        link, zeros = exchange.link, np.zeros(len(JOINTS))
+        robot, motor_bus, settings = self._robot, self._robot.motor_bus, self._settings
+        link, zeros = motor_bus.link, np.zeros(len(JOINTS))
         robot.beat()
-        exchange.drain()
+        motor_bus.drain()
         self._finish()
         self._ask_voltage()
         asked = link.now()
         if keep and not self._bits:
-            self._bits = [(asked, exchange.bits.copy())] * 2
+            self._bits = [(asked, motor_bus.bits.copy())] * 2
         joints = list(ALL) if everyone else self._turns.asked(watched, self._since)
         kp, kd = np.full(len(JOINTS), gain * settings.kp), np.full(len(JOINTS), gain * settings.kd)
-        sent = exchange.command(JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros), joints)
+        sent = motor_bus.command(JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros), joints)
         self._since[joints], self._in_effect[joints] = asked, sent.q_des[joints]
-        self._due += 1.0 / settings.rate
-        exchange.listen(self._due)
+        self._due += 1.0 / settings.rate_hz
+        motor_bus.listen(self._due)
         now = link.now()
         late = now - self._due
-        if late > 1.0 / settings.rate:
+        if late > 1.0 / settings.rate_hz:
             self._due = now
         self._asked, self._joints, self._watched, self._keeps = asked, joints, watched, keep
         if keep:
-            self._bits[1] = now, exchange.bits.copy()
+            self._bits[1] = now, motor_bus.bits.copy()
         robot.count(asked)
-        facts = Facts(
+        report = StepReport(
             state=robot.state(self._since, now),
             health=robot.health(0.0, late, now),
             phase=0,
             interrupts=self._signals.interrupts,
             terminated=self._signals.terminated,
         )
-        if self._supervisor.judge(facts) > Mode.RUN:
+        if self._supervisor.update(report) > SafetyMode.RUN:
             self._finish()
             raise _Ended
 
     def end(self) -> None:
-        """Keep the last row too."""
-        self._robot.exchange.drain()
+        """Record the last row too."""
+        self._robot.motor_bus.drain()
         self._finish()
 
     def _finish(self) -> None:
-        """Keep the row of the last commands, now that nothing more can come for it."""
+        """Record the row of the last commands; no more answers can belong to it."""
         if not self._keeps:
             return
-        exchange = self._robot.exchange
+        motor_bus = self._robot.motor_bus
         asked = np.isin(np.arange(len(JOINTS)), self._joints)
-        since = np.where(asked, self._asked, np.inf)  # what comes of the others is late by a row or more
-        q, dq, tau = exchange.readings(since)
+        since = np.where(asked, self._asked, np.inf)  # an answer of another joint is delayed by a row or more
+        q, dq, tau = motor_bus.readings(since)
         row = (
             self._asked - self._began,
             asked,
@@ -197,8 +203,8 @@ class _Rows:
             dq,
             tau,
             self._in_effect.copy(),
-            np.where(self._watched & (exchange.came > since), exchange.came - self._began, np.nan),
-            exchange.temperature(),
+            np.where(self._watched & (motor_bus.came > since), motor_bus.came - self._began, np.nan),
+            motor_bus.temperature(),
             self._voltage,
         )
         for column, value in zip(self._columns.values(), row, strict=True):
@@ -206,18 +212,16 @@ class _Rows:
         self._keeps = False
 
     def _ask_voltage(self) -> None:
-        """Ask one motor after another for the voltage, without waiting for the answer."""
-        exchange = self._robot.exchange
-        now = exchange.link.now()
-        told = exchange.value(self._volted, VBUS)
-        self._voltage = self._voltage if np.isnan(told) else told
+        """Ask one motor after another for the supply voltage, without waiting for the answer."""
+        motor_bus = self._robot.motor_bus
+        now = motor_bus.link.now()
+        newest = motor_bus.value(self._volted, Register.SUPPLY_VOLTAGE)
+        self._voltage = self._voltage if np.isnan(newest) else newest
         if now >= self._next_voltage:
             self._next_voltage, self._volted = now + VOLTAGE_EVERY, (self._volted + 1) % len(JOINTS)
-            wiring = exchange.wiring
-            motor = int(wiring.motor[self._volted])
-            exchange.send(self._volted, ReadParameter(motor=motor, host=wiring.host, index=VBUS))
+            motor_bus.request(self._volted, Register.SUPPLY_VOLTAGE)
 
-    def result(self) -> Probe:
+    def result(self) -> ProbeResult:
         columns = {name: np.array(values) for name, values in self._columns.items()}
         ended = self._supervisor.decisive
         if len(columns["t"]) < 2:
@@ -232,10 +236,10 @@ class _Rows:
             extra[f"tau_now.{name}"] = columns["tau"][:, joint]
         asked = columns["asked"].astype(bool)
         missing = float(np.isnan(columns["q"][asked]).mean())
-        wiring = self._robot.exchange.wiring
+        wiring = self._robot.motor_bus.wiring
         (start, before), (stop, after) = self._bits
-        middle = wiring.sign * half_a_word(wiring.position_range)
-        log = MachineLog(
+        middle = wiring.sign * self._robot.motor_bus.motors.facts.position_bias
+        log = JointLog(
             joints=JOINTS,
             t=t,
             q=columns["q"] + middle,
@@ -248,30 +252,30 @@ class _Rows:
                 "robot": self._robot.description.name,
                 "motion": settings.kind,
                 "joints_at_once": settings.joints,
-                "rate_hz": settings.rate,
+                "rate_hz": settings.rate_hz,
                 "missing_share": missing,
                 "ended": "" if ended is None else ended.text,
             }
-            | self._held(asked, wiring),
+            | self._held(asked),
         )
-        return Probe(
+        return ProbeResult(
             log=log,
             ended=ended,
             missing=missing,
             load=(after - before) / wiring.bitrate / (stop - start),
-            expected=expected_load(wiring, settings.rate * asked.mean(axis=0)),
+            expected=expected_load(wiring, settings.rate_hz * asked.mean(axis=0)),
         )
 
-    def _held(self, asked: BoolArray, wiring: Wiring) -> dict[str, Any]:
-        """Return the note by which a reader carries on what was read of joints that were held."""
+    def _held(self, asked: BoolArray) -> dict[str, Any]:
+        """Return the metadata by which a reader carries readings of held joints forward."""
         if asked.all():
             return {}
-        within = STILL_WORDS * 2.0 * half_a_word(wiring.position_range)
-        return {HELD: {"rows": SILENT_TURNS * self._turns.rows, "within": within}}
+        within = HELD_STEPS * self._robot.motor_bus.motors.facts.position_step
+        return {HELD: {"rows": MAX_GAP_TURNS * self._turns.rows, "within": within}}
 
 
 def _first_known(values: FloatArray) -> FloatArray:
-    """Return values whose missing beginning is the first one known."""
+    """Return the values with a missing beginning replaced by the first known one."""
     known = np.flatnonzero(~np.isnan(values))
     if not len(known):
         return values

@@ -1,52 +1,51 @@
-"""Who is on the buses: every id is asked, and what else speaks is listened to."""
+"""Finds motors and IMU: asks every id on every bus, and listens for other senders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from mimic.errors import FrameError
-from mimic.robot.wiring import Wiring
-from mimic.run.cybergear import FIRST_HOST, Codec
-from mimic.run.imu import make_imu
-from mimic.run.link import Link
-from mimic.run.motor_messages import DeviceId, GetDeviceId
-from mimic.types import JOINTS
+from mimic.hardware.can.link import Link
+from mimic.hardware.motor import Identity
+from mimic.hardware.wiring import Wiring
+from mimic.hardware.xsens_mti import make_imu
+from mimic.records import JOINTS
 
 SPACING = 0.001
-"""Between two questions [s]: a question and its answer take 0.3 ms."""
+"""Time between two questions [s]: a question and its answer take 0.3 ms."""
 
 PASSES = 2
 """How often every id is asked; an adapter that was just opened may lose the first frames."""
 
-AFTER = 0.3
-"""How long is listened after the last question [s]."""
+TAIL = 0.3
+"""How long to listen after the last question [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class BusScan:
     """What answered on one bus."""
 
     name: str
     motors: dict[int, int]
-    """Id -> unique id."""
+    """Id -> unique number."""
     imu: float
-    """Orientations a second; 0 where no IMU spoke."""
+    """Orientations a second; 0 if no IMU was heard [Hz]."""
     others: tuple[int, ...]
-    """Identifiers of frames that nobody here knows."""
+    """Identifiers of frames from unknown senders."""
 
 
-def scan(link: Link, wiring: Wiring) -> list[Seen]:
+def scan(link: Link, wiring: Wiring) -> list[BusScan]:
     """Ask every id on every bus, and return what answered on each.
 
     Raises:
         BusError: If a bus fails.
     """
-    codec = Codec(position_range=wiring.position_range)
+    protocol = wiring.motors()
     motors: list[dict[int, int]] = [{} for _ in link.names]
     others: list[set[int]] = [set() for _ in link.names]
     imus = [make_imu(wiring.imu) for _ in link.names]
     while link.receive(0.0) is not None:
-        pass  # what waited since the buses were opened
+        pass  # frames that arrived since the buses were opened
     begin = link.now()
 
     def listen(until: float) -> None:
@@ -58,21 +57,21 @@ def scan(link: Link, wiring: Wiring) -> list[Seen]:
             try:
                 if imus[bus].feed(frame, t):
                     continue
-                message = codec.decode(frame)
+                message = protocol.decode(frame)
             except FrameError:
                 others[bus].add(frame.id)
                 continue
-            if isinstance(message, DeviceId):
+            if isinstance(message, Identity):
                 motors[bus][message.motor] = message.uid
 
-    for motor in PASSES * tuple(range(FIRST_HOST)):
+    for motor in PASSES * tuple(protocol.facts.motor_ids):
         for bus in range(len(link.names)):
-            link.send(bus, codec.encode(GetDeviceId(motor=motor, host=wiring.host)))
+            link.send(bus, protocol.ask_identity(motor))
         listen(link.now() + SPACING)
-    listen(link.now() + AFTER)
+    listen(link.now() + TAIL)
     seconds = link.now() - begin
     return [
-        Seen(
+        BusScan(
             name=name,
             motors=dict(sorted(motors[bus].items())),
             imu=imus[bus].reading(link.now()).count / seconds,
@@ -82,18 +81,18 @@ def scan(link: Link, wiring: Wiring) -> list[Seen]:
     ]
 
 
-def lacking(seen: list[Seen], wiring: Wiring) -> list[str]:
-    """Return what the wiring has and the buses do not, and the other way round, as sentences."""
-    told = []
+def wiring_problems(found: list[BusScan], wiring: Wiring) -> list[str]:
+    """Return the differences between a scan and the wiring, as sentences."""
+    problems, factory_id = [], wiring.motors().facts.factory_id
     for joint, name in enumerate(JOINTS):
         bus, motor = int(wiring.bus[joint]), int(wiring.motor[joint])
-        if motor not in seen[bus].motors:
-            told.append(f"{name} should be motor {motor} on {seen[bus].name}, which does not answer")
-    for bus, one in enumerate(seen):
+        if motor not in found[bus].motors:
+            problems.append(f"{name} should be motor {motor} on {found[bus].name}, which does not answer")
+    for bus, one in enumerate(found):
         for motor in one.motors:
             if wiring.joint_of(bus, motor) is None:
-                new = "; new motors have 127" if motor == 127 else ""
-                told.append(f"motor {motor} on {one.name} is not in the wiring{new}")
-    if not seen[wiring.imu.bus].imu:
-        told.append(f"no IMU speaks on {seen[wiring.imu.bus].name}")
-    return told
+                new = f"; new motors have {motor}" if motor == factory_id else ""
+                problems.append(f"motor {motor} on {one.name} is not in the wiring{new}")
+    if not found[wiring.imu.bus].imu:
+        problems.append(f"no IMU answers on {found[wiring.imu.bus].name}")
+    return problems

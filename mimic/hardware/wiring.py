@@ -1,4 +1,4 @@
-"""How motors and IMU hang on the buses, read from ``assets/<robot>/bus.toml`` or from a person's copy of it."""
+"""The wiring of motors and IMU: ``assets/<robot>/bus.toml``, or your copy of it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import AssetError, ConfigError
-from mimic.shipped import shipped
-from mimic.types import JOINTS, LEGS, FloatArray, IntArray
+from mimic.hardware.makers import make_motors
+from mimic.hardware.motor import MotorFacts, MotorProtocol
+from mimic.io.assets import shipped
+from mimic.records import JOINTS, LEGS, FloatArray, IntArray
+
+DEFAULT_MAKER = "cybergear"
+"""Maker of the motors if a file names none."""
 
 IMU_MESSAGES = ("quaternion", "rate_of_turn", "group_counter", "status_word", "sample_time")
 """Messages that an IMU may send."""
@@ -37,8 +42,10 @@ class Wiring:
 
     path: Path
     """File that it was read from."""
+    maker: str
+    """Maker of the motors; a name in `mimic.hardware.makers.MAKERS`."""
     buses: int
-    """How many there are."""
+    """Number of buses."""
     bitrate: int
     """[bit/s]"""
     host: int
@@ -53,6 +60,10 @@ class Wiring:
     offset: FloatArray
     """Joint angle where the motor reads zero [rad]."""
     imu: ImuWiring
+
+    def motors(self) -> MotorProtocol:
+        """Return the protocol of the motors."""
+        return make_motors(self.maker, host=self.host, position_range=self.position_range)
 
     def q_of(self, p: FloatArray) -> FloatArray:
         """Return joint angles (12,) [rad] of motor readings (12,) [rad]."""
@@ -69,17 +80,17 @@ class Wiring:
 
 
 def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyberdog2") -> Wiring:
-    """Read how a robot is wired.
+    """Read the wiring of a robot.
 
     Args:
         path: File; None takes the one that ships with the robot.
-        buses: How many buses there are.
-        robot: Whose file to take where none is given.
+        buses: Number of buses.
+        robot: Robot whose shipped file is read if no path is given.
 
     Raises:
         AssetError: If there is no such file.
-        ConfigError: If it is not TOML, or says what cannot be: a missing joint, an id given twice, no layout for so many
-            buses.
+        ConfigError: If it is not TOML or not consistent: an unknown maker, a missing joint, an id given twice, no
+            layout for so many buses.
     """
     path = shipped("assets", robot, "bus.toml") if path is None else path
     try:
@@ -95,7 +106,7 @@ def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyber
 
 
 class _Reader:
-    """Takes values out of the file and checks them."""
+    """Reads values from the file and checks them."""
 
     def __init__(self, path: Path, raw: Mapping[str, Any]) -> None:
         self._path, self._raw = path, raw
@@ -109,7 +120,18 @@ class _Reader:
         if missing:
             raise ConfigError(f"[joints] lacks {', '.join(missing)}")
         rows = {j: _table(joints, j, "[joints]") for j in JOINTS}
-        motor = np.array([_whole(rows[j], "motor", j, 0, 127) for j in JOINTS])
+        maker = raw.get("motor", DEFAULT_MAKER)
+        if not isinstance(maker, str):
+            raise ConfigError(f"motor is {maker!r}; expected the maker of the motors, such as {DEFAULT_MAKER!r}")
+        position_range = _number(raw, "position_range", "the file")
+        if not 1.0 < position_range < 100.0:
+            raise ConfigError(f"position_range is {position_range:g} rad; expected such as 4 pi = 12.566 or 12.5")
+        host = _whole(raw, "host", "the file", 0, 0xFFFF)
+        facts = make_motors(maker, host=host, position_range=position_range).facts
+        if host not in facts.host_ids:
+            ids = facts.host_ids
+            raise ConfigError(f"host of the file is {host}; expected a whole number from {ids[0]} to {ids[-1]}")
+        motor = np.array([_motor_id(rows[j], j, facts) for j in JOINTS])
         sign = np.array([_number(rows[j], "sign", j) for j in JOINTS])
         for joint, value in zip(JOINTS, sign, strict=True):
             if value not in (-1.0, 1.0):
@@ -121,14 +143,12 @@ class _Reader:
                 raise ConfigError(f"{seen[place]} and {joint} both have motor {place[1]} on bus {place[0]}")
             seen[place] = joint
         bitrate = _whole(raw, "bitrate", "the file", 10_000, 1_000_000)
-        position_range = _number(raw, "position_range", "the file")
-        if not 1.0 < position_range < 100.0:
-            raise ConfigError(f"position_range is {position_range:g} rad; expected 4 pi = 12.566 or 12.5")
         return Wiring(
             path=self._path,
+            maker=maker,
             buses=buses,
             bitrate=bitrate,
-            host=_whole(raw, "host", "the file", 0x80, 0xFD),
+            host=host,
             position_range=position_range,
             bus=bus,
             motor=motor,
@@ -178,6 +198,10 @@ class _Reader:
             quat_BI=np.array(quat) / length,
             rate={name: float(value) for name, value in rates.items()},
         )
+
+
+def _motor_id(row: Mapping[str, Any], joint: str, facts: MotorFacts) -> int:
+    return _whole(row, "motor", joint, facts.motor_ids[0], facts.motor_ids[-1])
 
 
 def _table(raw: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:

@@ -1,9 +1,9 @@
 """IMUs on the bus: what the rest needs of one, and the Xsens MTi-600 series.
 
-Another IMU is one more file with a class that has :class:`Imu`'s methods, and a line in :func:`make_imu`.
+Another IMU is one more file with a class that has `Imu`'s methods, and a line in `make_imu`.
 
-Source of ids and scales: xsens.dbc and xsens_parser.cpp of jiminghe/Xsens_MTi_CAN_ROS_Driver, commit e305ce3 (tested on an
-MTi-680-DK by its author), the maker's xscandataidentifier.h and its document MT1604P.
+Source of ids and scales: xsens.dbc and xsens_parser.cpp of jiminghe/Xsens_MTi_CAN_ROS_Driver, commit e305ce3 (tested
+on an MTi-680-DK by its author), the maker's xscandataidentifier.h and its document MT1604P.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Protocol
 import numpy as np
 
 from mimic.errors import ConfigError, FrameError
-from mimic.frames import multiply_quats, rotation_from_quat
-from mimic.robot.wiring import ImuWiring
-from mimic.run.can_frame import CanFrame
-from mimic.types import FloatArray
+from mimic.geometry import multiply_quats, rotation_from_quat
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.wiring import ImuWiring
+from mimic.records import FloatArray
 
 STALE_AFTER = 0.03
-"""A reading older than this is no reading [s]: three missing samples at 100 Hz; a loop at 50 Hz sees it within 50 ms."""
+"""A reading older than this is not used [s]: three missing samples at 100 Hz; a 50 Hz loop sees it within 50 ms."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -68,7 +68,8 @@ QUATERNION, RATE_OF_TURN, STATUS_WORD, SAMPLE_TIME, GROUP_COUNTER = 0x021, 0x032
 _LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
 
 _QUATERNION_SCALE, _RATE_SCALE = 32767.0, 512.0
-"""Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both are one."""
+"""Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both
+are one."""
 
 ORIENTATION_VALID = 1 << 1
 """Bit of the status word."""
@@ -143,7 +144,7 @@ def encode_mti(sample: MtiSample) -> list[CanFrame]:
 
 
 class XsensMti:
-    """An Xsens MTi of the 600 series: orientation and rate of turn, with counter and status word where it sends them."""
+    """An Xsens MTi of the 600 series: orientation and rate of turn; counter and status word if it sends them."""
 
     def __init__(self, quat_BI: FloatArray, *, stale_after: float = STALE_AFTER) -> None:
         """Make a listener.

@@ -1,4 +1,4 @@
-"""Where the files that ship with mimic are: inside the installed package, or beside it in a checkout."""
+"""Finds the files that ship with mimic: inside the installed package, or beside it in a checkout."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from pathlib import Path
 
 from mimic.errors import AssetError
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+DEMO_CLIP = ("examples", "videos", "waving.mp4")
+"""The example clip that also ships in the wheel; ``shipped(*DEMO_CLIP)`` finds it."""
 
 
 def shipped(*parts: str) -> Path:

@@ -1,9 +1,9 @@
-"""Logs of any machine with joints: what was asked, what was measured. The format is in docs/log-format.md.
+"""Joint logs: targets and measurements of any machine with joints. The format is in docs/manual/log-format.md.
 
-Parquet or CSV, a row a reading: ``t`` [s], ``q.<joint>`` [rad or m], and for each joint ``q_des.<joint>`` (target of a
-position drive) or ``force.<joint>`` (force or torque put in); optional ``dq.<joint>``, ``tau.<joint>``. Gains, gravity,
-units and notes stand in the metadata of the file (key ``mimic_log``, JSON) or in a JSON file of the same name. Other columns of
-numbers (times of sending and receiving, temperatures, voltages) are kept as they are.
+Parquet or CSV with a row for each reading: ``t`` [s], ``q.<joint>`` [rad or m], and for each joint ``q_des.<joint>``
+(target of a position drive) or ``force.<joint>`` (applied force or torque); optional ``dq.<joint>`` and
+``tau.<joint>``. Gains, gravity, units and notes are in the metadata of the file (key ``mimic_log``, JSON) or in a JSON
+file of the same name. Other numeric columns (send and receive times, temperatures, voltages) are kept as they are.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import CalibrationError
-from mimic.store import plain, written_whole
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.io.store import plain, written_whole
+from mimic.records import BoolArray, FloatArray, IntArray
 
 _KEY = b"mimic_log"
 
 CHANNELS = ("q", "dq", "tau", "q_des", "force")
-"""What a log can hold for each joint."""
+"""Channels that a log can have for each joint."""
 
 UNITS = "units"
-"""Note of a log: its angles are in degrees, "deg", or in radians, "rad"; without it they should be in radians."""
+"""Metadata key: angles are in degrees, "deg", or in radians, "rad" (the default)."""
 
 HELD = "held"
-"""Note of a log in which joints that were held still were not read in every row: {"rows": n, "within": step}."""
+"""Metadata key: joints at rest were not read in every row: {"rows": n, "within": step}."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MachineLog:
+class JointLog:
     """Readings of a machine over time. Arrays are (T, J); None where the log has no such channel."""
 
     joints: tuple[str, ...]
@@ -46,7 +46,7 @@ class MachineLog:
     q_des: FloatArray | None = None
     """Target of the position drive in effect when the row was read: the one last sent [rad or m]."""
     force: FloatArray | None = None
-    """Torque or force put in [N m or N]."""
+    """Applied torque or force [N m or N]."""
     dq: FloatArray | None = None
     """Measured velocity [rad/s or m/s]."""
     tau: FloatArray | None = None
@@ -54,7 +54,9 @@ class MachineLog:
     extra: Mapping[str, FloatArray] = field(default_factory=dict)
     """Other columns of the file by name (T,), such as ``temperature.FL_knee``."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes [m/s^2], and free notes."""
+    """``kp``, ``kd`` (a number, or one for each joint by name), ``gravity`` [x, y, z] in base axes [m/s^2], and free
+    notes.
+    """
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) < len(self.joints):
@@ -82,13 +84,13 @@ class MachineLog:
         """[s]"""
         return float(self.t[-1] - self.t[0])
 
-    def part(self, rows: slice | IntArray | BoolArray) -> MachineLog:
+    def part(self, rows: slice | IntArray | BoolArray) -> JointLog:
         """Return some rows."""
         cut = {name: getattr(self, name)[rows] for name in ("t", *CHANNELS) if getattr(self, name) is not None}
         extra = {name: column[rows] for name, column in self.extra.items()}
-        return MachineLog(joints=self.joints, metadata=self.metadata, extra=extra, **cut)
+        return JointLog(joints=self.joints, metadata=self.metadata, extra=extra, **cut)
 
-    def of(self, joints: Sequence[str]) -> MachineLog:
+    def of(self, joints: Sequence[str]) -> JointLog:
         """Return the log of these joints, in this order.
 
         Raises:
@@ -102,15 +104,19 @@ class MachineLog:
             )
         index = [self.joints.index(j) for j in joints]
         picked = {n: getattr(self, n)[:, index] for n in CHANNELS if getattr(self, n) is not None}
-        return MachineLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
+        return JointLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
 
 
-def read_log(path: Path) -> MachineLog:
+def read_log(path: str | Path) -> JointLog:
     """Read a Parquet or CSV log.
+
+    Args:
+        path: The file, or a run folder that holds ``joints.parquet``.
 
     Raises:
         CalibrationError: If the file cannot be read as one; the message names what is missing.
     """
+    path = Path(path)
     if not path.exists():
         raise CalibrationError(f"{path} does not exist; give a log (.parquet or .csv)")
     if path.is_dir():
@@ -125,10 +131,12 @@ def read_log(path: Path) -> MachineLog:
     if side.exists() and side != path:
         metadata = {**metadata, **_notes(side.read_bytes(), f"{side} beside the log")}
     if "t" not in columns:
-        raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/log-format.md")
+        raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/manual/log-format.md")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))
     if not joints:
-        raise CalibrationError(f"{path} has no column q.<joint>; it has {_some(columns)}. See docs/log-format.md")
+        raise CalibrationError(
+            f"{path} has no column q.<joint>; it has {_some(columns)}. See docs/manual/log-format.md"
+        )
     found: dict[str, FloatArray] = {}
     for channel in CHANNELS:
         have = [j for j in joints if f"{channel}.{j}" in columns]
@@ -152,14 +160,14 @@ def read_log(path: Path) -> MachineLog:
     if metadata.get(UNITS) == "deg":
         metadata = {**metadata, UNITS: "rad"}
         found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
-    return _carried(MachineLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    return _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
 
 
-def _carried(log: MachineLog) -> MachineLog:
-    """Return the log with readings of joints that were held carried on, where its notes say that they were read in turn.
+def _carried(log: JointLog) -> JointLog:
+    """Return the log with readings of joints at rest carried on, as its metadata says.
 
-    Only between two readings no more rows apart and no further from each other than the note says, with the target as it
-    was; all else that is missing stays so.
+    Only between two readings no more rows apart and no further from each other than the note says, with the target as
+    it was; all else that is missing stays so.
 
     Raises:
         CalibrationError: If the note is something else.
@@ -188,8 +196,17 @@ def _carried(log: MachineLog) -> MachineLog:
     return replace(log, **carried)
 
 
-def write_log(log: MachineLog, path: Path) -> Path:
-    """Write a log whole or not at all, as Parquet, or as CSV with a JSON file of its metadata beside it."""
+def write_log(log: JointLog, path: str | Path) -> Path:
+    """Write a log completely or not at all.
+
+    Args:
+        log: The log.
+        path: ``*.csv`` for CSV with a JSON file of the metadata beside it; anything else is Parquet.
+
+    Returns:
+        The path.
+    """
+    path = Path(path)
     columns: dict[str, FloatArray] = {"t": log.t}
     for channel in CHANNELS:
         value = getattr(log, channel)
@@ -255,7 +272,8 @@ def _check_gains(notes: Mapping[str, Any], joints: Sequence[str], path: Path) ->
         for which, names in (("no", set(joints) - set(gains)), ("a", set(gains) - set(joints))):
             if names:
                 raise CalibrationError(
-                    f"the notes of {path} have {which} {key} for {min(names)}; give one number for all, or one for each of"
+                    f"the metadata of {path} has {which} {key} for {min(names)};"
+                    " give one number for all, or one for each of"
                     f" {_some(joints)}"
                 )
 

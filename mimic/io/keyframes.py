@@ -1,11 +1,11 @@
-"""A motion as a few key frames, and the YAML file that a person may edit.
+"""A motion as a few key frames, stored as a YAML file that can be edited by hand.
 
 sentence: step forward, then wave
-planner: phrasebook
+planner: grammar
 frames:
 - what: both hands up
-  duration: 0.8                 # s, from the frame before to this one
-  velocity: [0.0, 0.0]          # m/s forward and left, on the way
+  duration: 0.8                 # s, from the previous frame to this one
+  velocity: [0.0, 0.0]          # m/s forward and left, until the frame is reached
   heading_deg: 0.0              # left of the heading at the start, when the frame is reached
   left_deg: [0.0, 45.0, -70.0]  # abad, hip, knee of the front left leg, when the frame is reached
   right_deg: [0.0, 45.0, -70.0]
@@ -22,66 +22,66 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.store import written_whole
-from mimic.types import FloatArray
+from mimic.io.store import written_whole
+from mimic.records import FloatArray
 
 MOST_FRAMES = 100
-"""Key frames of a motion at most."""
+"""Maximum number of key frames of a motion."""
 LARGEST = 1_000_000
-"""A file or an answer with more characters is not read."""
+"""Maximum size of a file or an answer [characters]."""
 FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
-"""What a key frame must have: how many numbers each is, 0 being one by itself."""
+"""Required fields of a key frame, with the length of each list; 0 is a single number."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KeyFrame:
-    """What is reached, and how one gets there from the frame before."""
+    """A posture and heading to reach, and the duration and velocity on the way there."""
 
     duration: float
-    """From the frame before [s]."""
+    """Time from the previous frame [s]."""
     velocity: tuple[float, float]
-    """On the way, forward and left in the heading frame [m/s]."""
+    """Velocity on the way, forward and left in the heading frame [m/s]."""
     heading: float
-    """When it is reached, left of the heading at the start [rad]."""
+    """Heading at the key frame, positive to the left of the initial heading [rad]."""
     q: FloatArray
-    """Front legs when it is reached: abad, hip, knee, left before right (6,) [rad]."""
+    """Front-leg joints at the key frame: abad, hip, knee, left before right (6,) [rad]."""
     what: str = ""
-    """In words."""
+    """Description in words."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KeyFrames:
-    """A motion; it begins with the front legs as they are when the robot stands."""
+    """A motion in key frames; it begins in the standing posture."""
 
     frames: tuple[KeyFrame, ...]
     sentence: str = ""
-    """What was asked for."""
+    """The sentence that describes the motion."""
     planner: str = ""
-    """Who made it: phrasebook, the name of a language model, or a person."""
+    """Origin of the motion: grammar, the name of a language model, or a person."""
 
     @property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the motion [s]."""
         return sum(frame.duration for frame in self.frames)
 
 
 def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
-    """Return the key frames of plain data, and what is wrong with it; with a complaint there are none.
+    """Parse plain data; return the key frames and the errors. With errors, there are no key frames.
 
     Args:
-        data: A list of mappings, or a mapping whose ``frames`` is one, as JSON and YAML give them.
+        data: A list of mappings, or a mapping with such a list under ``frames``, as from JSON or YAML.
     """
     rows = data.get("frames") if isinstance(data, Mapping) else data
     if not isinstance(rows, list) or not rows:
         return (), [f"expected a list of frames under 'frames', got {_short(rows)}"]
     if len(rows) > MOST_FRAMES:
         return (), [f"there are {len(rows)} frames; at most {MOST_FRAMES} are played"]
-    complaints: list[str] = []
+    errors: list[str] = []
     frames = []
     for number, row in enumerate(rows, 1):
-        values, wrong = _numbers(row, f"frame {number}")
-        complaints += wrong
-        if not wrong:
+        values, row_errors = _numbers(row, f"frame {number}")
+        errors += row_errors
+        if not row_errors:
             frames.append(
                 KeyFrame(
                     duration=values["duration"][0],
@@ -91,28 +91,28 @@ def frames_from(data: Any) -> tuple[tuple[KeyFrame, ...], list[str]]:
                     what=" ".join(str(row.get("what", "")).split())[:200],
                 )
             )
-    return (tuple(frames), []) if not complaints else ((), complaints)
+    return (tuple(frames), []) if not errors else ((), errors)
 
 
 def _numbers(row: Any, where: str) -> tuple[dict[str, list[float]], list[str]]:
     if not isinstance(row, Mapping):
         return {}, [f"{where} is {_short(row)}; expected a mapping with {', '.join(FIELDS)}"]
-    wrong = [f"{where} has {_short(name)}, which is not known" for name in row if name not in (*FIELDS, "what")]
+    errors = [f"{where} has {_short(name)}, which is unknown" for name in row if name not in (*FIELDS, "what")]
     values = {}
     for name, count in FIELDS.items():
         if name not in row:
-            wrong.append(f"{where} lacks {name}")
+            errors.append(f"{where} lacks {name}")
             continue
         given = row[name] if count else [row[name]]
         good = isinstance(given, list) and len(given) == max(count, 1)
         if not good or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in given):
             expected = f"{count} numbers in a list" if count else "a number"
-            wrong.append(f"{where}: {name} is {_short(row[name])}; expected {expected}")
+            errors.append(f"{where}: {name} is {_short(row[name])}; expected {expected}")
         elif not all(abs(v) < 1e9 for v in given):  # NaN fails too
-            wrong.append(f"{where}: {name} is {_short(row[name])}; expected finite numbers")
+            errors.append(f"{where}: {name} is {_short(row[name])}; expected finite numbers")
         else:
             values[name] = [float(v) for v in given]
-    return values, wrong
+    return values, errors
 
 
 def _short(value: Any) -> str:
@@ -121,7 +121,7 @@ def _short(value: Any) -> str:
 
 
 def plain_frame(frame: KeyFrame) -> dict[str, Any]:
-    """Return a key frame as JSON and YAML hold it."""
+    """Return a key frame as plain data for JSON and YAML."""
     degrees = np.degrees(frame.q).round(2).tolist()
     return {
         "what": frame.what,
@@ -138,7 +138,7 @@ def save_keyframes(motion: KeyFrames, path: Path) -> None:
     import yaml
 
     class Dumper(yaml.SafeDumper):
-        """Short lists stay on one line."""
+        """Keeps lists of numbers on one line."""
 
     def short(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
         return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=isinstance(values[0], float))
@@ -150,8 +150,8 @@ def save_keyframes(motion: KeyFrames, path: Path) -> None:
         "frames": [plain_frame(frame) for frame in motion.frames],
     }
     head = (
-        "# Play it: mimic THIS_FILE --sim. duration [s] from the frame before; velocity [m/s] forward, left; heading and\n"
-        "# joints (abad, hip, knee of a front leg) [deg] are reached at its end.\n"
+        "# Play it: mimic THIS_FILE --sim. duration [s] from the previous frame; velocity [m/s] forward, "
+        "left;\n# heading and joints (abad, hip, knee of a front leg) [deg] at the end of the frame.\n"
     )
     text = yaml.dump(data, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120)
     with written_whole(path) as part:
@@ -159,10 +159,10 @@ def save_keyframes(motion: KeyFrames, path: Path) -> None:
 
 
 def read_keyframes(path: Path) -> KeyFrames:
-    """Read a motion from YAML; what it says is not yet held against the robot.
+    """Read a motion from YAML; feasibility on the robot is not checked here.
 
     Raises:
-        SourceError: If it is no YAML, or lacks something; all that is wrong is told at once.
+        SourceError: If it is not valid YAML or a field is missing or invalid; the message lists all errors.
     """
     import yaml
 
@@ -171,14 +171,14 @@ def read_keyframes(path: Path) -> KeyFrames:
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SourceError(f"{path.name} is no YAML: {' '.join(str(error).split())}") from None
-    frames, wrong = frames_from(data)
-    if wrong:
-        raise SourceError(f"{path.name} cannot be played: {told(wrong)}")
-    facts = data if isinstance(data, Mapping) else {}
-    return KeyFrames(frames=frames, sentence=str(facts.get("sentence", "")), planner=str(facts.get("planner", "")))
+        raise SourceError(f"{path.name} is not valid YAML: {' '.join(str(error).split())}") from None
+    frames, errors = frames_from(data)
+    if errors:
+        raise SourceError(f"{path.name} cannot be played: {one_line(errors)}")
+    header = data if isinstance(data, Mapping) else {}
+    return KeyFrames(frames=frames, sentence=str(header.get("sentence", "")), planner=str(header.get("planner", "")))
 
 
-def told(complaints: list[str], most: int = 8) -> str:
-    """Return complaints in a line."""
-    return "; ".join(complaints[:most]) + (f"; and {len(complaints) - most} more" if len(complaints) > most else "")
+def one_line(errors: list[str], most: int = 8) -> str:
+    """Return errors as one line of text."""
+    return "; ".join(errors[:most]) + (f"; and {len(errors) - most} more" if len(errors) > most else "")

@@ -19,9 +19,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mimic import __version__
 from mimic.errors import AssetError
-from mimic.types import Provenance, Record
+from mimic.records import Provenance, Record
+from mimic.version import __version__
 
 R = TypeVar("R", bound=Record)
 

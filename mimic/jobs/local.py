@@ -1,4 +1,4 @@
-"""Jobs on other processes, each result as soon as it is there; one that takes its process down is a result too."""
+"""Jobs in other processes, each result as soon as it is ready; a job that kills its process is a result, too."""
 
 from __future__ import annotations
 
@@ -6,18 +6,32 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, TypeVar
+
+Job = TypeVar("Job")
+Row = TypeVar("Row")
+
+Progress = Callable[[int, int], None]
+"""Called with the number of jobs done, and of all jobs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Died:
-    """What a job left that took its process down."""
+    """Result of a job that killed its process."""
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Raised:
+    """An exception of a job, on its way to the caller."""
+
+    error: Exception
 
 
 @dataclass(slots=True, eq=False)
@@ -30,14 +44,17 @@ class _Worker:
 def results_here(play: Callable[[Any], Any], jobs: Sequence[Any], *, workers: int = 0) -> Generator[tuple[int, Any]]:
     """Yield index and result of each job as it ends, in processes of this computer.
 
-    A job whose process dies (a crash inside a library, no memory) yields :class:`Died`, and a new process goes on with
+    A job whose process dies (a crash inside a library, no memory) yields `Died`, and a new process goes on with
     the rest. When the iterator is closed or an exception passes, the processes are ended at once; Ctrl-C reaches the
     caller only.
 
     Args:
-        play: A function that other processes can import; it should not raise.
-        jobs: What it is given, one at a time.
+        play: A function that other processes can import.
+        jobs: Its arguments, one a call.
         workers: Processes; 0 takes one for each core.
+
+    Raises:
+        Exception: What a job raised.
     """
     waiting = deque(range(len(jobs)))
     count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
@@ -59,6 +76,8 @@ def results_here(play: Callable[[Any], Any], jobs: Sequence[Any], *, workers: in
                     worker.pipe.close()
                     worker = crew[at] = _start(play)
                 _give(worker, waiting, jobs)
+                if isinstance(result, _Raised):
+                    raise result.error
                 yield done, result
     finally:
         for worker in crew:
@@ -66,6 +85,32 @@ def results_here(play: Callable[[Any], Any], jobs: Sequence[Any], *, workers: in
         for worker in crew:
             worker.process.join()
             worker.pipe.close()
+
+
+def run_all(
+    play: Callable[[Job], Row], jobs: Sequence[Job], *, workers: int = 0, progress: Progress | None = None
+) -> list[Row]:
+    """Return what ``play`` makes of each job, in the order of the jobs.
+
+    Args:
+        play: A function that other processes can import.
+        jobs: One for each call.
+        workers: Processes; 0 takes one for each core.
+        progress: Called after each job.
+
+    Raises:
+        RuntimeError: If the process of a job died.
+        Exception: What a job raised.
+    """
+    rows: dict[int, Row] = {}
+    with closing(results_here(play, jobs, workers=workers)) as results:
+        for index, row in results:
+            if isinstance(row, Died):
+                raise RuntimeError(f"job {index} of {len(jobs)} failed: {row.reason}")
+            rows[index] = row
+            if progress is not None:
+                progress(len(rows), len(jobs))
+    return [rows[i] for i in range(len(jobs))]
 
 
 def _start(play: Callable[[Any], Any]) -> _Worker:
@@ -84,10 +129,14 @@ def _give(worker: _Worker, waiting: deque[int], jobs: Sequence[Any]) -> None:
 
 
 def _work(play: Callable[[Any], Any], pipe: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who waits decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        pipe.send(play(job))
+        try:
+            result = play(job)
+        except Exception as error:
+            result = _Raised(error)
+        pipe.send(result)

@@ -1,4 +1,4 @@
-"""The same jobs on a Ray cluster that exists already."""
+"""The same jobs on an existing Ray cluster."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from mimic.errors import ConfigError, MissingExtra
-from mimic.run.workers import Died
+from mimic.jobs.local import Died
 
 
 def results_on_ray(play: Callable[[Any], Any], jobs: Sequence[Any], *, address: str) -> Generator[tuple[int, Any]]:
     """Yield index and result of each job as it ends, on the nodes of a cluster.
 
-    Each node needs the same version of mimic and the same paths. A job takes one core. When the iterator is closed or an
-    exception passes, what still runs is ended.
+    Each node needs the same version of mimic and the same paths. A job takes one core. Jobs that still run when the
+    iterator is closed, or when an exception passes, are ended.
 
     Args:
         play: A function that the nodes can import; it should not raise.
-        jobs: What it is given, one at a time.
+        jobs: Its arguments, one a call.
         address: Of the cluster, such as ``10.0.0.5:6379``, ``ray://10.0.0.5:10001`` or ``auto``.
 
     Raises:

@@ -21,14 +21,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mimic.errors import ContractError
-from mimic.frames import heading_sin_cos, world_axes_in_base
+from mimic.geometry import heading_sin_cos, world_axes_in_base
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.types import JOINTS, FloatArray
 
 TERMS = (
     ("joint_position", 12),
@@ -104,9 +104,11 @@ class PolicyContract:
             ContractError: If it is no JSON or a field is missing or unknown.
         """
         try:
-            data = json.loads(text)
+            data: dict[str, Any] = json.loads(text)
             data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
-            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+            values: dict[str, Any] = {
+                k: tuple(cast("list[Any]", v)) if isinstance(v, list) else v for k, v in data.items()
+            }
             return PolicyContract(**values)
         except (ValueError, TypeError, KeyError, AttributeError) as reason:
             raise ContractError(f"the policy's contract cannot be read ({reason}); export the policy again") from None
@@ -117,8 +119,11 @@ class PolicyContract:
         Raises:
             ContractError: With what was given and what was expected.
         """
+        if self.robot != description.name:
+            raise ContractError(
+                f"the policy was trained for {self.robot}; it cannot drive the robot {description.name}"
+            )
         pairs = (
-            ("robot", self.robot, description.name),
             ("joint order", self.joints, JOINTS),
             ("observation terms", self.terms, TERMS),
             ("control step", self.dt, description.dt),

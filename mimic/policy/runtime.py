@@ -1,17 +1,22 @@
 """Observation -> action, by ONNX Runtime."""
 
+# ONNX Runtime has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 
 from mimic.errors import AssetError, ContractError
+from mimic.io.assets import shipped
 from mimic.policy.contract import METADATA_KEY, PolicyContract
-from mimic.robot.description import RobotDescription
-from mimic.shipped import shipped
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.robot.description import RobotDescription, load_description
 
 
 class Policy:
@@ -54,14 +59,46 @@ class Policy:
         return np.asarray(action, dtype=np.float64)[0]
 
 
+SHIPPED = ("stand_track", "sit_down")
+"""Names of the policies that come with mimic."""
+
+
+def find_policy(policy: str | Path) -> Path:
+    """Return the file of a policy: an ONNX file, or a shipped policy by its name.
+
+    Args:
+        policy: A path; or stand_track, stand_track.onnx or policies/stand_track.onnx for the shipped policy, which is
+            found from any folder.
+
+    Raises:
+        AssetError: If there is no such policy.
+    """
+    path = Path(policy)
+    if path.is_file():
+        return path
+    if path.stem in SHIPPED and path.suffix in ("", ".onnx") and path.parent in (Path(), Path("policies")):
+        return shipped("policies", f"{path.stem}.onnx")
+    raise AssetError(f"there is no policy {policy}; give an ONNX file or a shipped policy: {', '.join(SHIPPED)}")
+
+
 def load_policy(path: str | Path | None, description: RobotDescription, *, task: str = "stand_track") -> Policy:
-    """Load a policy for a task; None takes the shipped one.
+    """Load a policy for a task from a file or by its shipped name; None takes the shipped one.
 
     Raises:
         AssetError: If the file is missing or is no ONNX model.
         ContractError: If it declares no contract, or one that does not fit, or was trained for another task.
     """
-    policy = Policy(shipped("policies", f"{task}.onnx") if path is None else Path(path), description)
+    policy = Policy(find_policy(task if path is None else path), description)
     if policy.contract.task != task:
         raise ContractError(f"{policy.path} was trained for {policy.contract.task}; expected a policy for {task}")
     return policy
+
+
+@cache
+def cached_policy(path: str) -> Policy:
+    """Return the policy of a file for the shipped robot, read once in each process.
+
+    Raises:
+        AssetError, ContractError: If it cannot be run on this robot.
+    """
+    return Policy(Path(path), load_description())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.types import CommandTrack, TargetTrack
+from mimic.records import CommandTrack, TargetTrack
 
 
 def command_track(targets: TargetTrack) -> CommandTrack:

@@ -1,24 +1,24 @@
-"""Where a person walks, from how large and where they are in the picture.
+"""Walking velocity of the person, from their size and position in the picture.
 
-Distance is the focal length times the trunk's metres over its size in the picture; the focal length of an unknown camera is
-guessed. So speeds are right to a factor of about 1.3, and a person who bends or crouches seems to walk. Slow and with a dead
-zone on purpose.
+Distance is the focal length times the trunk's metres over its size in the picture; the focal length of an unknown
+camera is assumed. Speeds are therefore right to a factor of about 1.3, and a person who bends or crouches seems to
+walk; hence the slow filter and the dead zone.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.types import LANDMARKS, BoolArray, FloatArray
+from mimic.records import LANDMARKS, BoolArray, FloatArray
 
 FOCAL = 0.87
 """Focal length over the picture's width: 60 degrees across, as most webcams have."""
 WALK_HZ = 0.4
 """Cut-off of position and velocity [Hz]."""
 DEAD = 0.08
-"""Slower is standing [m/s]."""
+"""Dead zone of the speed [m/s]."""
 FORGET = 1.0
-"""A gap after which it begins anew [s]."""
+"""The filter restarts after a gap of this length [s]."""
 
 _TRUNK = [LANDMARKS.index(f"{side}_{part}") for part in ("shoulder", "hip") for side in ("left", "right")]
 

@@ -7,19 +7,19 @@ import dataclasses
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mimic.keyframes import KeyFrames
-from mimic.retarget.targets import reachable_track
+from mimic.config.retarget import RetargetSettings
+from mimic.io.keyframes import KeyFrames
+from mimic.records import CommandTrack, TargetTrack
+from mimic.retargeting.targets import reachable_track
 from mimic.robot.reach import FRONT, Reach
-from mimic.settings import RetargetSettings
-from mimic.types import CommandTrack, TargetTrack
 
 
 def keyframe_commands(motion: KeyFrames, reach: Reach, settings: RetargetSettings) -> tuple[CommandTrack, TargetTrack]:
     """Return what the policy is asked for, and how its toes were clamped.
 
-    Joints go from key frame to key frame on a shape-preserving cubic and turn into toes by forward kinematics; these are
-    clamped and limited as a person's are. The heading goes straight, and the velocity is that of the frame on the way.
-    Scale, mirror and rate are a person's and have no say.
+    Joints go from key frame to key frame on a shape-preserving cubic and turn into toes by forward kinematics; these
+    are clamped and limited as a person's are. The heading is interpolated linearly, and the velocity is
+    that of the next frame. Scale, mirror and rate are a person's and have no say.
     """
     dt = reach.description.dt
     times = np.cumsum([0.0, *(frame.duration for frame in motion.frames)])

@@ -1,11 +1,11 @@
-"""Speed and acceleration limits of joint motions: without lag where the whole motion is known, causal where not."""
+"""Speed and acceleration limits of joint motions: without lag for a whole motion, causal for a live one."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 STEPS = 400
 """Most iterations of the splitting."""
@@ -74,10 +74,10 @@ def limit_step(
         speed: Most speed (n,) [rad/s].
         acceleration: Most acceleration (n,) [rad/s^2].
     """
-    way = q_wanted - q
+    error = q_wanted - q
     change = acceleration * dt
-    braking = 0.5 * (np.sqrt(change * change + 8.0 * acceleration * np.abs(way)) - change)
-    wanted = np.sign(way) * np.minimum(np.minimum(braking, speed), np.abs(way) / dt)
+    braking = 0.5 * (np.sqrt(change * change + 8.0 * acceleration * np.abs(error)) - change)
+    wanted = np.sign(error) * np.minimum(np.minimum(braking, speed), np.abs(error) / dt)
     dq = np.clip(wanted, dq - change, dq + change)
     return q + dq * dt, dq
 

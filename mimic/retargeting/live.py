@@ -1,7 +1,7 @@
-"""The way from landmarks to commands row by row, for a camera: nothing of what comes later is known.
+"""Causal retargeting for a camera: landmarks to commands, row by row.
 
-What can be is the batch's own code: axes of the torso, reach of the arms, scale, clamp and joint limits. In place of filters
-without lag stand a One-Euro filter, slow averages and the causal joint limits.
+Torso axes, arm length, scale, clamp and joint limits are the functions that a whole clip uses. Zero-phase filters are
+replaced by a One-Euro filter, slow averages and causal joint limits.
 """
 
 from __future__ import annotations
@@ -13,25 +13,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.frames import wrap_angle
-from mimic.retarget.follow import Follower
-from mimic.retarget.limits import limit_step
-from mimic.retarget.one_euro import OneEuro
-from mimic.retarget.sampling import EASE, ease
-from mimic.retarget.targets import wanted_toes
-from mimic.retarget.wrists import TURN_CUTOFF_HZ, arm_length, torso_vectors
+from mimic.config.pose import LiveSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.geometry import wrap_angle
+from mimic.records import LANDMARKS, SIDES, BoolArray, Command, FloatArray
+from mimic.retargeting.follow import Follower
+from mimic.retargeting.limits import limit_step
+from mimic.retargeting.one_euro import OneEuro
+from mimic.retargeting.sampling import EASE, ease
+from mimic.retargeting.targets import wanted_toes
+from mimic.retargeting.wrists import TURN_CUTOFF_HZ, arm_length, torso_vectors
 from mimic.robot.reach import FRONT, Reach
-from mimic.settings import LiveSettings, RetargetSettings
-from mimic.types import LANDMARKS, SIDES, BoolArray, Command, FloatArray
 
-CALM_HZ = 0.03
+HEADING_HZ = 0.03
 """Cut-off of the heading when turns are not followed: the median of a clip is not known yet [Hz]."""
 REMEMBERED = 900
 """Rows from which the reach of the arms is taken; half a minute at 30 frames a second."""
 SHORTEST_ARM = 0.35
 """Arms count as at least this long, as they may be bent at first [m]."""
 FORGET = 0.5
-"""A gap after which a filter begins anew [s]."""
+"""A filter restarts after a gap of this length [s]."""
 
 _SHOULDERS, _WRISTS, _HIPS = (
     [LANDMARKS.index(f"{side}_{part}") for side in SIDES] for part in ("shoulder", "wrist", "hip")
@@ -39,8 +40,8 @@ _SHOULDERS, _WRISTS, _HIPS = (
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Asked:
-    """What a row of the camera asks for."""
+class LiveTarget:
+    """The target of one camera frame."""
 
     t: float
     """When the frame was taken, on the clock of the computer [s]."""
@@ -55,11 +56,11 @@ class Asked:
 
 
 class LiveRetarget:
-    """Turns the rows of one person into what they ask of the robot; each needs only the ones before."""
+    """Turns landmarks of one person into targets, frame by frame and causally."""
 
     def __init__(self, reach: Reach, settings: RetargetSettings, live: LiveSettings) -> None:
         self._reach, self._settings, self._live = reach, settings, live
-        self._filters = [OneEuro(live.steady_hz, live.lively) for _ in SIDES]
+        self._filters = [OneEuro(live.min_cutoff, live.beta) for _ in SIDES]
         self._arms = np.zeros((2, 3))
         self._last_seen = np.full(2, -np.inf)
         self._reaches: deque[FloatArray] = deque(maxlen=REMEMBERED)
@@ -69,8 +70,8 @@ class LiveRetarget:
         self._follower = Follower()
         self._q = reach.description.poses["upright"][:FRONT].copy()
 
-    def see(self, t: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float) -> Asked:
-        """Return what a row asks for.
+    def see(self, t: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float) -> LiveTarget:
+        """Return the target of a frame.
 
         Args:
             t: Time of the frame [s].
@@ -94,7 +95,7 @@ class LiveRetarget:
             wanted = np.where(asked[:, None], wanted, self._reach.toes(self._q))
             self._q = self._reach.closest(wanted, self._q).q
         turn, v = self._followed(t, heading, landmarks, image, valid, aspect)
-        return Asked(t=t, q=self._q.copy(), seen=np.array(asked), heading=turn, v=v)
+        return LiveTarget(t=t, q=self._q.copy(), seen=np.array(asked), heading=turn, v=v)
 
     def _arm(self, seen: BoolArray) -> float:
         if seen.any():
@@ -112,7 +113,7 @@ class LiveRetarget:
             if valid[_HIPS].all():
                 line = line + landmarks[_HIPS[0]] - landmarks[_HIPS[1]]
             turning = self._live.follow or self._settings.turns
-            tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if turning else CALM_HZ))
+            tau = 1.0 / (2.0 * np.pi * (TURN_CUTOFF_HZ if turning else HEADING_HZ))
             share = 1.0 if self._line is None else min(1.0, (t - self._line_t) / tau)
             self._line = line if self._line is None else self._line + share * (line - self._line)
             self._line_t = t
@@ -130,7 +131,7 @@ class LiveRetarget:
         turn = float(wrap_angle(heading - (self._heading0 or 0.0))) if turning else 0.0
         v = np.zeros(2)
         if self._live.follow:
-            most = self._reach.description.raw["commands"]["velocity_max"][0]
+            most = self._reach.description.commands.velocity[0]
             v[0] = np.clip(self._follower.see(t, heading, landmarks, image, valid, aspect), -most, most)
         return (-turn if self._settings.mirror else turn), v
 
@@ -154,7 +155,7 @@ class LiveTargets:
         Args:
             reach: The robot; not shared with another thread.
             settings: How long a lost hand is held.
-            clock: The clock of :attr:`Asked.t`.
+            clock: The clock of `LiveTarget.t`.
             begin: Called when the first command is asked for.
         """
         self._reach, self._hold, self._clock, self._begin = reach, settings.lost_hold, clock, begin
@@ -163,11 +164,11 @@ class LiveTargets:
         self._goal = self._neutral.copy()
         self._present = np.zeros(2)
         self._seen_at = np.full(2, -np.inf)
-        self._newest: Asked | None = None
-        self._used: Asked | None = None
+        self._newest: LiveTarget | None = None
+        self._used: LiveTarget | None = None
         self._heading, self._begun, self._over = 0.0, False, False
 
-    def put(self, asked: Asked) -> None:
+    def put(self, asked: LiveTarget) -> None:
         """Take what is asked now; what was asked before and not used yet is dropped."""
         self._newest = asked
 
@@ -202,6 +203,6 @@ class LiveTargets:
         v = np.zeros(2)
         if asked is not None and now - float(self._seen_at.max()) <= self._hold:  # who is not seen does not walk
             v = asked.v
-            most = float(self._reach.description.raw["commands"]["turn_rate_max"]) * dt
+            most = self._reach.description.commands.turn_rate * dt
             self._heading += float(np.clip(wrap_angle(asked.heading - self._heading), -most, most))
         return Command(v=v, heading=self._heading, p_BE=toes)

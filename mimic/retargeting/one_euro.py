@@ -1,4 +1,4 @@
-"""A causal filter that is calm at rest and quick in motion.
+"""One-Euro filter: a causal low-pass whose cut-off rises with speed.
 
 Source: Casiez, Roussel and Vogel, "1 Euro Filter", CHI 2012, algorithms 1 and 2; the speed is that of the whole vector.
 """
@@ -7,23 +7,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 SPEED_HZ = 1.0
 """Cut-off for the speed [Hz]; the paper's."""
 
 
 class OneEuro:
-    """Filters one vector at the times it comes."""
+    """Filters samples of one vector at their own times."""
 
-    def __init__(self, steady_hz: float, lively: float) -> None:
-        """Prepare.
+    def __init__(self, min_cutoff: float, beta: float) -> None:
+        """Set the filter's parameters.
 
         Args:
-            steady_hz: Cut-off at rest [Hz].
-            lively: Rise of the cut-off with speed [Hz s/m].
+            min_cutoff: Cut-off at rest [Hz].
+            beta: Rise of the cut-off with speed [Hz s/m].
         """
-        self._steady, self._lively = steady_hz, lively
+        self._min_cutoff, self._beta = min_cutoff, beta
         self._t = float("nan")
         self._x: FloatArray | None = None
         self._speed = np.zeros(0)
@@ -35,13 +35,13 @@ class OneEuro:
             return self._x
         dt = t - self._t
         self._speed = self._speed + _share(SPEED_HZ, dt) * ((x - self._x) / dt - self._speed)
-        cutoff = self._steady + self._lively * float(np.linalg.norm(self._speed))
+        cutoff = self._min_cutoff + self._beta * float(np.linalg.norm(self._speed))
         self._x = self._x + _share(cutoff, dt) * (x - self._x)
         self._t = t
         return self._x
 
     def forget(self) -> None:
-        """Begin anew with the next vector."""
+        """Restart with the next sample."""
         self._x = None
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import find_peaks
 
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.geometry import smoothstep
+from mimic.records import BoolArray, FloatArray, IntArray
 
 HOLD = 0.3
 """How long a hand that is not seen stays where it was, or where it will be seen again [s]."""
@@ -89,6 +90,5 @@ def between(t_rows: FloatArray, p: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def ease(share: Any) -> Any:
-    """Return a share from 0 to 1 that begins and ends without a jerk; works element by element."""
-    share = np.clip(share, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    """Return a share that begins at 0 and ends at 1, both at rest; shares of the time beyond 0 to 1 are clipped."""
+    return smoothstep(np.clip(share, 0.0, 1.0))

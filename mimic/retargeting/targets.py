@@ -1,4 +1,4 @@
-"""From a person's wrists to front-toe targets that the robot can reach, fast enough for its motors."""
+"""Converts a person's wrist track to front-toe targets within the robot's reach and motor limits."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.retarget import RetargetSettings
 from mimic.errors import SourceError
-from mimic.retarget.limits import limit_track
-from mimic.retarget.sampling import between, fill_gaps, target_times
-from mimic.robot.arms import toes_of_arms
+from mimic.records import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
+from mimic.retargeting.limits import limit_track
+from mimic.retargeting.sampling import between, fill_gaps, target_times
+from mimic.robot.arm_mapping import toes_of_arms
 from mimic.robot.reach import FRONT, Closest, Reach
-from mimic.settings import RetargetSettings
-from mimic.types import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
 
-MOVED = 1e-3
-"""A target counts as clamped or limited from this distance on [m]."""
-ROUNDS = 4
-"""How often speed and clear legs are brought together at most."""
+CLAMP_TOLERANCE = 1e-3
+"""A target that moves by more than this counts as clamped or speed-limited [m]."""
+MAX_ITERATIONS = 4
+"""Maximum number of iterations between speed limits and leg clearance."""
 
 
 def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> FloatArray:
-    """Return where the person's arms ask the front toes to be, reachable or not; works row by row.
+    """Return the toe positions that correspond to the person's arms, reachable or not; works row by row.
 
-    With ``settings.mirror`` the arms change sides; :func:`mimic.robot.arms.toes_of_arms` does the rest.
+    With ``settings.mirror`` left and right arm are swapped; `mimic.robot.arm_mapping.toes_of_arms` does the rest.
 
     Args:
         p_SH: Shoulder -> wrist (..., 2, 3), torso axes [arm lengths].
@@ -42,11 +42,12 @@ def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> F
 def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -> TargetTrack:
     """Return reachable toe targets at the robot's control rate.
 
-    Gaps are filled, a target is taken every ``settings.rate`` seconds, a shape-preserving cubic joins them, each row is
-    moved to the closest reachable point, and the joint motion is limited in speed and acceleration without lag.
+    Gaps are filled, and a target is sampled every ``settings.rate`` seconds. A shape-preserving cubic interpolates
+    between targets. Each row is moved to the closest reachable point, and joint speed and acceleration are limited
+    without lag.
 
     Raises:
-        SourceError: If the track is shorter than a step or shows no hand at all.
+        SourceError: If the track is shorter than a sampling step or shows no hand at all.
     """
     t = np.asarray(wrists.t - wrists.t[:1], dtype=np.float64)
     seen = wrists.valid & np.isfinite(wrists.p_SH).all(axis=-1)
@@ -57,7 +58,7 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
         raise SourceError(
             "the source shows no hand in any frame; film the person so that shoulders and wrists are seen"
         )
-    asked = wanted_toes(wrists.p_SH, reach, settings)
+    toes = wanted_toes(wrists.p_SH, reach, settings)
     seen = seen[:, ::-1] if settings.mirror else seen
     neutral = reach.toes(reach.description.poses["upright"])
     dt = reach.description.dt
@@ -65,7 +66,7 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
 
     wanted, times = np.empty((len(grid), 2, 3)), []
     for side in range(2):
-        filled = fill_gaps(t, asked[:, side], seen[:, side], neutral[side])
+        filled = fill_gaps(t, toes[:, side], seen[:, side], neutral[side])
         times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
         wanted[:, side] = between(times[side], between(t, filled, times[side]), grid)
     valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)
@@ -93,43 +94,43 @@ def reachable_track(
     times: list[FloatArray],
     warnings: tuple[str, ...] = (),
 ) -> TargetTrack:
-    """Return toes that the robot can reach and follow, nearest to the wanted ones; every source ends here.
+    """Return the reachable toe targets closest to the wanted ones; all input sources use this function.
 
     Args:
         t: Times at the robot's control rate (T,) [s].
         wanted: Base -> toe (T, 2, 3), base axes [m].
         reach: The robot.
-        settings: For the report.
-        heading: Of the robot relative to its start (T,) [rad].
-        valid: Where the source saw the hand (T, 2).
+        settings: Used for the report.
+        heading: Heading of the robot relative to its start (T,) [rad].
+        valid: Whether the source shows the hand (T, 2).
         times: Times of the targets of each side [s], for the report.
-        warnings: Of the source.
+        warnings: Warnings of the source.
     """
     closest = reach.closest_track(wanted)
     q, p_BE = limited(closest, reach)
-    slowed = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > MOVED
+    rate_limited = np.linalg.norm(p_BE - closest.p_BE, axis=-1) > CLAMP_TOLERANCE
     return TargetTrack(
         t=t,
         p_BE=p_BE,
         heading=heading,
         valid=valid,
         moved=closest.moved,
-        limited=slowed,
+        limited=rate_limited,
         wanted=wanted,
-        report=_report(times, q, closest.moved, slowed, valid, reach, settings),
+        report=_report(times, q, closest.moved, rate_limited, valid, reach, settings),
         warnings=warnings,
     )
 
 
 def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
-    """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] that the motors can follow, all reachable.
+    """Return front joints (T, 6) [rad] and toes (T, 2, 3) [m] within reach and motor limits.
 
-    Joint bounds survive the limits. Where the legs come too close on the way, the row moves to the closest clear point
-    and the motion is limited again; after ROUNDS of that, clear rows count more than the last of the speed limit.
+    Joint positions stay within their bounds. If the legs come too close in a row, it moves to the closest point with
+    clearance, and the motion is limited again. After MAX_ITERATIONS, clearance has priority over the speed limit.
     """
     speed = np.full(FRONT, reach.speed_max)
     q, p_BE = closest.q, closest.p_BE.copy()
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         before = q
         q = np.clip(limit_track(q, reach.description.dt, speed, reach.acceleration_max), reach.q_min, reach.q_max)
         for row in np.flatnonzero(np.any(q != before, axis=1)):
@@ -146,30 +147,31 @@ def _report(
     times: list[FloatArray],
     q: FloatArray,
     moved: FloatArray,
-    slowed: BoolArray,
+    rate_limited: BoolArray,
     valid: BoolArray,
     reach: Reach,
     settings: RetargetSettings,
 ) -> dict[str, Any]:
-    """Return the figures of a retargeting as plain data; shares are of targets on both sides together."""
+    """Return the statistics of retargeting as plain data; shares are over the targets of both sides."""
     dt = reach.description.dt
     rows = [np.minimum(np.rint(own / dt).astype(int), len(q) - 1) for own in times]
-    at_targets = np.concatenate([moved[own, side] for side, own in enumerate(rows)])
-    late = np.concatenate([slowed[own, side] for side, own in enumerate(rows)])
-    clamped = at_targets > MOVED
+    moved_at_targets = np.concatenate([moved[own, side] for side, own in enumerate(rows)])
+    limited_at_targets = np.concatenate([rate_limited[own, side] for side, own in enumerate(rows)])
+    clamped = moved_at_targets > CLAMP_TOLERANCE
     acceleration = np.abs(np.diff(q, 2, axis=0)) / (dt * dt * reach.acceleration_max)
     return {
         "targets": len(times[0]),
         "rate_s": settings.rate,
-        "scale_m": [settings.scale * value for value in reach.description.raw["reach"]["scale"]],
+        "scale_m": [settings.scale * value for value in reach.description.workspace.arm_scale.tolist()],
         "mirror": settings.mirror,
         "clamped_share": float(np.mean(clamped)),
         "clamped_share_by_side": {
-            side: float(np.mean(moved[own, i] > MOVED)) for i, (side, own) in enumerate(zip(SIDES, rows, strict=True))
+            side: float(np.mean(moved[own, i] > CLAMP_TOLERANCE))
+            for i, (side, own) in enumerate(zip(SIDES, rows, strict=True))
         },
-        "moved_mean_cm": 100.0 * float(np.mean(at_targets)),
-        "moved_max_cm": 100.0 * float(np.max(at_targets)),
-        "limited_share": float(np.mean(late)),
+        "moved_mean_cm": 100.0 * float(np.mean(moved_at_targets)),
+        "moved_max_cm": 100.0 * float(np.max(moved_at_targets)),
+        "limited_share": float(np.mean(limited_at_targets)),
         "filled_share": float(np.mean(~valid)),
         "joint_speed_max": float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0) / dt),
         "joint_speed_limit": reach.speed_max,

@@ -1,10 +1,11 @@
-"""A person's landmarks become shoulder -> wrist vectors in torso axes, in arm lengths.
+"""Converts landmarks of a person to shoulder -> wrist vectors in torso axes, in arm lengths.
 
-Each hand is measured from its own shoulder: BlazePose leans the body toward the camera, and vectors from mid-hip inherit it
-(98 against 124 mm). Up is up in the image, and only the heading is taken from the body, once a clip: the depth of the
-shoulder line is noise from frame to frame and would ruin the sideways motion (r 0.98 -> 0.62).
+Each hand is measured from its own shoulder. BlazePose leans the body toward the camera, and vectors from mid-hip would
+contain that error (124 mm instead of 98 mm). Up is up in the image. Only the heading comes from the body, and only once
+per clip: the depth of the shoulder line is noise from frame to frame and would ruin the sideways motion
+(r 0.98 -> 0.62).
 
-Which leg an arm drives (mirroring) is decided later, where toes are.
+The mapping of arms to legs (mirroring) follows in `mimic.retargeting.targets`.
 """
 
 from __future__ import annotations
@@ -15,27 +16,27 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from mimic.config.retarget import RetargetSettings
 from mimic.errors import SourceError
-from mimic.frames import R_CT
-from mimic.settings import RetargetSettings
-from mimic.types import SIDES, BoolArray, FloatArray, PoseTrack, WristTrack
+from mimic.geometry import R_CT
+from mimic.records import SIDES, BoolArray, FloatArray, PoseTrack, WristTrack
 
 TURN_CUTOFF_HZ = 0.3
-"""A heading that changes faster is depth noise [Hz]."""
-TURNED = np.radians(45)
-"""A torso further than this from the clip's heading makes forward and sideways mix [rad]."""
-DEPTH_GAIN = "a fifth to two thirds"
-"""Share of the travel along the camera axis that BlazePose shows, on rendered truth and on real cameras."""
+"""Cut-off of the heading; faster changes are depth noise [Hz]."""
+MAX_TURN = np.radians(45)
+"""A larger turn away from the clip's heading mixes forward and sideways motion [rad]."""
+DEPTH_VISIBLE = "20–65 %"
+"""Share of the motion along the camera axis that BlazePose detects, on rendered and on real videos."""
 
 _DEFAULT = RetargetSettings()
 _GRID = 0.05
 
 
 def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> WristTrack:
-    """Return where each hand is from its own shoulder, one row for each row of the pose.
+    """Return the position of each hand relative to its own shoulder, one row per row of the pose.
 
-    The heading is the torso's: the clip's one value in every row, or with ``settings.turns`` what is left of it below
-    TURN_CUTOFF_HZ. A robot that starts at the first row's heading therefore turns only when turns are wanted.
+    The heading is that of the torso: one constant value per clip, or with ``settings.turns`` the heading low-passed at
+    TURN_CUTOFF_HZ. The robot starts at the heading of the first row, so it turns only with ``settings.turns``.
 
     Args:
         pose: Landmarks in camera axes.
@@ -46,7 +47,7 @@ def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Wrist
         ContractError: If the track lacks a shoulder or a wrist.
     """
     heading = torso_heading(pose, settings)
-    valid = _arm_seen(pose)
+    valid = _arm_visible(pose)
     p_SH_T = torso_vectors(_arms(pose), heading)
     length = arm_length(p_SH_T, valid, settings.reach_quantile)
     return WristTrack(
@@ -55,28 +56,28 @@ def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Wrist
         heading=heading,
         valid=valid,
         arm_length=length,
-        warnings=(*pose.warnings, *_about_turns(pose, settings)),
+        warnings=(*pose.warnings, *_turn_warnings(pose, settings)),
     )
 
 
 def torso_vectors(p_SH_C: FloatArray, heading: FloatArray | float) -> FloatArray:
-    """Return vectors in camera axes (..., 2, 3) in the axes of a torso with this heading (...,); row by row, causal."""
+    """Return vectors in camera axes (..., 2, 3) in the axes of a torso with this heading (...,); causal."""
     return np.einsum("...ij,...si->...sj", _camera_from_torso(heading), p_SH_C)
 
 
 def arm_length(p_SH: FloatArray, valid: BoolArray, quantile: float) -> float:
-    """Return the reach that the clip itself shows: a high quantile of |shoulder -> wrist| over both arms.
+    """Return the arm length in the clip: a high quantile of |shoulder -> wrist| over both arms.
 
-    One length serves both arms, so that an arm that stays bent is not stretched. Tables of body measures, and the
-    lengths of upper arm and forearm, make the vectors worse (133 against 98 mm).
+    Both arms share one length, so that an arm that stays bent is not scaled up. Anthropometric tables, and the sum of
+    upper arm and forearm, give larger errors (133 mm instead of 98 mm).
 
     Args:
         p_SH: Shoulder -> wrist (T, 2, 3) [m].
-        valid: Which of them count (T, 2).
+        valid: Which of them are usable (T, 2).
         quantile: 0 to 1.
 
     Raises:
-        SourceError: If none counts.
+        SourceError: If none is usable.
     """
     reach = np.linalg.norm(p_SH, axis=-1)[valid]
     if reach.size == 0:
@@ -87,8 +88,9 @@ def arm_length(p_SH: FloatArray, valid: BoolArray, quantile: float) -> float:
 def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> FloatArray:
     """Return the heading of the torso (T,) [rad]: 0 faces the camera, positive turns to the person's left.
 
-    It is the direction of the right -> left line of shoulders and hips. Its median over the clip is within 9 degrees of
-    the triangulated one of a real person seen from four sides, and of the exact one of a rendered boxer.
+    It follows from the direction of the right -> left line of shoulders and hips. The median over the clip is within
+    9 degrees of the triangulated heading of a real person filmed from four sides, and of the exact heading of a
+    rendered boxer.
     """
     line, seen = _left_line(pose)
     if not seen.any():
@@ -102,33 +104,33 @@ def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Flo
 def camera_axis(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> tuple[float, float, float]:
     """Return the direction in which the camera looks, in torso axes, at the clip's median heading.
 
-    Motion along it is what the video hardly shows. (-1, 0, 0) is a camera in front of the person.
+    The video shows little of the motion along this axis. (-1, 0, 0) is a camera in front of the person.
     """
     middle = float(np.median(torso_heading(pose, settings)))
     x, y, z = _camera_from_torso(middle).T @ np.array([0.0, 0.0, 1.0])
     return float(x), float(y), float(z)
 
 
-def unseen(axis: tuple[float, float, float]) -> str:
-    """Return in a sentence what a camera that looks along this axis of the torso cannot see."""
+def depth_note(axis: tuple[float, float, float]) -> str:
+    """Return a sentence about the motion that a camera along this axis of the torso barely sees."""
     off_forward = np.degrees(np.arctan2(abs(axis[1]), abs(axis[0])))
     if off_forward < 30:
-        what, better = "reaching forward and back", "from the side or three quarters"
+        what, better = "reaching forward and back", "from the side or a three-quarter view"
     elif off_forward > 60:
-        what, better = "reaching to the left and right", "from the front or three quarters"
+        what, better = "reaching to the left and right", "from the front or a three-quarter view"
     else:
         what, better = "reaching along the diagonal toward the camera", "from the side that shows the motion best"
     where = "behind" if axis[0] > 0.5 else "in front of" if axis[0] < -0.5 else "beside"
     return (
-        f"The camera is {where} the person, {off_forward:.0f}° off the forward axis: of {what} only {DEPTH_GAIN} "
-        f"is seen; if that matters, film {better}."
+        f"The camera is {where} the person, {off_forward:.0f}° off the forward axis. It sees only {DEPTH_VISIBLE} of "
+        f"{what}; if that matters, film {better}."
     )
 
 
 def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Mapping[str, Any]:
-    """Return the figures of a pose that a run stores, as plain data."""
+    """Return the statistics of a pose for the run folder, as plain data."""
     axis = camera_axis(pose, settings)
-    seen = _arm_seen(pose)
+    seen = _arm_visible(pose)
     return {
         "frames": len(pose.t),
         "frames_with_person": int(seen.any(axis=1).sum()),
@@ -136,7 +138,7 @@ def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Mappi
         "frames_exchanged": int(pose.swapped.sum()),
         "heading_deg": float(np.degrees(np.median(torso_heading(pose, settings)))),
         "camera_axis": list(axis),
-        "unseen": unseen(axis),
+        "unseen": depth_note(axis),
     }
 
 
@@ -157,12 +159,12 @@ def _arms(pose: PoseTrack) -> FloatArray:
     return pose.landmarks[:, _columns(pose, "wrist")] - pose.landmarks[:, _columns(pose, "shoulder")]
 
 
-def _arm_seen(pose: PoseTrack) -> BoolArray:
+def _arm_visible(pose: PoseTrack) -> BoolArray:
     return pose.valid[:, _columns(pose, "wrist")] & pose.valid[:, _columns(pose, "shoulder")]
 
 
 def _left_line(pose: PoseTrack) -> tuple[FloatArray, BoolArray]:
-    """Return the right -> left line of shoulders, and hips where they are seen (T, 3) [m], and which rows have one."""
+    """Return the right -> left line of shoulders and visible hips (T, 3) [m], and which rows have one."""
     left, right = _columns(pose, "shoulder")
     seen = pose.valid[:, left] & pose.valid[:, right]
     line = pose.landmarks[:, left] - pose.landmarks[:, right]
@@ -174,10 +176,10 @@ def _left_line(pose: PoseTrack) -> tuple[FloatArray, BoolArray]:
 
 
 def _slow_heading(t: FloatArray, line: FloatArray, seen: BoolArray) -> FloatArray:
-    """Return the heading without what is faster than TURN_CUTOFF_HZ, over all rows (T,) [rad], without lag.
+    """Return the heading low-passed at TURN_CUTOFF_HZ, without lag, for all rows (T,) [rad].
 
-    A Gaussian of this width passes 0.71 at the cut-off: |H(f)| = exp(-(2 pi f sigma)^2 / 2). It smooths the line, not
-    its angle, so that half a turn away is nothing special.
+    A Gaussian of this width has a gain of 0.71 at the cut-off: |H(f)| = exp(-(2 pi f sigma)^2 / 2). It smooths the
+    line, not its angle, which avoids wrap-around at half a turn.
     """
     sigma = np.sqrt(np.log(2)) / (2 * np.pi * TURN_CUTOFF_HZ)
     grid = np.arange(t[0], t[-1] + _GRID, _GRID)
@@ -188,17 +190,17 @@ def _slow_heading(t: FloatArray, line: FloatArray, seen: BoolArray) -> FloatArra
     return np.unwrap(np.arctan2(z, x))
 
 
-def _about_turns(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ...]:
-    """Return a warning where one heading does not serve the clip."""
+def _turn_warnings(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ...]:
+    """Return a warning if one heading does not fit the clip."""
     line, seen = _left_line(pose)
     if settings.turns or not seen.any():
         return ()
     away = _slow_heading(pose.t, line, seen) - torso_heading(pose, settings)
-    share = float((np.abs((away + np.pi) % (2 * np.pi) - np.pi) > TURNED).mean())
+    share = float((np.abs((away + np.pi) % (2 * np.pi) - np.pi) > MAX_TURN).mean())
     if share < 0.1:
         return ()
     warning = (
-        f"the person is turned by more than {np.degrees(TURNED):.0f}° from the clip's heading in {share:.0%} of the "
-        "frames, where forward and sideways mix; follow the turns (--turns) or film one heading"
+        f"the person is turned by more than {np.degrees(MAX_TURN):.0f}° from the clip's heading in {share:.0%} of the "
+        "frames, which mixes forward and sideways motion; use --turns, or film a person who keeps one heading"
     )
     return (warning,)

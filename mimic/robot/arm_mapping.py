@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.frames import R_BT
+from mimic.geometry import R_BT
+from mimic.records import FloatArray
 from mimic.robot.reach import Reach
-from mimic.types import FloatArray
 
 
 def toes_of_arms(p_SH: FloatArray, reach: Reach, scale: float = 1.0) -> FloatArray:
@@ -23,10 +23,10 @@ def toes_of_arms(p_SH: FloatArray, reach: Reach, scale: float = 1.0) -> FloatArr
     Returns:
         Base -> toe (..., 2, 3), base axes [m].
     """
-    facts = reach.description.raw["reach"]
-    forward = np.array([facts["forward"], 0.0, 0.0])
+    workspace = reach.description.workspace
+    forward = np.array([workspace.arm_forward, 0.0, 0.0])
     hips = np.array([leg.origin + (0.0, leg.offset, 0.0) for leg in reach.legs])
-    return hips + (scale * np.array(facts["scale"]) * np.asarray(p_SH, dtype=np.float64) + forward) @ R_BT.T
+    return hips + (scale * workspace.arm_scale * np.asarray(p_SH, dtype=np.float64) + forward) @ R_BT.T
 
 
 POSTURES = {

@@ -1,10 +1,14 @@
-"""The robot's numbers, read from ``assets/<robot>/robot.toml``, where each has its source."""
+"""The robot's numbers and names, read from ``assets/<robot>/robot.toml``, where each number has its source.
+
+No other module knows a number of one robot, or what its model calls a joint, a link or a shape. All robots have four
+legs of three joints: abad turns about +x, hip and knee about +y. The legs mirror each other.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,20 +17,23 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import AssetError, ConfigError
-from mimic.shipped import shipped
-from mimic.types import JOINTS, LEGS, FloatArray
+from mimic.io.assets import shipped
+from mimic.records import JOINTS, LEGS, FloatArray
+from mimic.robot.parts import (
+    ROLES,
+    Box,
+    CommandLimits,
+    Goals,
+    LegGeometry,
+    ModelNames,
+    ProbeRanges,
+    ThermalNumbers,
+    TrainingNumbers,
+    Workspace,
+)
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Goals:
-    """Boxes in which front-toe goals are drawn, left toe in base axes; the right toe mirrors y."""
-
-    share: FloatArray
-    """Probability of each box (B,)."""
-    low: FloatArray
-    """Lower corners (B, 3) [m]."""
-    high: FloatArray
-    """Upper corners (B, 3) [m]."""
+FILE = "robot.toml"
+"""Name of a description in a robot's folder."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,6 +42,13 @@ class RobotDescription:
 
     name: str
     folder: Path
+    names: ModelNames
+    """What the model calls joints, links and shapes."""
+    leg: LegGeometry
+    trunk: Box
+    """Extent of the trunk."""
+    head: tuple[Box, ...]
+    """Extents of what else is fixed to the trunk."""
     q_min: FloatArray
     """Lower joint limits [rad]."""
     q_max: FloatArray
@@ -43,6 +57,10 @@ class RobotDescription:
     """Position gain [N m/rad]."""
     kd: float
     """Velocity gain [N m s/rad]."""
+    kp_max: float
+    """Greatest position gain that a motor takes [N m/rad]."""
+    kd_max: float
+    """Greatest velocity gain that a motor takes [N m s/rad]; damping a robot uses it."""
     torque_max: float
     """Peak torque [N m]."""
     torque_rated: float
@@ -51,27 +69,34 @@ class RobotDescription:
     """Speed up to which the full torque is there [rad/s]."""
     speed_max: float
     """Speed at which no driving torque is left [rad/s]."""
+    voltage: float
+    """Rated supply voltage [V]."""
+    gear_ratio: float
+    """Turns of the rotor for one turn of the joint."""
+    armature: float
+    """Inertia of the rotor, seen at the joint [kg m^2]."""
     delay: float
     """From command to effect [s]."""
     timestep: float
     """Physics step [s]."""
     decimation: int
     """Physics steps in a control step."""
-    overload_torque: FloatArray
-    """Torques of the motor's overload table [N m]."""
-    overload_seconds: FloatArray
-    """How long each may last from 25 degC [s]."""
     poses: Mapping[str, FloatArray]
     """Named joint poses [rad]: lie, four, upright."""
-    pose_height: dict[str, float]
+    pose_height: Mapping[str, float]
     """Base height in each pose [m]."""
     upright_direction: FloatArray
     """Unit vector that base x points along when upright, heading frame (3,)."""
     goals: Goals
     toe_radius: float
     """[m]"""
-    raw: dict[str, Any]
-    """The whole file, for what has no field here."""
+    workspace: Workspace
+    commands: CommandLimits
+    training: TrainingNumbers
+    thermal_numbers: ThermalNumbers | None
+    """None where the maker publishes none."""
+    probe_ranges: ProbeRanges | None
+    """None where nobody has measured them."""
 
     @property
     def dt(self) -> float:
@@ -81,12 +106,36 @@ class RobotDescription:
     @property
     def mjcf(self) -> Path:
         """The robot alone."""
-        return self.folder / "cyberdog2.xml"
+        return self.folder / self.names.file
 
     @property
-    def scene(self) -> Path:
-        """The robot on a floor."""
-        return self.folder / "scene.xml"
+    def scene(self) -> Path | None:
+        """The robot on a floor; None where the folder has no such file."""
+        return self.folder / self.names.scene if self.names.scene else None
+
+    @property
+    def thermal(self) -> ThermalNumbers:
+        """Thermal model of the motors.
+
+        Raises:
+            AssetError: If the description has none.
+        """
+        if self.thermal_numbers is None:
+            raise AssetError(
+                f"{self.folder / FILE} has no [motor.thermal]: winding temperatures of {self.name} are unknown"
+            )
+        return self.thermal_numbers
+
+    @property
+    def probe(self) -> ProbeRanges:
+        """Where the suspended robot's joints may go.
+
+        Raises:
+            AssetError: If the description has none.
+        """
+        if self.probe_ranges is None:
+            raise AssetError(f"{self.folder / FILE} has no [probe]: no joint ranges are known to be free of collisions")
+        return self.probe_ranges
 
     def torque_limits(self, dq: Any, low: Any = np.minimum, high: Any = np.maximum) -> tuple[Any, Any]:
         """Return the least and the greatest torque [N m] that a motor gives at joint speed dq [rad/s].
@@ -102,59 +151,159 @@ class RobotDescription:
         return -down, up
 
 
-def joint_limits(raw: dict[str, Any]) -> FloatArray:
-    """Return lower and upper limits (12, 2) [rad] in the order of JOINTS."""
-    rows = []
+def _array(values: Any) -> FloatArray:
+    return np.array(values, dtype=np.float64)
+
+
+def _per_joint(table: Callable[[str], list[Any]], mirrored: Callable[[Any], Any]) -> FloatArray:
+    """Return a row a joint from the rows of a left leg at each end; the abad row is mirrored on the right.
+
+    Args:
+        table: ``front`` or ``rear`` -> rows of abad, hip and knee of the left leg.
+        mirrored: Row of the left abad joint -> that of the right one.
+    """
+    rows: list[Any] = []
     for leg in LEGS:
-        end = "front" if leg.startswith("F") else "rear"
-        rows += [raw["abad"]["range"], raw["hip"][f"range_{end}"], raw["knee"]["range"]]
-    return np.array(rows, dtype=np.float64)
+        abad, hip, knee = table("front" if leg.startswith("F") else "rear")
+        rows += [mirrored(abad) if leg.endswith("R") else abad, hip, knee]
+    return _array(rows)
+
+
+def _interval_mirrored(interval: Any) -> Any:
+    low, high = interval
+    return [-high, -low]
+
+
+def _joint_limits(raw: dict[str, Any]) -> FloatArray:
+    def of_end(end: str) -> list[Any]:
+        return [raw["abad"]["range"], raw["hip"][f"range_{end}"], raw["knee"]["range"]]
+
+    return _per_joint(of_end, _interval_mirrored)
+
+
+def _probe(probe: dict[str, Any]) -> ProbeRanges:
+    def bounds(end: str) -> list[Any]:
+        return [probe["abad"], probe[f"hip_{end}"], probe[f"knee_{end}"]]
+
+    limits = _per_joint(bounds, _interval_mirrored)
+    centre = _per_joint(lambda end: probe[f"centre_{end}"], lambda abad: -abad)
+    return ProbeRanges(low=limits[:, 0], high=limits[:, 1], centre=centre)
+
+
+def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
+    thermal, overload = motor["thermal"], motor["overload"]
+    return ThermalNumbers(
+        winding_share=thermal["winding_share"],
+        winding_time=thermal["winding_seconds"],
+        housing_time=thermal["housing_seconds"],
+        overload_torque=_array(overload["torque"]),
+        overload_time=_array(overload["seconds"]),
+    )
+
+
+def _names(model: dict[str, Any]) -> ModelNames:
+    shapes = model["shapes"]
+    return ModelNames(
+        file=model["file"],
+        scene=model.get("scene", ""),
+        base=model["base"],
+        legs=tuple(model["legs"]),
+        joints=tuple(model["joints"]),
+        links=tuple(model["links"]),
+        toe_site=model.get("toe_site", ""),
+        patterns={role: tuple(shapes.get(role, ())) for role in ROLES},
+    )
+
+
+def _leg(raw: dict[str, Any], path: Path) -> LegGeometry:
+    to_hip, toe = _array(raw["hip"]["origin"]), _array(raw["toe"]["position"])
+    if np.any(to_hip[[0, 2]] != 0.0) or toe[1] != 0.0:
+        raise AssetError(f"{path}: [hip] origin must lie on the y axis and [toe] position in the plane y = 0")
+    return LegGeometry(
+        origin=_array(raw["abad"]["origin"]), offset=float(to_hip[1]), thigh=float(raw["hip"]["length"]), toe=toe
+    )
+
+
+def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
+    limits, upright = _joint_limits(raw), _array(raw["upright"]["direction"])
+    motor, physics, goals, reach, commands = (raw[k] for k in ("motor", "physics", "goals", "reach", "commands"))
+    poses = {pose: _array(values["q"]) for pose, values in raw["pose"].items()}
+    if any(q.shape != (len(JOINTS),) for q in poses.values()):
+        raise AssetError(f"{path}: a pose does not have {len(JOINTS)} joints")
+    return RobotDescription(
+        name=raw["name"],
+        folder=path.parent,
+        names=_names(raw["model"]),
+        leg=_leg(raw, path),
+        trunk=Box(centre=np.zeros(3), size=_array(raw["body"]["box"])),
+        head=tuple(Box(centre=_array(h["position"]), size=_array(h["size"])) for h in raw.get("head", ())),
+        q_min=limits[:, 0],
+        q_max=limits[:, 1],
+        kp=motor["kp"],
+        kd=motor["kd"],
+        kp_max=motor["kp_max"],
+        kd_max=motor["kd_max"],
+        torque_max=motor["torque_max"],
+        torque_rated=motor["torque_rated"],
+        speed_flat=motor["speed_flat"],
+        speed_max=motor["speed_max"],
+        voltage=motor["voltage"],
+        gear_ratio=motor["gear_ratio"],
+        armature=motor["armature"],
+        delay=motor["delay"],
+        timestep=physics["timestep"],
+        decimation=physics["decimation"],
+        poses=poses,
+        pose_height={pose: values["z"] for pose, values in raw["pose"].items()},
+        upright_direction=upright / np.linalg.norm(upright),
+        goals=Goals(
+            share=_array([g["share"] for g in goals]),
+            low=_array([g["low"] for g in goals]),
+            high=_array([g["high"] for g in goals]),
+        ),
+        toe_radius=raw["toe"]["radius"],
+        workspace=Workspace(
+            margin=reach["margin"],
+            clearance=reach["clearance"],
+            speed_share=reach["speed_share"],
+            torque_share=reach["torque_share"],
+            arm_scale=_array(reach["scale"]),
+            arm_forward=reach["forward"],
+        ),
+        commands=CommandLimits(velocity=_array(commands["velocity_max"]), turn_rate=commands["turn_rate_max"]),
+        training=TrainingNumbers(**raw["training"]),
+        thermal_numbers=_thermal(motor) if "thermal" in motor else None,
+        probe_ranges=_probe(raw["probe"]) if "probe" in raw else None,
+    )
+
+
+def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
+    """Read the description of a robot; each file is read once.
+
+    Args:
+        robot: Name of a shipped robot, or path of a folder with a robot.toml, or of that file.
+
+    Raises:
+        AssetError: If there is no such robot, or its file lacks a number or cannot be read.
+    """
+    path = Path(robot)
+    if path.name == FILE:
+        return _read(path.resolve())
+    if path.is_dir() or len(path.parts) > 1:
+        return _read(path.resolve() / FILE)
+    return _read(shipped("assets", str(robot)) / FILE)
 
 
 @cache
-def load_description(name: str = "cyberdog2") -> RobotDescription:
-    """Read the description of a shipped robot.
-
-    Raises:
-        AssetError: If the robot does not ship, or its file lacks a number.
-    """
-    folder = shipped("assets", name)
+def _read(path: Path) -> RobotDescription:
+    if not path.is_file():
+        raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2), or a folder with a {FILE}")
     try:
-        raw = tomllib.loads((folder / "robot.toml").read_text(encoding="utf-8"))
-        limits, motor, physics, goals = joint_limits(raw), raw["motor"], raw["physics"], raw["goals"]
-        upright = np.array(raw["upright"]["direction"])
-        poses = {pose: np.array(values["q"], dtype=np.float64) for pose, values in raw["pose"].items()}
-        if any(q.shape != (len(JOINTS),) for q in poses.values()):
-            raise AssetError(f"{folder / 'robot.toml'}: a pose does not have {len(JOINTS)} joints")
-        return RobotDescription(
-            name=raw["name"],
-            folder=folder,
-            q_min=limits[:, 0],
-            q_max=limits[:, 1],
-            kp=motor["kp"],
-            kd=motor["kd"],
-            torque_max=motor["torque_max"],
-            torque_rated=motor["torque_rated"],
-            speed_flat=motor["speed_flat"],
-            speed_max=motor["speed_max"],
-            delay=motor["delay"],
-            timestep=physics["timestep"],
-            decimation=physics["decimation"],
-            overload_torque=np.array(motor["overload"]["torque"]),
-            overload_seconds=np.array(motor["overload"]["seconds"]),
-            poses=poses,
-            pose_height={pose: values["z"] for pose, values in raw["pose"].items()},
-            upright_direction=upright / np.linalg.norm(upright),
-            goals=Goals(
-                share=np.array([g["share"] for g in goals]),
-                low=np.array([g["low"] for g in goals]),
-                high=np.array([g["high"] for g in goals]),
-            ),
-            toe_radius=raw["toe"]["radius"],
-            raw=raw,
-        )
+        return _described(tomllib.loads(path.read_text(encoding="utf-8")), path)
     except KeyError as missing:
-        raise AssetError(f"{folder / 'robot.toml'} lacks {missing}") from None
+        raise AssetError(f"{path} lacks {missing}") from None
+    except (tomllib.TOMLDecodeError, TypeError, ValueError) as reason:
+        raise AssetError(f"{path} is not a robot description: {reason}") from None
 
 
 def with_timestep(description: RobotDescription, timestep: float) -> RobotDescription:

@@ -11,20 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg import front_legs, front_toes
-from mimic.types import FloatArray
+from mimic.robot.leg_kinematics import front_legs, front_toes
 
 MARGIN = float(np.deg2rad(5.0))
 """Distance kept from every joint limit [rad]; the paper ends an episode there."""
 
-CLEARANCE = 0.03
-"""Distance kept between a toe's centre and anything else [m]: its radius 0.019 and a centimetre."""
-
-
-def eased(share: Any) -> Any:
-    """Return how far a smooth motion from rest to rest is, 0 to 1, when this share of its time is over; any array type."""
-    return share * share * (3 - 2 * share)
+CLEARANCE = 0.011
+"""Distance kept between the surface of a toe and anything else [m]."""
 
 
 def leg_joints(p_BE: Any, description: RobotDescription, xp: Any = np) -> tuple[Any, Any]:
@@ -60,19 +55,17 @@ def _excess(q: Any, description: RobotDescription, first: int, xp: Any) -> Any:
 
 def clear_of_body(p_BE: FloatArray, q: FloatArray, description: RobotDescription) -> np.ndarray:
     """Return whether toes and shanks of a pair (..., 2, 3) keep their distance from each other, trunk and head."""
-    raw = description.raw
+    away = description.toe_radius + CLEARANCE
     ok = np.ones(p_BE.shape[:-2], dtype=bool)
-    boxes = [(np.array([0.0, 0.0, 0.0]), np.array(raw["body"]["box"]))]
-    boxes += [(np.array(h["position"]), np.array(h["size"])) for h in raw["head"]]
-    for centre, size in boxes:
-        gap = np.maximum(np.abs(p_BE - centre) - size / 2, 0.0)
-        ok &= (np.linalg.norm(gap, axis=-1) > CLEARANCE).all(axis=-1)
+    for box in (description.trunk, *description.head):
+        gap = np.maximum(np.abs(p_BE - box.centre) - box.size / 2, 0.0)
+        ok &= (np.linalg.norm(gap, axis=-1) > away).all(axis=-1)
     knees = np.stack([leg.knee(q[..., i, :]) for i, leg in enumerate(front_legs(description))], axis=-2)
     for a in np.linspace(0, 1, 5):
         left = (1 - a) * knees[..., 0, :] + a * p_BE[..., 0, :]
         for b in np.linspace(0, 1, 5):
             right = (1 - b) * knees[..., 1, :] + b * p_BE[..., 1, :]
-            ok &= np.linalg.norm(left - right, axis=-1) > 2 * CLEARANCE
+            ok &= np.linalg.norm(left - right, axis=-1) > 2 * away
     return ok
 
 
@@ -84,7 +77,8 @@ def draw_goals(
     Args:
         anywhere: Share drawn over all joint positions of the front legs instead of in the description's boxes.
     """
-    goals, kept = description.goals, []
+    goals = description.goals
+    kept: list[FloatArray] = []
     wanted_anywhere = round(count * anywhere)
     for everywhere, wanted in ((True, wanted_anywhere), (False, count - wanted_anywhere)):
         have: list[FloatArray] = []

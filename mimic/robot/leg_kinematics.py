@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.types import FloatArray
 
 ROUNDING = 1e-10
 """A squared depth of less than this is none at all [m^2]."""
@@ -28,6 +28,8 @@ class Leg:
     """Hip axis -> knee axis, along -z [m]."""
     toe: FloatArray
     """Knee axis -> toe, knee axes (3,), y is zero [m]."""
+    hip_middle: float = 0.0
+    """Middle of the hip's range; hip angles are given within half a turn of it [rad]."""
 
     def forward(self, q: Any, xp: Any = np) -> Any:
         """Return base -> toe (..., 3) [m] for abad, hip and knee (..., 3) [rad].
@@ -60,8 +62,8 @@ class Leg:
             xp: ``numpy`` or ``torch``, whichever ``p_BE`` is from.
 
         Returns:
-            Joints (..., 2, 3) [rad]; abad and hip in [-pi, pi), knee in [-pi, 0] about the straight leg; NaN where the
-            leg is too short or too long. Limits are not looked at.
+            Joints (..., 2, 3) [rad]; abad in [-pi, pi), hip within pi of ``hip_middle``, knee in [-pi, 0] about the
+            straight leg; NaN where the leg is too short or too long. Limits are not looked at.
         """
         ox, oy, oz = (float(v) for v in self.origin)
         x, y, z = p_BE[..., 0] - ox, p_BE[..., 1] - oy, p_BE[..., 2] - oz
@@ -77,7 +79,11 @@ class Leg:
         abad = xp.arctan2(z, y)[..., None] - xp.arctan2(depths, xp.full_like(depths, self.offset))
         hip = xp.arctan2(-x[..., None], -depths) - tilt[..., None]
         knee = xp.zeros_like(hip) + (bend - lean)[..., None]
-        return xp.stack([_wrapped(abad), _wrapped(hip), knee], -1)
+        return xp.stack([_wrapped(abad), self._within_half_a_turn(_wrapped(hip), xp), knee], -1)
+
+    def _within_half_a_turn(self, hip: Any, xp: Any) -> Any:
+        hip = xp.where(hip < self.hip_middle - math.pi, hip + 2 * math.pi, hip)
+        return xp.where(hip >= self.hip_middle + math.pi, hip - 2 * math.pi, hip)
 
 
 def _wrapped(angle: Any) -> Any:
@@ -87,17 +93,17 @@ def _wrapped(angle: Any) -> Any:
 @cache
 def all_legs(description: RobotDescription) -> tuple[Leg, ...]:
     """Return the four legs, in the order of LEGS."""
-    raw = description.raw
-    x, y, z = raw["abad"]["origin"]
+    own, middle = description.leg, (description.q_min + description.q_max) / 2
+    x, y, z = own.origin
     return tuple(
         Leg(
             origin=np.array([end * x, side * y, z]),
-            offset=side * raw["hip"]["origin"][1],
-            thigh=raw["hip"]["length"],
-            toe=np.array(raw["toe"]["position"]),
+            offset=side * own.offset,
+            thigh=own.thigh,
+            toe=own.toe,
+            hip_middle=float(middle[3 * index + 1]),
         )
-        for end in (1.0, -1.0)
-        for side in (1.0, -1.0)
+        for index, (end, side) in enumerate(((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)))
     )
 
 

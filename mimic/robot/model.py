@@ -1,225 +1,146 @@
-"""Description -> compiled MuJoCo model and its actuator law: one place for simulation, training and evaluation.
+"""The robot's MJCF with its parts named by their roles: what simulation, training and kinematics start from.
 
-The actuator law is MuJoCo's own ``dcmotor`` in the MJCF: tau = kp (q_des - q) - kd dq, through a motor whose voltage
-limit gives the torque-speed line, clipped at the peak torque. MuJoCo on a CPU and MuJoCo Warp on a GPU both run it,
-and both integrate it implicitly. With calibrated effects a bare servo at each joint takes its place, which
-:mod:`mimic.robot.law` drives.
-
-A command takes effect after a delay that varies from robot to robot. It is applied on the way to the motors
-(:func:`command_in_effect`) and not by the native ``delay`` of the MJCF, so that it can be drawn anew for each episode.
+A description says what the MJCF calls its parts (`mimic.robot.parts.ModelNames`). `read_model` renames the
+joints and the links to the roles of JOINTS, so that no other module needs the model's own names.
 """
+
+# MuJoCo has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from mimic.errors import AssetError
+from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.machine import add_servos
-from mimic.settings import Randomisation
-from mimic.types import JOINTS, LEGS, FloatArray
 
-GAIN_KP, GAIN_KD = 4, 6
-"""Where the gains stand in the gain parameters of a dcmotor."""
+BASE, FLOOR = "base", "floor"
+"""Names of the body that carries the legs, and of the ground."""
 
 TOES = tuple(f"{leg}_toe" for leg in LEGS)
-"""Site of each toe; the first two are the front toes, left and right."""
+"""Site at the centre of each toe, in the order of LEGS."""
+
+_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+"""Axes of the abad, hip and knee joint."""
 
 
-def load_model(
-    description: RobotDescription,
-    *,
-    floor: bool = True,
-    visuals: bool = True,
-    payloads: Mapping[str, float] | None = None,
-    servos: bool = False,
-) -> mujoco.MjModel:
-    """Compile the robot.
+def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
+    """Return the robot as a MuJoCo specification (MjSpec) with canonical names.
+
+    Joints and the links that they move are called as in JOINTS, the base BASE, the toe sites as in TOES. Collision
+    shapes keep their names; one without a name is called ``body#n`` after its body and its place among the body's
+    collision shapes. A missing free joint, missing toe sites, missing motors and a missing floor are added.
 
     Args:
         description: The robot.
-        floor: Put it on a floor.
-        visuals: Keep the shapes that are only looked at.
-        payloads: Mass [kg] that the toe of a leg carries, as a ball of the toe's size.
-        servos: Instead of the motors put a bare position servo at each joint, for a law that drives it.
+        floor: Put it on a floor, named FLOOR.
+
+    Raises:
+        AssetError: If the file is no MJCF, or lacks a part that the description names.
     """
-    spec = mujoco.MjSpec.from_file(str(description.scene if floor else description.mjcf))
-    for actuator in spec.actuators:
-        actuator.delay = 0.0
-        actuator.nsample = 0
-    if not visuals:
-        for geom in list(spec.geoms):
-            if geom.classname is not None and geom.classname.name == "visual":
-                spec.delete(geom)
-    if servos:
-        add_servos(spec, JOINTS)
-    for leg, mass in (payloads or {}).items():
-        inertia = 0.4 * mass * description.toe_radius**2
-        load = spec.body(f"{leg}_knee").add_body(pos=description.raw["toe"]["position"], explicitinertial=True)
-        load.mass, load.ipos, load.inertia = mass, [0.0, 0.0, 0.0], [inertia] * 3
-    model = spec.compile()
-    names = tuple(model.joint(i).name for i in range(1, model.njnt))
-    assert names == JOINTS, f"the joints of the MJCF are {names}"
-    return model
+    names = description.names
+    path = description.scene if floor and description.scene is not None else description.mjcf
+    try:
+        spec: Any = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as reason:
+        raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {str(reason).strip()}") from None
+    _name_shapes(spec)
+    shapes = {geom.name for geom in spec.geoms}
+    missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
+    if missing:
+        raise AssetError(f"{path} has no shape {missing[0]!r}; it has {', '.join(sorted(shapes - {''}))}")
+    base = _found(spec.body(names.base), "body", names.base, path)
+    base.name = BASE
+    if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in base.joints):
+        base.add_freejoint(name=BASE)
+        for key in list(spec.keys):  # they lack the numbers of the free joint
+            spec.delete(key)
+    _check_order(spec, description)
+    for leg in LEGS:
+        _name_leg(spec, description, leg)
+    _set_motors(spec, description)
+    if floor:
+        spec.option.disableflags &= ~int(
+            mujoco.mjtDisableBit.mjDSBL_CONTACT
+        )  # models of suspended robots lack contacts
+        if description.scene is None:
+            spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
+    return spec
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Variation:
-    """One robot out of the randomised many; joint arrays are (12,), leg arrays (4,)."""
-
-    joint_friction: FloatArray
-    """[N m]"""
-    joint_damping: FloatArray
-    """[N m s/rad]"""
-    ground_friction: float
-    restitution: float
-    base_mass: float
-    """Added to the trunk [kg]."""
-    abad_mass: FloatArray
-    """Added [kg]."""
-    hip_mass: FloatArray
-    """Added [kg]."""
-    knee_mass: FloatArray
-    """Added [kg]."""
-    toe_mass: FloatArray
-    """Added at the toes [kg]."""
-    com: FloatArray
-    """Shift of the trunk's centre of mass (3,) [m]."""
-    kp: FloatArray
-    """Factor."""
-    kd: FloatArray
-    """Factor."""
-    delay_steps: int
-    """Physics steps from a command to its effect."""
-    start_q: FloatArray
-    """Added to the start pose [rad]."""
-    start_height: float
-    """Added to the start height [m]."""
-    heading: float
-    """At the start [rad]."""
+def is_visual(geom: Any) -> bool:
+    """Return whether a shape of a specification is only looked at: it takes part in no contact."""
+    return geom.contype == 0 and geom.conaffinity == 0
 
 
-_SHAPES = {
-    "joint_friction": (12,),
-    "joint_damping": (12,),
-    "abad_mass": (4,),
-    "hip_mass": (4,),
-    "knee_mass": (4,),
-    "toe_mass": (4,),
-    "com": (3,),
-    "kp": (12,),
-    "kd": (12,),
-    "start_q": (12,),
-}
+def remove_free_joint(spec: Any) -> None:
+    """Fix the base of a specification to the world."""
+    for joint in list(spec.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            spec.delete(joint)
 
 
-def draw_variation(ranges: Randomisation, timestep: float, rng: np.random.Generator) -> Variation:
-    """Return one robot drawn from the ranges."""
-    values: dict[str, Any] = {}
-    for f in fields(Variation):
-        low, high = getattr(ranges, "delay" if f.name == "delay_steps" else f.name)
-        if f.name == "delay_steps":
-            values[f.name] = int(rng.integers(round(low / timestep), round(high / timestep) + 1))
-        elif f.name in _SHAPES:
-            values[f.name] = rng.uniform(low, high, _SHAPES[f.name])
-        else:
-            values[f.name] = float(rng.uniform(low, high))
-    return Variation(**values)
+def _found(part: Any, kind: str, name: str, path: Any) -> Any:
+    if part is None:
+        raise AssetError(f"{path} has no {kind} {name!r}; correct [model] in robot.toml")
+    return part
 
 
-def restitution_damping(restitution: float) -> float:
-    """Return the damping ratio of a contact whose rebound speed is ``restitution`` times the impact speed.
-
-    Source: damped oscillator, e = exp(-pi z / sqrt(1 - z^2)), solved for z; 1 where there is no rebound.
-    """
-    if restitution < 1e-3:
-        return 1.0
-    a = -math.log(restitution) / math.pi
-    return a / math.sqrt(1 + a * a)
+def _name_shapes(spec: Any) -> None:
+    for body in spec.bodies:
+        for place, geom in enumerate(geom for geom in body.geoms if not is_visual(geom)):
+            if not geom.name:
+                geom.name = f"{body.name}#{place}"
 
 
-def bouncing(time: float, restitution: float) -> tuple[float, float]:
-    """Return time constant [s] and damping ratio of a contact that bounces, as stiff as one of time constant ``time`` that does not."""
-    damping = restitution_damping(restitution)
-    return time / damping, damping
+def _check_order(spec: Any, description: RobotDescription) -> None:
+    names = description.names
+    expected = [names.of_leg(name, leg) for leg in LEGS for name in names.joints]
+    found = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    if found != expected:
+        raise AssetError(f"{description.mjcf} has joints {', '.join(found)}; robot.toml names {', '.join(expected)}")
 
 
-def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variation) -> None:
-    """Write one variation into ``model``, starting from the numbers of ``nominal``; repeatable on the same model."""
-    joints = slice(6, 18)
-    model.dof_frictionloss[joints] = variation.joint_friction
-    model.dof_damping[joints] = variation.joint_damping
-    floor = model.geom("floor").id
-    model.geom_friction[floor, 0] = variation.ground_friction
-    model.geom_solref[floor] = bouncing(nominal.geom_solref[floor, 0], variation.restitution)
-    model.actuator_gainprm[:, GAIN_KP] = nominal.actuator_gainprm[:, GAIN_KP] * variation.kp
-    model.actuator_gainprm[:, GAIN_KD] = nominal.actuator_gainprm[:, GAIN_KD] * variation.kd
-    added = np.zeros(model.nbody)
-    base = model.body("base").id
-    added[base] = variation.base_mass
-    for i, leg in enumerate(LEGS):
-        added[model.body(f"{leg}_abad").id] = variation.abad_mass[i]
-        added[model.body(f"{leg}_hip").id] = variation.hip_mass[i]
-        added[model.body(f"{leg}_knee").id] = variation.knee_mass[i] + variation.toe_mass[i]
-    mass = nominal.body_mass + added
-    ratio = np.where(nominal.body_mass > 0, mass / np.maximum(nominal.body_mass, 1e-9), 1.0)
-    model.body_mass[:] = mass
-    model.body_inertia[:] = nominal.body_inertia * ratio[:, None]
-    model.body_iquat[:] = nominal.body_iquat
-    model.body_ipos[:] = nominal.body_ipos
-    model.body_ipos[base] += variation.com
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
+    names, path = description.names, description.mjcf
+    at = LEGS.index(leg)
+    roles = JOINTS[3 * at : 3 * at + 3]
+    joints = [spec.joint(names.of_leg(name, leg)) for name in names.joints]
+    links = [_found(spec.body(own := names.of_leg(name, leg)), "body", own, path) for name in names.links]
+    for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
+        if not np.allclose(joint.axis, axis) or np.any(joint.pos):
+            raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")
+        joint.name, link.name = role, role
+    toe = TOES[at]
+    if names.toe_site:
+        own = names.of_leg(names.toe_site, leg)
+        _found(spec.site(own), "site", own, path).name = toe
+    else:
+        links[2].add_site(name=toe, pos=description.leg.toe, size=[description.toe_radius] * 3, group=4)
 
 
-def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -> None:
-    """Add a point mass [kg] at a position (3,) [m] of a body, in ``model`` as it is."""
-    if not mass:
+def _set_motors(spec: Any, description: RobotDescription) -> None:
+    """Replace actuators that are not motors with a position loop by motors with the numbers of the description."""
+    own = {description.names.of_leg(name, leg) for leg in LEGS for name in description.names.joints}
+    if own == set(JOINTS) and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators):
         return
-    at = model.body(body).id
-    own, frame = float(model.body_mass[at]), np.zeros(9)
-    mujoco.mju_quat2Mat(frame, model.body_iquat[at])
-    turn = frame.reshape(3, 3)
-    inertia = turn @ np.diag(model.body_inertia[at]) @ turn.T
-    away = position - model.body_ipos[at]
-    inertia += own * mass / (own + mass) * (away @ away * np.eye(3) - np.outer(away, away))
-    values, axes = np.linalg.eigh(inertia)
-    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-    mujoco.mju_mat2Quat(model.body_iquat[at], axes.reshape(9))
-    model.body_inertia[at], model.body_mass[at] = values, own + mass
-    model.body_ipos[at] += away * mass / (own + mass)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
-def command_in_effect(
-    substep: int,
-    decimation: int,
-    delay_steps: Any,
-    newest: Any,
-    before: Any,
-    before_that: Any,
-    where: Any,
-    older: Sequence[Any] = (),
-) -> Any:
-    """Return the command that acts during a physics step.
-
-    Args:
-        substep: Index of the physics step within the control step, from 0.
-        decimation: Physics steps in a control step.
-        delay_steps: Physics steps from a command to its effect; no more than one control step less than there are
-            commands, two with the first three. Broadcasts with commands.
-        newest: Command of this control step.
-        before: Command of the control step before.
-        before_that: And of the one before that.
-        where: ``np.where`` or ``torch.where``.
-        older: Those before, newest first.
-    """
-    commands = (newest, before, before_that, *older)
-    acting = commands[-1]
-    for age in reversed(range(len(commands) - 1)):
-        acting = where(delay_steps - age * decimation <= substep, commands[age], acting)
-    return acting
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    d = description
+    slope = d.torque_max / (d.speed_max - d.speed_flat)
+    constant = d.voltage / d.speed_max
+    for name in JOINTS:
+        motor = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+        motor.set_to_dcmotor(
+            motorconst=[constant, constant],
+            resistance=constant**2 / slope,
+            saturation=[d.torque_max, 0.0, 0.0],
+            controller=[d.kp, 0.0, d.kd, 0.0, 0.0, d.voltage],
+            ctrlspec=1,  # a position
+        )

@@ -1,5 +1,8 @@
 """The closest image of a smooth map under bounds and smooth inequalities: Newton steps on small quadratic programs."""
 
+# SciPy has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -8,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 SMALL_CURVATURE = 1e-4
 """Least curvature that a step trusts [m^2/rad^2]; a leg's own is 0.01 to 0.08."""
@@ -47,7 +50,7 @@ def quadratic_program(h: FloatArray, g: FloatArray, rows: FloatArray, least: Flo
     stacked = np.vstack([e.T, f])
     target = np.zeros(len(stacked))
     target[-1] = 1.0
-    u, _ = nnls(stacked, target)
+    u: FloatArray = nnls(stacked, target)[0]
     r = stacked @ u - target
     if -r[-1] < 1e-10:
         return None

@@ -7,19 +7,26 @@ and of the hind legs' motors; the numbers are in ``[reach]`` of robot.toml.
 
 # Pinocchio's extension module has no type stubs.
 # pyright: reportAttributeAccessIssue=false
+# Pinocchio has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
 
-from mimic.errors import AssetError
+from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.leg import Leg
+from mimic.robot.leg_kinematics import front_legs
+from mimic.robot.model import TOES
 from mimic.robot.projection import Local, project
-from mimic.types import JOINTS, LEGS, FloatArray
+from mimic.robot.rigid_body import rigid_body_model
 
 FRONT = 6
 """Joints of the front legs: the first six."""
@@ -52,35 +59,30 @@ class Reach:
         """Read the robot.
 
         Raises:
-            AssetError: If Pinocchio finds other joints in the MJCF than the description has.
+            AssetError: If the MJCF lacks a part that the description names.
         """
         self.description = description or load_description()
-        path = str(self.description.mjcf)
-        self._model = pin.buildModelFromMJCF(path)
-        missing = [name for name in JOINTS if not self._model.existJointName(name)]
-        if missing or self._model.nq != 7 + len(JOINTS):
-            raise AssetError(f"{path} has joints {', '.join(self._model.names)}; the robot needs {', '.join(JOINTS)}")
+        self._model, self._geometry = rigid_body_model(self.description)
         self._joints = [self._model.getJointId(name) for name in JOINTS]
         self._at_q = np.array([self._model.joints[i].idx_q for i in self._joints])
         self._at_v = np.array([self._model.joints[i].idx_v for i in self._joints])
-        self._frames = [self._model.getFrameId(f"{leg}_toe", pin.FrameType.OP_FRAME) for leg in LEGS]
+        self._frames = [self._model.getFrameId(name, pin.FrameType.OP_FRAME) for name in TOES]
         self._data = self._model.createData()
         self._qpos = pin.neutral(self._model)
         self._qpos[self._at_q] = self.description.poses["upright"]
-        self._geometry = pin.buildGeomFromMJCF(self._model, path, pin.GeometryType.COLLISION)
         self._pairs = self._add_pairs()
         self._space = self._geometry.createData()
-        raw = self.description.raw["reach"]
-        self.clearance: float = raw["clearance"]
+        workspace = self.description.workspace
+        self.clearance = workspace.clearance
         """Least gap between shapes [m]."""
-        self.q_min = self.description.q_min[:FRONT] + raw["margin"]
+        self.q_min = self.description.q_min[:FRONT] + workspace.margin
         """Lower bounds of the front legs, margin included (6,) [rad]."""
-        self.q_max = self.description.q_max[:FRONT] - raw["margin"]
+        self.q_max = self.description.q_max[:FRONT] - workspace.margin
         """Upper bounds of the front legs, margin included (6,) [rad]."""
         self._clear = self.description.poses["upright"][:FRONT].copy()
-        self.legs = tuple(self._leg(index) for index in range(2))
+        self.legs = front_legs(self.description)
         """The front legs in closed form."""
-        self.speed_max: float = raw["speed_share"] * self.description.speed_flat
+        self.speed_max = workspace.speed_share * self.description.speed_flat
         """Joint speed that targets may ask for [rad/s]."""
 
     def toes(self, q: FloatArray) -> FloatArray:
@@ -88,7 +90,7 @@ class Reach:
         return self.all_toes(q)[..., :2, :]
 
     def all_toes(self, q: FloatArray) -> FloatArray:
-        """Return base -> toe of each leg (..., 4, 3), base axes [m], for joints (..., 12) or front joints (..., 6) [rad]."""
+        """Return base -> toe of each leg (..., 4, 3), base axes [m], for joints (..., 12) or (..., 6) [rad]."""
         q = np.asarray(q, dtype=np.float64)
         p = np.empty((*q.shape[:-1], len(LEGS), 3))
         for row in np.ndindex(q.shape[:-1]):
@@ -132,7 +134,7 @@ class Reach:
         return self._closest(np.asarray(p_wanted, dtype=np.float64), self._postures(p_wanted), q_start)
 
     def closest_track(self, p_wanted: FloatArray, q_start: FloatArray | None = None) -> Closest:
-        """Return :meth:`closest` for rows in time (T, 2, 3), each started from the row before."""
+        """Return `closest` for rows in time (T, 2, 3), each started from the row before."""
         p_wanted, rows = np.asarray(p_wanted, dtype=np.float64), []
         for p, postures in zip(p_wanted, self._postures(p_wanted), strict=True):
             rows.append(self._closest(p, postures, q_start))
@@ -154,7 +156,7 @@ class Reach:
             front = mass[np.ix_(self._at_v[:FRONT], self._at_v[:FRONT])]
             greatest = np.maximum(greatest, np.sum(np.abs(front), axis=1))
         greatest = np.tile(np.maximum(greatest[:3], greatest[3:]), 2)
-        return self.description.raw["reach"]["torque_share"] * self.description.torque_max / greatest
+        return self.description.workspace.torque_share * self.description.torque_max / greatest
 
     def _full(self, q: FloatArray) -> FloatArray:
         """Return Pinocchio's configuration with the base at the origin; hind legs stay where no joints are given."""
@@ -162,24 +164,21 @@ class Reach:
         qpos[self._at_q[: len(q)]] = q
         return qpos
 
-    def _leg(self, index: int) -> Leg:
-        place = [self._model.jointPlacements[i].translation for i in self._joints[3 * index : 3 * index + 3]]
-        toe = self._model.frames[self._frames[index]].placement.translation
-        return Leg(origin=place[0].copy(), offset=float(place[1][1]), thigh=-float(place[2][2]), toe=toe.copy())
-
     def _add_pairs(self) -> list[tuple[int, int]]:
         """Watch the gaps of the front legs; return the two Pinocchio joints that carry each pair's shapes."""
-        distal, pairs = ("shank", "toe"), []
+        shapes = self.description.names.shapes
+        pairs: list[tuple[str, str]] = []
         for front, hind in (("FL", "RL"), ("FR", "RR")):
-            others = ("body", "head_0", "head_1", f"{hind}_shoulder")
-            pairs += [(f"{front}_{part}", other) for part in distal for other in others]
-        pairs += [(f"FL_{one}", f"FR_{other}") for one in distal for other in (*distal, "thigh")]
-        pairs += [("FL_thigh", f"FR_{other}") for other in distal]
+            others = (*shapes("trunk", "head"), *shapes("shoulder", legs=(hind,)))
+            pairs += product(shapes("shank", "toe", legs=(front,)), others)
+        left, right = (shapes("shank", "toe", legs=(leg,)) for leg in ("FL", "FR"))
+        pairs += product(left, (*right, *shapes("thigh", legs=("FR",))))
+        pairs += product(shapes("thigh", legs=("FL",)), right)
         ids = [tuple(self._geometry.getGeometryId(name) for name in pair) for pair in pairs]
         for one, other in ids:
             self._geometry.addCollisionPair(pin.CollisionPair(one, other))
-        shapes = self._geometry.geometryObjects
-        return [(shapes[one].parentJoint, shapes[other].parentJoint) for one, other in ids]
+        objects = self._geometry.geometryObjects
+        return [(objects[one].parentJoint, objects[other].parentJoint) for one, other in ids]
 
     def _postures(self, p_BE: FloatArray) -> FloatArray:
         """Return both postures of each front leg (..., 2, 2, 3) for toes at (..., 2, 3); NaN out of bounds."""

@@ -1,4 +1,4 @@
-"""What happens to a simulated robot besides its variation; each part does nothing unless it is asked for."""
+"""Disturbances of a simulated robot: slope, pull, payload, sensor noise, dropped commands."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import fields
 import mujoco
 import numpy as np
 
+from mimic.config.play import Disturbance
+from mimic.records import LEGS, SIDES, FloatArray, RobotState
 from mimic.robot.model import TOES
-from mimic.settings import Disturbance
-from mimic.types import LEGS, SIDES, FloatArray, RobotState
 
 
 def _quat_about(axis: FloatArray, angle: float) -> FloatArray:
@@ -31,11 +31,11 @@ class Disturber:
         """Draw the directions and tilt the floor of ``model``.
 
         Args:
-            disturbance: What happens.
+            disturbance: Kind and size of each disturbance.
             model: Of the robot on its floor.
-            seed: Draws the directions and the noise; the robot's own seed may be the same.
+            seed: Of the directions and the noise; independent of the robot's variation for the same seed.
         """
-        self._what, self._model = disturbance, model
+        self._disturbance, self._model = disturbance, model
         self._rng = rng = np.random.default_rng([seed, 7])
         slope, drag = rng.uniform(-np.pi, np.pi, 2)
         mount = rng.normal(size=3)
@@ -51,7 +51,7 @@ class Disturber:
 
     def place(self, qpos: FloatArray) -> None:
         """Put a robot that lies on level ground onto the inclined one; changes qpos in place."""
-        if self._what.slope:
+        if self._disturbance.slope:
             position = np.zeros(3)
             mujoco.mju_rotVecQuat(position, qpos[:3].copy(), self.slope_quat)
             qpos[:3], qpos[3:7] = position, _multiply(self.slope_quat, qpos[3:7].copy())
@@ -62,22 +62,22 @@ class Disturber:
         mujoco.mju_rotVecQuat(normal, np.array([0.0, 0.0, 1.0]), self.slope_quat)
         return -(p_W[..., 0] * normal[0] + p_W[..., 1] * normal[1]) / normal[2]
 
-    def command_lost(self) -> bool:
-        """Return whether the command of this control step does not arrive."""
-        return self._what.lost_share > 0 and bool(self._rng.uniform() < self._what.lost_share)
+    def command_dropped(self) -> bool:
+        """Return whether the command of this control step is dropped."""
+        return self._disturbance.lost_share > 0 and bool(self._rng.uniform() < self._disturbance.lost_share)
 
     def pull(self, data: mujoco.MjData) -> None:
         """Drag the toe during one physics step, or let go of it."""
-        if not self._what.drag:
+        if not self._disturbance.drag:
             return
         data.qfrc_applied[:] = 0.0
-        if 0.0 <= data.time - self._what.drag_from < self._what.drag_seconds:
+        if 0.0 <= data.time - self._disturbance.drag_from < self._disturbance.drag_seconds:
             point, none = data.site_xpos[self._site], np.zeros(3)
             mujoco.mj_applyFT(self._model, data, self._force, none, point, self._body, data.qfrc_applied)
 
     def sensed(self, state: RobotState) -> RobotState:
         """Return the state as the robot's sensors show it."""
-        d, quat, q = self._what, state.quat_WB, state.q
+        d, quat, q = self._disturbance, state.quat_WB, state.q
         if d.imu_tilt:
             quat = _multiply(quat, self._mount)
         if d.noise_imu:

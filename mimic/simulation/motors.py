@@ -1,4 +1,4 @@
-"""Motors of the simulated robot as a calibration found them: the law in place of the native actuators."""
+"""Motors of the simulated robot with calibrated effects: the drive law in place of the native actuators."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import math
 import mujoco
 import numpy as np
 
-from mimic.robot.description import RobotDescription
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.law import Law
-from mimic.robot.machine import SOLREF_STEPS, hung_robot
-from mimic.robot.model import Variation
-from mimic.robot.servo import (
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.law import Law
+from mimic.dynamics.machine import SOLREF_STEPS, hung_robot
+from mimic.dynamics.robot_model import Variation
+from mimic.dynamics.servo import (
     Servo,
     parameters_of,
     refuse_stand,
@@ -21,13 +20,14 @@ from mimic.robot.servo import (
     target_in_effect,
     target_shift,
 )
-from mimic.types import FloatArray, JointCommand
+from mimic.records import FloatArray, JointCommand
+from mimic.robot.description import RobotDescription
 
 
 class LawMotors:
-    """Twelve drives with their effects, from the command as it is sent to the force at the joint.
+    """Twelve drives with their effects, from the command to the force at the joint.
 
-    What the effects declare, such as friction or the delay, replaces what the variation draws; gains are multiplied.
+    Values of the effects, such as friction or the delay, replace those of the variation; gains are multiplied.
     """
 
     def __init__(self, description: RobotDescription, effects: EffectSet) -> None:
@@ -45,12 +45,12 @@ class LawMotors:
         self._p = parameters_of(effects, self._machine)
         none = np.zeros((1, 1))
         self._spread = float(self._p.pop(("delay_jitter", "spread"), none)[0, 0]) / description.timestep
-        self._lost = float(self._p.pop(("lost_commands", "share"), none)[0, 0])
+        self._dropped_share = float(self._p.pop(("lost_commands", "share"), none)[0, 0])
         self.tau = np.zeros(12)
         """Torque of each motor at the start of the last physics step (12,) [N m]."""
 
     def fit(self, model: mujoco.MjModel, data: mujoco.MjData, variation: Variation, seed: int) -> None:
-        """Put the motors into one robot; ``model`` has its variation already."""
+        """Fit the motors to one robot; ``model`` has its variation already."""
         h = self._d.timestep
         static_model(model, self._machine, self._p)
         model.dof_solref[6:] = [SOLREF_STEPS * h, 1.0]
@@ -71,26 +71,26 @@ class LawMotors:
         self._rng = np.random.default_rng([seed, 13])
 
     def start(self, q: FloatArray, dq: FloatArray) -> None:
-        """Begin a run at link positions and velocities (12,), which the robot has been told to hold."""
+        """Begin a run at link positions and velocities (12,), with these positions as targets."""
         self._law.begin(q[None], dq[None])
         self._law.set_gains(self._d.kp * self._kp, self._d.kd * self._kd)
         self.tau = np.zeros(12)
         kept = max(math.ceil((self._shift.max() + self._spread) / self._d.decimation), 1) + 1
         self._targets, self._shifts = [self.reading(q)] * kept, [self._shift] * kept
 
-    def command_lost(self) -> bool:
-        """Return whether the command of this control step does not arrive."""
-        return self._lost > 0 and bool(self._rng.random() < self._lost)
+    def command_dropped(self) -> bool:
+        """Return whether the command of this control step is dropped."""
+        return self._dropped_share > 0 and bool(self._rng.random() < self._dropped_share)
 
     def send(self, command: JointCommand) -> None:
-        """Take the command of a control step, which acts after its delay."""
-        late = self._spread * self._rng.random() if self._spread else 0.0
+        """Queue the command of a control step, which acts after its delay."""
+        jitter = self._spread * self._rng.random() if self._spread else 0.0
         self._targets = [command.q_des, *self._targets[:-1]]
-        self._shifts = [self._shift + late, *self._shifts[:-1]]
+        self._shifts = [self._shift + jitter, *self._shifts[:-1]]
         self._law.set_gains(command.kp * self._kp, command.kd * self._kd)
 
     def drive(self, substep: int, data: mujoco.MjData) -> FloatArray:
-        """Set the servos for the next physics step; return the torque on the joints besides theirs (12,) [N m]."""
+        """Set the servos for the next physics step; return the torque on the joints beyond theirs (12,) [N m]."""
         shares = shares_in_effect(substep, self._d.decimation, self._shifts, np)
         target = target_in_effect(shares, self._targets)
         parts = list(zip(shares, self._targets, strict=True))
@@ -100,7 +100,7 @@ class LawMotors:
         return self._applied[0]
 
     def settle(self, data: mujoco.MjData) -> None:
-        """Bring lags and rotors to the end of the physics step just made."""
+        """Advance lags and rotors to the end of the last physics step."""
         self._law.settle(data.qvel[None, 6:])
 
     def reading(self, q: FloatArray) -> FloatArray:

@@ -4,20 +4,56 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from mimic.config.play import NO_DISTURBANCE, NOMINAL, Disturbance, EffectsSettings, Randomisation, Solver
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import hung_robot
+from mimic.dynamics.robot_model import (
+    GAIN_KD,
+    GAIN_KP,
+    Variation,
+    command_in_effect,
+    draw_variation,
+    load_model,
+    vary_model,
+)
+from mimic.dynamics.servo import parameters_of, read_standing
 from mimic.errors import PlantError
-from mimic.robot.description import RobotDescription, with_timestep
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.model import GAIN_KD, GAIN_KP, Variation, command_in_effect, draw_variation, load_model, vary_model
-from mimic.run.disturbances import Disturber, payloads
-from mimic.run.motors import LawMotors
-from mimic.settings import CALM, NOMINAL, Disturbance, EffectsSettings, Randomisation, Solver
-from mimic.types import FloatArray, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
+from mimic.robot.description import RobotDescription, load_description, with_timestep
+from mimic.simulation.disturbances import Disturber, payloads
+from mimic.simulation.motors import LawMotors
 
-Watch = Callable[[mujoco.MjModel, mujoco.MjData], None]
+PhysicsObserver = Callable[[mujoco.MjModel, mujoco.MjData], None]
+"""Called after each physics step; must change nothing."""
+
+
+def _healthy(step: int) -> Health:
+    """Return the health of a simulated robot after a number of control steps: fresh readings, no faults.
+
+    Its motors have no thermometer; the supervisor's thermal model follows their torques.
+    """
+    motors = len(JOINTS)
+    return Health(
+        age=np.zeros(motors),
+        missed=np.zeros(motors, dtype=np.int64),
+        faults=np.zeros(motors, dtype=np.int64),
+        running=np.ones(motors, dtype=np.bool_),
+        temperature=np.full(motors, np.nan),
+        imu_age=0.0,
+        imu_unchanged=0.0,
+        imu_count=step,
+        imu_valid=None,
+        compute=0.0,
+        late=0.0,
+        bus_errors=0,
+    )
 
 
 class SimulatedPlant:
@@ -33,10 +69,10 @@ class SimulatedPlant:
         ranges: Randomisation = NOMINAL,
         seed: int = 0,
         samples: bool = True,
-        disturbance: Disturbance = CALM,
+        disturbance: Disturbance = NO_DISTURBANCE,
         solver: Solver | None = None,
         effects: EffectSet | None = None,
-        watch: Watch | None = None,
+        observer: PhysicsObserver | None = None,
     ) -> None:
         """Make a robot.
 
@@ -44,11 +80,11 @@ class SimulatedPlant:
             ranges: What varies; the default is the robot as described.
             seed: Draws the variation, the start and the pushes.
             samples: Also record the joints at each physics step.
-            disturbance: What happens to the robot besides.
+            disturbance: Acts on the robot, or on its sensors.
             solver: How the physics is integrated; by default as the description says, with effects in the steps
                 of EffectsSettings.
-            effects: What a calibration found; the law of the drives then takes the place of the native motors.
-            watch: Sees the physics after each of its steps.
+            effects: Of a calibration; the drive law with them then replaces the native motors.
+            observer: Called after each physics step.
 
         Raises:
             ConfigError: If the control step is no multiple of the solver's step, or the effects are not of this robot.
@@ -67,7 +103,7 @@ class SimulatedPlant:
             option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
         self.data = mujoco.MjData(self.model)
         self._samples = samples
-        self._watch = watch
+        self._observer = observer
         self._ranges = ranges
         self.restart(seed)
 
@@ -98,7 +134,7 @@ class SimulatedPlant:
         return self.start_at(qpos, np.zeros(18))
 
     def start_at(self, qpos: FloatArray, qvel: FloatArray) -> RobotState:
-        """Put the robot into a state, told to hold its joints where they are, and return it.
+        """Put the robot into a state, with its joints as targets, and return it.
 
         Args:
             qpos: Base position and orientation, then joints (19,), as in MuJoCo.
@@ -109,6 +145,7 @@ class SimulatedPlant:
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, data)
         reach = -(-self.variation.delay_steps // self._description.decimation)
+        self._steps = 0
         self._commands = [qpos[7:].copy()] * max(reach + 1, 3)
         self._next_push = self._ranges.push_interval
         if self._motors is not None:
@@ -175,8 +212,8 @@ class SimulatedPlant:
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
         if np.any(command.dq_des) or np.any(command.tau_ff):
             raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
-        lost = self.disturber.command_lost()
-        if lost or (self._motors is not None and self._motors.command_lost()):
+        dropped = self.disturber.command_dropped()
+        if dropped or (self._motors is not None and self._motors.command_dropped()):
             command = dataclasses.replace(command, q_des=self._commands[0])
         if self._motors is None:
             self._set_gains(command)
@@ -191,8 +228,8 @@ class SimulatedPlant:
             mujoco.mj_step(model, data)
             if self._motors is not None:
                 self._motors.settle(data)
-            if self._watch is not None:
-                self._watch(model, data)
+            if self._observer is not None:
+                self._observer(model, data)
             if self._samples:
                 q, tau = self._joints()
                 rows.append((data.time, q, data.qvel[6:].copy(), tau, command.q_des))
@@ -204,7 +241,24 @@ class SimulatedPlant:
         if self._samples:
             t, q, dq, tau, q_des = (np.array(column) for column in zip(*rows, strict=True))
             samples = JointSamples(t=t, q=q, dq=dq, tau=tau, q_des=q_des)
-        return Tick(state=self._state(), sent=command, samples=samples)
+        self._steps += 1
+        return Tick(state=self._state(), health=_healthy(self._steps), sent=command, samples=samples)
 
     def close(self) -> None:
-        """Nothing to leave behind."""
+        """Do nothing; a simulated robot has nothing to release."""
+
+
+@cache
+def plant_options(robot: EffectsSettings) -> dict[str, Any]:
+    """Return the keyword arguments that make a SimulatedPlant this robot; effects are read once in each process.
+
+    Raises:
+        ConfigError: If the effects cannot be read or name a joint that the robot lacks, or the control step is no
+            multiple of the physics step.
+    """
+    if robot.effects is None:
+        return {}
+    description = with_timestep(load_description(), robot.timestep)
+    effects = read_standing(Path(robot.effects))
+    parameters_of(effects, hung_robot(description))
+    return {"effects": effects, "solver": Solver(timestep=robot.timestep)}

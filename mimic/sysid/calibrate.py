@@ -1,4 +1,4 @@
-"""Log + model -> what the model lacked, with evidence, and a better model."""
+"""Calibration: what a model lacks to explain a log, with evidence, and a better model."""
 
 from __future__ import annotations
 
@@ -7,36 +7,33 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.checks import belongs as targets_belong
-from mimic.calibrate.declared import fit_declared, problem_of
-from mimic.calibrate.encoders import with_encoders
-from mimic.calibrate.events import widening
-from mimic.calibrate.evidence import stopped
-from mimic.calibrate.fit import (
-    Fit,
-    deviations,
-    fit,
-    left_out,
-    of_white_noise,
-)
-from mimic.calibrate.grow import grow, taken_back
-from mimic.calibrate.point import Point
-from mimic.calibrate.random_search import random_search
-from mimic.calibrate.remainder import remainders
-from mimic.calibrate.screen import predicted
-from mimic.calibrate.settle import FINE, FINE_SEGMENT, compared, correct, settle
-from mimic.calibrate.state import Progress, Search, errors_of
-from mimic.calibrate.wording import experiments, not_together, of_base, of_declared, sentence, stopped_at, weak
-from mimic.calibration import Calibration, Errors, Stage, Traces
+from mimic.config.sysid import CalibrateSettings
+from mimic.dynamics.catalogue import CATALOGUE, effect
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE, effect
-from mimic.robot.machine import MachineModel, as_logged
-from mimic.settings import CalibrateSettings
+from mimic.io.joint_log import JointLog
+from mimic.sysid.fit.baseline import fit_baseline, problem_of
+from mimic.sysid.fit.least_squares import Fit, fit, left_out
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.random_search import random_search
+from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, compared, correct, refine_steps
+from mimic.sysid.fit.uncertainty import deviations, of_white_noise
+from mimic.sysid.log.checks import targets_match_log
+from mimic.sysid.result import Calibration, Errors, Stage, Traces
+from mimic.sysid.selection.encoders import with_encoders
+from mimic.sysid.selection.evidence import stopped
+from mimic.sysid.selection.forward import forward_selection, prune
+from mimic.sysid.selection.jitter import widening
+from mimic.sysid.selection.screening import predicted
+from mimic.sysid.selection.unexplained import unexplained_residuals
+from mimic.sysid.state import CalibrationState, Progress, errors_of
+from mimic.sysid.summary import experiments, no_match, of_base, of_baseline, sentence, stopped_at, weak
 
-MOST_POLISHED, FAR = 4, 2.0
-"""Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where another is needed."""
+MOST_FINAL_PASSES, LARGEST_MOVE = 4, 2.0
+"""Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where
+another is needed.
+"""
 
 UNRELATED = 0.5
 """Error over the spread of the positions from which on log and model have nothing to do with each other."""
@@ -48,14 +45,14 @@ def check_names(settings: CalibrateSettings) -> None:
     Raises:
         ConfigError: If one does not.
     """
-    for name in (*settings.declared, *settings.effects):
+    for name in (*settings.baseline, *settings.effects):
         effect(name)
 
 
 def calibrate(
-    log: MachineLog, model: MachineModel, settings: CalibrateSettings, progress: Progress | None = None
+    log: JointLog, model: MachineModel, settings: CalibrateSettings, progress: Progress | None = None
 ) -> Calibration:
-    """Explain a log.
+    """Find what a model lacks to explain a log.
 
     Args:
         log: What a machine did.
@@ -64,8 +61,8 @@ def calibrate(
         progress: Called with what is being done and the number of replays so far.
 
     Raises:
-        CalibrationError: If log and model do not fit together in joints, the log cannot be used, or the model has a number that
-            is not fitted so large.
+        CalibrationError: If log and model do not fit together in joints, the log cannot be used, or the model has a
+            number that is not fitted so large.
         ConfigError: If the settings name an effect that does not exist.
     """
     began = time.monotonic()
@@ -74,7 +71,7 @@ def calibrate(
     log = log.of(model.joints)
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
     problem = problem_of(log, machine, settings)
-    names = list(settings.declared)
+    names = list(settings.baseline)
     start = Point.of(names, machine)
     _check_bounds(start, machine)
     moves = np.ptp(log.q, axis=0) > 0
@@ -87,32 +84,32 @@ def calibrate(
         report(f"{settings.samples} random samples", problem.replay.replays)
         fitted = random_search(problem, start, settings.samples, settings.seed, report)
     else:
-        report("fitting the declared model", problem.replay.replays)
-        fitted = fit_declared(problem, start, names, where)
+        report("fitting the baseline model", problem.replay.replays)
+        fitted = fit_baseline(problem, start, names, where)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(errors_of(problem, fitted.residual).train / np.maximum(spread, 1e-9))
-    together, why = targets_belong(log)
-    belongs = together and error < UNRELATED
-    if settings.method == "least-squares" and belongs:
-        report("comparing with fine steps", problem.replay.replays)
+    together, why = targets_match_log(log)
+    log_matches_model = together and error < UNRELATED
+    if settings.method == "least-squares" and log_matches_model:
+        report("refining the step size", problem.replay.replays)
         fitted = compared(problem, fitted, names, where)
-    state = Search(
+    state = CalibrationState(
         problem=problem,
         settings=settings,
         progress=report,
         joints=where,
         names=names,
         current=fitted,
-        declared=problem.mean_squares(fitted.residual, True),
+        baseline=problem.mean_squares(fitted.residual, True),
     )
-    stages = [Stage(added="declared", errors=errors_of(problem, fitted.residual))]
+    stages = [Stage(added="baseline", errors=errors_of(problem, fitted.residual))]
     before = fitted
     final, left = fitted, fitted.residual
-    if settings.method == "least-squares" and belongs:
-        stages += grow(state)
+    if settings.method == "least-squares" and log_matches_model:
+        stages += forward_selection(state)
         final = _polished(state)
-        while (fewer := taken_back(state, final, stages[1:])) is not None:
+        while (fewer := prune(state, final, stages[1:])) is not None:
             stages, final = [stages[0], *fewer], _polished(state)
         left = final.residual
         if settings.most_effects:
@@ -120,7 +117,7 @@ def calibrate(
     stages[-1] = replace(stages[-1], errors=errors_of(problem, left))
     motion = predicted(problem, final)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
-    rest = remainders(
+    rest = unexplained_residuals(
         machine.joints,
         left[:, :joints],
         motion,
@@ -131,10 +128,10 @@ def calibrate(
     )
     effects = _effect_set(state, final)
     scale = problem.noise[:joints]
-    if not belongs:
-        said = not_together(why)
+    if not log_matches_model:
+        said = no_match(why)
     elif settings.method == "random" or not settings.most_effects:
-        said = of_declared(stages, rest, scale, machine.unit)
+        said = of_baseline(stages, rest, scale, machine.unit)
     else:
         said = sentence(stages, rest, scale, machine, effects)
     measured = problem.channels > joints
@@ -158,9 +155,9 @@ def calibrate(
         effects=effects,
         unexplained=rest,
         sentence=said,
-        belongs=belongs,
+        log_matches_model=log_matches_model,
         experiments=(*experiments(stages), *of_base(state, scale, machine.unit)),
-        warnings=(*state.withdrawn, *(stopped_at(*row, machine) for row in stopped(final, problem))),
+        warnings=(*state.rejections, *(stopped_at(*row, machine) for row in stopped(final, problem))),
         not_identifiable=weak(final, problem),
         traces=traces,
         replays=problem.replay.replays,
@@ -179,30 +176,30 @@ def _check_bounds(start: Point, machine: MachineModel) -> None:
         spec = effect(name).parameter(parameter)
         for j in np.flatnonzero((row < spec.low) | (row > spec.high)):
             raise CalibrationError(
-                f"the model has {name}.{parameter} {row[j]:g} {spec.unit} in {machine.joints[j]}; it can be {spec.low:g} to"
-                f" {spec.high:g}: correct the model, or leave {name} out with --declared"
+                f"the model has {name}.{parameter} {row[j]:g} {spec.unit} in {machine.joints[j]}; it can be"
+                f" {spec.low:g} to {spec.high:g}: correct the model, or leave {name} out of --baseline"
             )
 
 
-def _polished(state: Search) -> Fit:
-    state.tick("polishing")
+def _polished(state: CalibrationState) -> Fit:
+    state.tick("final fit")
     if "kt_heat" in state.names:
         state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
         correct(state.problem, state.current.point)
     fitted = fit(state.problem, state.current.point, state.names, state.joints, most=1)
-    for _ in range(MOST_POLISHED):
-        before, fitted = fitted, settle(state.problem, fitted, every=True)
-        moved = fitted.point.read(fitted.knobs) - before.point.read(fitted.knobs)
-        if np.all(np.abs(moved) <= FAR * of_white_noise(fitted, state.problem)):
+    for _ in range(MOST_FINAL_PASSES):
+        before, fitted = fitted, refine_steps(state.problem, fitted, every=True)
+        moved = fitted.point.read(fitted.free_parameters) - before.point.read(fitted.free_parameters)
+        if np.all(np.abs(moved) <= LARGEST_MOVE * of_white_noise(fitted, state.problem)):
             break  # near enough for the derivatives of where it began
     return fitted
 
 
-def _effect_set(state: Search, final: Fit) -> EffectSet:
+def _effect_set(state: CalibrationState, final: Fit) -> EffectSet:
     deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
     if (late := state.problem.replay.late) is not None and "delay_jitter" in state.names:
         deviation = deviation * widening(state.problem, final, float(np.var(late)))
-    spread = {(k.key, k.joint): d for k, d in zip(final.knobs, deviation, strict=True)}
+    spread = {(k.key, k.joint): d for k, d in zip(final.free_parameters, deviation, strict=True)}
     effects = []
     for name in state.names:
         spec = CATALOGUE[name]

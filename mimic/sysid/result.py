@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mimic.store import plain
-from mimic.types import BoolArray, FloatArray
+from mimic.io.store import plain
+from mimic.records import BoolArray, FloatArray
 
-FORMAT = 1
-"""Version of the keys of :meth:`Calibration.to_json`."""
+FORMAT = 2
+"""Version of the keys of `Calibration.to_json`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +30,7 @@ class Errors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """One effect that was tried at one stage."""
+    """An effect that was tried at one stage."""
 
     name: str
     gain: float
@@ -46,26 +46,26 @@ class Candidate:
     accepted: bool = False
     why: str = ""
     """Why it was not accepted; empty where it was."""
-    rival_z: float = 0.0
+    alternative_z: float = 0.0
     """How far, in standard errors, the accepted one is better; below 2 they cannot be told apart."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """The model after one more effect; the first stage is the declared model."""
+    """The model after one more effect; the first stage is the baseline model."""
 
     added: str
-    """Name of the effect, or "declared"."""
+    """Name of the effect, or "baseline"."""
     errors: Errors
     candidates: tuple[Candidate, ...] = ()
     """All that were tried to get here, best first."""
-    rivals: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
     """Effects that this log cannot tell from the one added."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Remainder:
-    """What is left of one joint's residual."""
+class UnexplainedResidual:
+    """The residual of one joint in the final model."""
 
     joint: str
     ratio: float
@@ -97,11 +97,11 @@ class Traces:
     tau: FloatArray
     """Predicted torque (T, J)."""
     before: FloatArray
-    """Residual of the declared model (T, J)."""
+    """Residual of the baseline model (T, J)."""
     after: FloatArray
     """Residual of the final model (T, J)."""
     torque_before: FloatArray | None = None
-    """Residual of the measured torque under the declared model (T, J), where it was explained too."""
+    """Residual of the measured torque under the baseline model (T, J), where it was explained too."""
     torque_after: FloatArray | None = None
     """The same under the final model."""
 
@@ -119,12 +119,12 @@ class Calibration:
     """Before anything was fitted."""
     stages: tuple[Stage, ...]
     effects: Any
-    """:class:`mimic.robot.effect_set.EffectSet` of everything fitted, declared effects first."""
-    unexplained: tuple[Remainder, ...]
+    """`mimic.dynamics.effect_set.EffectSet` of everything fitted, baseline effects first."""
+    unexplained: tuple[UnexplainedResidual, ...]
     """One a joint."""
     sentence: str
     """The verdict in plain words."""
-    belongs: bool = True
+    log_matches_model: bool = True
     """False where log and model do not belong together; nothing is then named."""
     experiments: tuple[str, ...] = ()
     """What to log next to tell apart what this log cannot."""
@@ -142,15 +142,15 @@ class Calibration:
     """Log, model, settings."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything but the traces as plain data; the keys are described in docs/calibration.md."""
-        declared = self.stages[0].errors if self.stages else self.nominal
+        """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""
+        baseline = self.stages[0].errors if self.stages else self.nominal
         final = self.stages[-1].errors if self.stages else self.nominal
         return plain(
             {
                 "format": FORMAT,
                 "sentence": self.sentence,
-                "belongs": self.belongs,
-                "found": [s.added for s in self.stages if s.added not in ("", "declared")],
+                "log_matches_model": self.log_matches_model,
+                "found": [s.added for s in self.stages if s.added not in ("", "baseline")],
                 "joints": self.joints,
                 "unit": self.unit,
                 "noise": dict(zip(self.joints, self.noise, strict=True)),
@@ -159,14 +159,14 @@ class Calibration:
                 else dict(zip(self.joints, self.repeatability, strict=True)),
                 "errors": {
                     "nominal": self._errors(self.nominal),
-                    "declared": self._errors(declared),
+                    "baseline": self._errors(baseline),
                     "final": self._errors(final),
                 },
                 "stages": [
                     {
                         "added": s.added,
                         "errors": self._errors(s.errors),
-                        "rivals": s.rivals,
+                        "alternatives": s.alternatives,
                         "candidates": s.candidates,
                     }
                     for s in self.stages

@@ -1,4 +1,4 @@
-"""What one calibration knows so far."""
+"""The state of a calibration in progress."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit
-from mimic.calibrate.moving_base import BaseMotion
-from mimic.calibrate.point import Key
-from mimic.calibrate.problem import Problem
-from mimic.calibration import Errors
-from mimic.settings import CalibrateSettings
-from mimic.types import BoolArray, FloatArray
+from mimic.config.sysid import CalibrateSettings
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit
+from mimic.sysid.fit.point import Key
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.result import Errors
+from mimic.sysid.selection.moving_base import BaseMotion
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""
 
 
 @dataclass
-class Search:
+class CalibrationState:
     """The state of one calibration."""
 
     problem: Problem
@@ -29,19 +29,19 @@ class Search:
     joints: dict[str, BoolArray]
     names: list[str]
     current: Fit
-    declared: FloatArray
-    """What the declared numbers leave: mean square of each channel on the blocks held out (C,)."""
+    baseline: FloatArray
+    """What the baseline parameters leave: mean square of each channel on the blocks held out (C,)."""
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Of the numbers that are read off the lateness of the targets."""
     unsure: dict[Key, float] = field(default_factory=dict)
     """Half of the 95 % interval of numbers that goes with these."""
-    withdrawn: list[str] = field(default_factory=list)
+    rejections: list[str] = field(default_factory=list)
     """Why effects that were found are not named."""
     base: BaseMotion | None = None
     """A motion of the base, where that is what explains the rest."""
 
     def tick(self, text: str) -> None:
-        """Tell what is being done."""
+        """Report the present activity."""
         self.progress(text, self.problem.replay.replays)
 
 

@@ -1,37 +1,38 @@
-"""The plain sentences that a calibration ends with."""
+"""Sentences that summarise a calibration."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, weak_directions
-from mimic.calibrate.point import Knob
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.state import Search
-from mimic.calibration import Errors, Remainder, Stage
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.machine import MachineModel
-from mimic.types import FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import MachineModel
+from mimic.records import FloatArray
+from mimic.sysid.fit.least_squares import Fit
+from mimic.sysid.fit.point import FreeParameter
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.fit.uncertainty import weak_directions
+from mimic.sysid.result import Errors, Stage, UnexplainedResidual
+from mimic.sysid.state import CalibrationState
 
 
 def experiments(stages: list[Stage]) -> tuple[str, ...]:
-    """Return what would tell names apart that this log does not tell apart."""
+    """Return the motions that would rule out the alternatives."""
     lines = []
     for stage in stages:
-        for name in (stage.added, *stage.rivals) if stage.rivals else ():
+        for name in (stage.added, *stage.alternatives) if stage.alternatives else ():
             lines.append(f"{CATALOGUE[name].title}: {CATALOGUE[name].experiment}")
     return tuple(dict.fromkeys(lines))
 
 
-def of_base(state: Search, noise: FloatArray, unit: str) -> tuple[str, ...]:
-    """Return what a motion of the base would leave, where that explains the rest, from the noise floors (J,)."""
+def of_base(state: CalibrationState, noise: FloatArray, unit: str) -> tuple[str, ...]:
+    """Return what a base motion would leave, if one explains the residual; noise floors are (J,)."""
     if (base := state.base) is None:
         return ()
     at = " and ".join(f"{f:.2f}" for f in base.frequencies)
     squares = state.problem.mean_squares(base.residual, True)[: len(noise)]
     left = _number(Errors.total(np.sqrt(squares) * noise), unit)
-    return (f"a base that moves at {at} Hz would leave {left}: hold it more stiffly, and log an IMU on it",)
+    return (f"a base motion at {at} Hz would leave {left}: hold the base more stiffly and log an IMU on it",)
 
 
 def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
@@ -46,22 +47,22 @@ def _number(value: float, unit: str) -> str:
     return f"{1000 * value:.2f} mrad" if unit == "rad" else f"{1e6 * value:.3g} µm"
 
 
-def not_together(why: str) -> str:
-    """Return that log and model do not belong together."""
-    return f"Log and model do not belong together: {why or 'what was asked does not explain what was measured'}."
+def no_match(why: str) -> str:
+    """Return that the log does not match the model."""
+    return f"The log does not match the model: {why or 'the targets do not explain the measured positions'}."
 
 
-def of_declared(stages: list[Stage], rest: tuple[Remainder, ...], noise: FloatArray, unit: str) -> str:
-    """Return what a fit of the declared numbers alone came to."""
+def of_baseline(stages: list[Stage], rest: tuple[UnexplainedResidual, ...], noise: FloatArray, unit: str) -> str:
+    """Return the result of a fit of the baseline parameters alone."""
     unexplained = _left(rest)
     more = f" Unexplained: {unexplained}." if unexplained else ""
     errors = _fall(stages, noise, unit)
-    return f"The declared numbers were fitted ({errors}). Effects that it may lack were not looked for.{more}"
+    return f"The baseline parameters were fitted ({errors}). No missing effects were searched for.{more}"
 
 
 def sentence(
     stages: list[Stage],
-    rest: tuple[Remainder, ...],
+    rest: tuple[UnexplainedResidual, ...],
     noise: FloatArray,
     machine: MachineModel,
     effects: EffectSet,
@@ -76,17 +77,18 @@ def sentence(
         effects: What was found.
     """
     errors, unexplained = _fall(stages, noise, machine.unit), _left(rest)
-    added = [s for s in stages if s.added not in ("", "declared")]
+    added = [s for s in stages if s.added not in ("", "baseline")]
     if not added and not unexplained:
         return f"The model lacks nothing that this log shows ({errors})."
     if not added:
-        return f"Nothing in the catalogue explains what is left ({errors}). Unexplained: {unexplained}."
+        return f"No effect of the catalogue explains the remaining error ({errors}). Unexplained: {unexplained}."
     joints = {e.name: e.joints for e in effects}
     named = " and ".join(f"{CATALOGUE[s.added].title}{_where(joints.get(s.added, ()), machine)}" for s in added)
-    rivals = sorted({CATALOGUE[r].title for s in added for r in s.rivals})
+    alternatives = sorted({CATALOGUE[r].title for s in added for r in s.alternatives})
     return (
-        f"The model lacked {named} ({errors}); not told apart from: {', '.join(rivals) or 'none'}; "
-        f"still unexplained: {unexplained or 'none'}."
+        f"The model lacked {named} ({errors}). "
+        f"Alternatives this log cannot rule out: {', '.join(alternatives) or 'none'}. "
+        f"Unexplained: {unexplained or 'none'}."
     )
 
 
@@ -95,32 +97,30 @@ def _fall(stages: list[Stage], noise: FloatArray, unit: str) -> str:
     return f"held-out error {_number(first, unit)} → {_number(last, unit)}, noise floor {_number(floor, unit)}"
 
 
-def _left(rest: tuple[Remainder, ...]) -> str:
+def _left(rest: tuple[UnexplainedResidual, ...]) -> str:
     groups: dict[str, list[str]] = {}
     for r in rest:
         if r.verdict == "explained":
             continue
         what = {
             "state-dependent": f"depends on {' and '.join(r.depends_on) or 'the state'}",
-            "periodic": f"periodic near {r.peak_hz:.1f} Hz, whatever the robot does",
-            "moving base": f"shaken near {r.peak_hz:.1f} Hz in the pattern of a base that moves",
-            "events": "single events, nothing in between",
-            "broadband": "broadband, depends on nothing logged",
+            "periodic": f"periodic near {r.peak_hz:.1f} Hz, independent of the motion",
+            "moving base": f"moving base, near {r.peak_hz:.1f} Hz",
+            "events": "isolated events",
+            "broadband": "broadband, independent of all logged signals",
         }[r.verdict]
         groups.setdefault(what, []).append(r.joint)
     return "; ".join(f"{', '.join(names)} ({what})" for what, names in groups.items())
 
 
-def stopped_at(knob: Knob, bound: float, machine: MachineModel) -> str:
-    """Return that a number stopped at its bound, and where."""
-    where = "" if knob.joint < 0 else f" of {machine.joints[knob.joint]}"
-    return (
-        f"{knob.key[0]}.{knob.key[1]}{where} stopped at its bound {bound:g}: something else is wrong in the model there"
-    )
+def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
+    """Return that a parameter stopped at its bound, and where."""
+    where = "" if free.joint < 0 else f" of {machine.joints[free.joint]}"
+    return f"{free.key[0]}.{free.key[1]}{where} stopped at its bound {bound:g}: the model is wrong there in another way"
 
 
 def weak(final: Fit, problem: Problem) -> tuple[str, ...]:
-    """Return the numbers that the log determines only together."""
+    """Return the parameters that the log determines only in combination."""
     lines = []
     for direction in weak_directions(final, problem):
         parts = []

@@ -13,8 +13,8 @@ import os
 import sys
 from pathlib import Path
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import MimicError
-from mimic.settings import LearnSettings, MdpSettings
 from mimic.train.overrides import with_overrides
 
 

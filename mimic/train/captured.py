@@ -1,6 +1,6 @@
 """PPO of rsl-rl-lib as captured graphs: on a GPU, inference, returns and minibatch steps are replayed, not launched.
 
-The arithmetic is that of :class:`rsl_rl.algorithms.PPO`. What differs is where things live: the adaptive learning rate,
+The arithmetic is that of `rsl_rl.algorithms.PPO`. What differs is where things live: the adaptive learning rate,
 the entropy coefficient and the sums of the losses are tensors on the device, so that an update waits for the device
 once, at its end; minibatches, which rsl_rl makes the same in every epoch, are gathered and normalised once an update;
 and actions are drawn without torch.normal, whose check of the spread waits for the device at every control step.
@@ -18,8 +18,8 @@ from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
 
+from mimic.dynamics.cuda_graphs import Replayed
 from mimic.errors import ConfigError
-from mimic.robot.graphs import Replayed
 from mimic.train.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)

@@ -1,6 +1,6 @@
-"""What happens to each training world besides its robot: the same disturbances as in mimic.run.disturbances.
+"""What happens to each training world besides its robot: the same disturbances as in mimic.simulation.disturbances.
 
-Slope and payload belong to a world and are made with it (:mod:`mimic.train.worlds`); what is here is drawn anew for
+Slope and payload belong to a world and are made with it (`mimic.train.worlds`); what is here is drawn anew for
 every episode. Element-wise over static buffers.
 """
 
@@ -10,7 +10,7 @@ import math
 
 import torch
 
-from mimic.settings import DisturbanceRanges
+from mimic.config.training import DisturbanceRanges
 
 
 def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:

@@ -6,16 +6,16 @@ import math
 
 import torch
 
+from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.types import LEGS
 
 
 class Feet:
     """Horizontal velocity of each toe and turning of each lower leg, from joint and base velocities."""
 
     def __init__(self, description: RobotDescription, device: str) -> None:
-        raw = description.raw
-        x, y, z = raw["abad"]["origin"]
+        own = description.leg
+        x, y, z = own.origin
         front = [1.0 if leg.startswith("F") else -1.0 for leg in LEGS]
         left = [1.0 if leg.endswith("L") else -1.0 for leg in LEGS]
 
@@ -23,9 +23,9 @@ class Feet:
             return torch.as_tensor(values, dtype=torch.float32, device=device)
 
         self._origin = tensor([[f * x, s * y, z] for f, s in zip(front, left, strict=True)])
-        self._offset = tensor([s * raw["hip"]["origin"][1] for s in left])
-        self._thigh = float(raw["hip"]["length"])
-        self._toe_x, _, self._toe_z = (float(v) for v in raw["toe"]["position"])
+        self._offset = tensor([s * own.offset for s in left])
+        self._thigh = own.thigh
+        self._toe_x, _, self._toe_z = (float(v) for v in own.toe)
 
     def motion(
         self, quat_WB: torch.Tensor, v_WB: torch.Tensor, omega_B: torch.Tensor, q: torch.Tensor, dq: torch.Tensor

@@ -15,14 +15,15 @@ from typing import Any
 
 import torch
 
+from mimic.config.training import LearnSettings, MdpSettings
+from mimic.io.store import plain, save_json, written_whole
 from mimic.policy.contract import METADATA_KEY, PolicyContract
 from mimic.robot.description import RobotDescription, load_description
-from mimic.settings import LearnSettings, MdpSettings
-from mimic.store import plain, save_json, written_whole
-from mimic.train.environment import StandTrackEnv, make_contract
+from mimic.train.contract import make_contract
 from mimic.train.mirror import with_mirrored
-from mimic.train.runner import Enough, QuietLogger, Ranks, Report, Runner, TrainingDiverged
+from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
+from mimic.train.stand_track import StandTrackEnv
 
 log = logging.getLogger(__name__)
 
@@ -146,7 +147,7 @@ def train(
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     try:
         runner.learn(learn.updates)
-    except Enough:
+    except TimeIsUp:
         log.info("stopped after %.1f min", learn.minutes)
     except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
         if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):

@@ -14,13 +14,12 @@ import mujoco
 import numpy as np
 import torch
 
-from mimic.robot.description import RobotDescription
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.law import Drives, Law
-from mimic.robot.machine import MachineModel, hung_robot
-from mimic.robot.model import Variation
-from mimic.robot.servo import (
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.law import Drives, Law
+from mimic.dynamics.machine import MachineModel, hung_robot
+from mimic.dynamics.robot_model import Variation
+from mimic.dynamics.servo import (
     Servo,
     parameters_of,
     refuse_stand,
@@ -29,7 +28,8 @@ from mimic.robot.servo import (
     target_in_effect,
     target_shift,
 )
-from mimic.types import FloatArray, IntArray
+from mimic.records import FloatArray, IntArray
+from mimic.robot.description import RobotDescription
 
 MARGIN = 0.1
 """Where a value has no interval, worlds are drawn within this share of it."""
@@ -40,7 +40,8 @@ def drawn_parameters(
 ) -> dict[tuple[str, str], FloatArray]:
     """Return ``count`` machines around the calibrated one: (count, J), or (count, 1) for the whole machine.
 
-    Uniform over the 95 % interval of each value, or within MARGIN of it where it has none; inside the catalogue's bounds.
+    Uniform over the 95 % interval of each value, or within MARGIN of it where it has none; inside the catalogue's
+    bounds.
     """
     found = {}
     for (name, parameter), row in parameters_of(effects, machine).items():
@@ -116,19 +117,19 @@ class WorldMotors:
         self._law = Law(Drives(**rows, neighbour=neighbour), p, h, (self._n, 12), torch)
         self._states = dict(self._law.states)
         self._servo = servo
-        self.ease(1.0)
+        self.set_share(1.0)
 
     def _tensor(self, values: Any) -> torch.Tensor:
         return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self._device)
 
-    def ease(self, share: float) -> None:
+    def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, and the usual ones for the rest."""
         self._law.set_gains(*(u + share * (own - u) for u, own in zip(self._usual, self._own, strict=True)))
 
     # ------------------------------------------------------------------ commands
 
     def reset(self, mask: torch.Tensor, q: torch.Tensor, dq: torch.Tensor, command: torch.Tensor) -> None:
-        """Begin an episode where ``mask`` (N,), at link positions q, told to hold ``command`` (N, 12)."""
+        """Begin an episode where ``mask`` (N,), at link positions q, commanded to hold ``command`` (N, 12)."""
         where = mask[:, None]
         self._law.begin(q, dq, where=where)
         self._keep()

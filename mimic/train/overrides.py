@@ -6,8 +6,8 @@ import ast
 import dataclasses
 from typing import Any, TypeVar
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.settings import LearnSettings, MdpSettings
 
 S = TypeVar("S")
 

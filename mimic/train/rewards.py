@@ -12,8 +12,10 @@ from typing import Any
 
 import torch
 
-from mimic.robot.goals import eased
-from mimic.settings import REGULARISERS, MdpSettings
+from mimic.config.rewards import REGULARISERS
+from mimic.config.training import MdpSettings
+from mimic.geometry import smoothstep
+from mimic.robot.description import RobotDescription
 
 
 @dataclass
@@ -50,7 +52,7 @@ class Facts:
     """Horizontal speed of the hind toes (N, 2) [m/s]."""
     foot_shift: torch.Tensor
     """Mean way of the hind toes from where they began, while standing up (N,) [m]."""
-    rules_broken: torch.Tensor
+    terminations_met: torch.Tensor
     """Number of the paper's terminations that hold (N,)."""
     phase: torch.Tensor
     """Gait phase (N,) [rad]."""
@@ -70,29 +72,19 @@ class Facts:
     """True where the episode ends in a fall (N,)."""
 
 
-LYING_HEIGHT, UPRIGHT_HEIGHT = 0.14, 0.42
-"""Base height before and after standing up [m]."""
-
-LYING_ANGLE = 1.373
-"""Angle between base x and the upright direction while lying: 90 degrees less the lean of 11.3 [rad]."""
-
-FAST = 10.0
-"""Joint speed from which on it costs [rad/s]; the motors give full torque up to 11.5."""
-
-
-RATED_TORQUE = 4.0
-"""Torque that a motor bears for ever [N m]."""
-
-
-def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
+def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
+    numbers = description.training
+    lying_angle = math.asin(float(description.upright_direction[2]))  # between base x, level, and the upright direction
     angle = torch.acos(torch.clamp(f.up, -1.0, 1.0))
-    smooth = eased(f.rising)
-    over = f.height - (LYING_HEIGHT + (UPRIGHT_HEIGHT - LYING_HEIGHT) * smooth)
+    smooth = smoothstep(f.rising)
+    over = f.height - (numbers.rise_from + (numbers.rise_to - numbers.rise_from) * smooth)
     over = torch.where((f.rising >= 1) & (over > 0), torch.zeros_like(over), over)
-    lean = angle - LYING_ANGLE * (1 - smooth)
+    lean = angle - lying_angle * (1 - smooth)
     level = torch.where(f.rising >= 1, ((1 + f.up) / 2).square(), torch.exp(-((lean / 0.4) ** 2)))
-    standing = torch.clamp((f.height - 0.15) / 0.25, 0, 1) * torch.clamp(f.up, 0, 1) * f.rising
+    standing = (
+        torch.clamp((f.height - numbers.height_low) / numbers.height_span, 0, 1) * torch.clamp(f.up, 0, 1) * f.rising
+    )
     toes = f.toe_error.square().sum((-1, -2))
     if not settings.scaled_tracking:
         standing = torch.ones_like(standing)
@@ -128,14 +120,14 @@ def reward_terms(f: Facts, settings: MdpSettings) -> dict[str, torch.Tensor]:
         "drift": f.drift.norm(dim=-1) * f.tracking,
         "slip": f.slip,
         "foot_shift": f.foot_shift,
-        "rules": f.rules_broken,
+        "terminations": f.terminations_met,
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
-        "overload": torch.clamp(f.torque.abs() - RATED_TORQUE, min=0.0).square().sum(-1),
+        "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
-        "joint_speed": torch.clamp(f.dq.abs() - FAST, min=0.0).sum(-1),
+        "joint_speed": torch.clamp(f.dq.abs() - numbers.joint_speed, min=0.0).sum(-1),
         "joint_acceleration": f.ddq.square().sum(-1),
         "limits": f.limit_excess.sum(-1),
         "fall": f.fallen.float(),

@@ -25,7 +25,7 @@ class TrainingDiverged(MimicError):
     """A loss is not finite; the last checkpoint is whole."""
 
 
-class Enough(Exception):
+class TimeIsUp(Exception):
     """The time is over."""
 
 
@@ -126,7 +126,7 @@ class QuietLogger(Logger):
 
         Raises:
             TrainingDiverged: In every process, if a loss is not finite in one.
-            Enough: In every process, if the time is over in one.
+            TimeIsUp: In every process, if the time is over in one.
         """
         losses = figures["loss_dict"]
         elapsed = time.monotonic() - self._begin
@@ -142,7 +142,7 @@ class QuietLogger(Logger):
             self._write(it, elapsed, figures)
         self._progressed(share)
         if over:
-            raise Enough
+            raise TimeIsUp
 
     def _agreed(self, *values: float) -> list[float]:
         """Return the largest of each value over all processes."""

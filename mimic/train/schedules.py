@@ -7,10 +7,11 @@ import math
 import numpy as np
 import torch
 
+from mimic.config.training import MdpSettings
+from mimic.geometry import smoothstep
 from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import draw_goals, eased
-from mimic.settings import MdpSettings
+from mimic.robot.goals import draw_goals
 
 POOL = 20_000
 """Reachable goal pairs drawn once for a training."""
@@ -65,7 +66,7 @@ class GoalSchedule:
         self._straight.copy_(torch.where(due, straight.float(), self._straight))
         self._time.copy_(torch.where(due, torch.zeros_like(self._time), self._time))
         share = torch.clamp(self._time / self._length, 0, 1)
-        smooth = eased(share)
+        smooth = smoothstep(share)
         share = torch.where(self._straight > 0, share, smooth)[:, None, None]
         path = self._begin + share * (self._end - self._begin)
         self.now.copy_(torch.where(tracking[:, None, None], path, self._neutral.expand_as(path)))

@@ -8,13 +8,14 @@ from typing import Any
 
 import torch
 
-from mimic.frames import up_cosine
+from mimic.config.training import MdpSettings
+from mimic.geometry import smoothstep, up_cosine
+from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.goals import MARGIN, eased
-from mimic.settings import MdpSettings
-from mimic.train.environment import StandTrackEnv
-from mimic.train.rewards import FAST, Facts
+from mimic.robot.goals import MARGIN
+from mimic.train.rewards import Facts
 from mimic.train.sit_down_starts import SitDownStarts
+from mimic.train.stand_track import StandTrackEnv
 from mimic.train.starts import Start
 
 SINKING = 0.45
@@ -75,19 +76,19 @@ class Descent:
     """True where the episode ends: head on the ground, a crash, on its back or side (N,)."""
 
 
-def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
-    """Return each unweighted term (N,), in the order of SitDownWeights."""
+def sit_down_terms(f: Facts, d: Descent, joint_speed: float) -> dict[str, torch.Tensor]:
+    """Return each unweighted term (N,), in the order of SitDownWeights; joints faster than joint_speed [rad/s] pay."""
     off, near = d.pose_error.square().mean(-1), torch.exp(-((d.pose_error / 0.12) ** 2)).mean(-1)
     speed, turning = d.velocity.norm(dim=-1), d.turning.norm(dim=-1)
     there = (d.progress >= 1).float()
-    calm = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
+    at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
     return {
         "height": torch.exp(-((d.height_error / 0.06) ** 2)),
         "level": torch.exp(-((d.pitch_error / 0.4) ** 2)),
         "roll": d.left_up.square(),
         "pose": 0.5 * (torch.exp(-off / 0.6) + torch.exp(-off / 0.1)) * d.progress,
         "pose_fine": near * there,
-        "still": calm * there * torch.exp(-((d.height_error / 0.08) ** 2)),
+        "still": at_rest * there * torch.exp(-((d.height_error / 0.08) ** 2)),
         "sinking": torch.clamp(-d.velocity[:, 2] - SINKING, 0.0, 3.0).square(),
         "fast": torch.clamp(speed - MOVING, 0.0, 3.0).square(),
         "tumbling": torch.clamp(turning - TUMBLING, 0.0, 10.0).square(),
@@ -101,7 +102,7 @@ def sit_down_terms(f: Facts, d: Descent) -> dict[str, torch.Tensor]:
         "action_rate": f.action_change.square().sum(-1),
         "torque": f.torque.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
-        "joint_speed": torch.clamp(f.dq.abs() - FAST, min=0.0).sum(-1),
+        "joint_speed": torch.clamp(f.dq.abs() - joint_speed, min=0.0).sum(-1),
         "joint_acceleration": f.ddq.square().sum(-1),
         "limits": f.limit_excess.sum(-1),
         "fail": d.failed.float(),
@@ -123,10 +124,10 @@ class SitDownEnv(StandTrackEnv):
         self._sit_down_starts = SitDownStarts(self.description, self.settings, str(self.device))
         self._lie = self._tensor(self.description.poses["lie"])
         w = self.worlds
-        self._head = w.geom_columns("head_0", "head_1")
-        self._belly = w.geom_columns("body", "shoulder", "_abad")
-        self._thighs = w.geom_columns("_thigh")
-        self._landing = w.geom_columns("FL_toe", "FR_toe", "RL_rubber", "RR_rubber")
+        self._head = w.columns("head")
+        self._belly = w.columns("trunk", "shoulder", "abad")
+        self._thighs = w.columns("thigh")
+        self._landing = torch.cat([w.columns("toe", legs=LEGS[:2]), w.columns("knee", legs=LEGS[2:])])
 
     def _buffers(self) -> None:
         super()._buffers()
@@ -134,7 +135,7 @@ class SitDownEnv(StandTrackEnv):
         self._height_at_start, self._pitch_at_start = torch.zeros(n, device=device), torch.zeros(n, device=device)
         self._velocity_before = torch.zeros(n, 3, device=device)
         self._front_before = torch.zeros(n, 2, 3, device=device)
-        self._clearance_before = torch.zeros(n, 4, device=device)
+        self._clearance_before = torch.zeros(n, len(self._landing), device=device)
 
     @property
     def _rewards(self) -> Any:
@@ -143,7 +144,7 @@ class SitDownEnv(StandTrackEnv):
     def _shares(self, ramp: float) -> dict[str, float]:
         return {}
 
-    def _ease(self, ramp: float) -> None:
+    def _set_difficulty(self, ramp: float) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
     def _first_phase(self, start: Start) -> torch.Tensor:
@@ -164,14 +165,14 @@ class SitDownEnv(StandTrackEnv):
     def _descent(self, finite: torch.Tensor, low: torch.Tensor) -> Descent:
         w, dt = self.worlds, self.contract.dt
         progress = torch.clamp(self.episode_length_buf * (dt / self.settings.sit_down.seconds), max=1.0)
-        smooth = eased(progress)
-        lying = self.settings.sit_down.height
+        smooth = smoothstep(progress)
+        lying = self.description.training.lying_height
         height = self._height_at_start + (lying - self._height_at_start) * smooth
         qw, qx, qy, qz = self._quat()
         velocity, turning = w.qvel[:, :3], w.qvel[:, 3:6]
         later = self.episode_length_buf > 1
         acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
-        front = w.site_xpos[:, 1:3]  # sites: imu, then a toe for each leg
+        front = w.site_xpos[:, self._toe_sites[:2]]
         motion = (front - self._front_before) / dt
         down, none = front[..., 2] < self.description.toe_radius + NEAR, torch.zeros_like(front[..., 2])
         clearance = low[:, self._landing]
@@ -204,7 +205,7 @@ class SitDownEnv(StandTrackEnv):
             failed=finite & ((head < 0.002) | overturned | crashed),
         )
 
-    def _judge(
+    def _evaluate(
         self, finite: torch.Tensor, low: torch.Tensor
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
         facts, descent = self._facts(finite, low), self._descent(finite, low)
@@ -222,7 +223,7 @@ class SitDownEnv(StandTrackEnv):
             "sit_down/trunk": descent.trunk.float().mean(),
             "sit_down/landing": descent.landing.square().sum(-1).mean() * self.max_episode_length,
         }
-        return sit_down_terms(facts, descent), descent.failed, figures
+        return sit_down_terms(facts, descent, self.description.training.joint_speed), descent.failed, figures
 
     def _reset(self, mask: torch.Tensor) -> None:
         super()._reset(mask)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from mimic.config.training import MdpSettings
 from mimic.errors import AssetError
-from mimic.frames import heading_sin_cos
+from mimic.geometry import heading_sin_cos
+from mimic.io.assets import shipped
 from mimic.robot.description import RobotDescription
-from mimic.settings import MdpSettings
-from mimic.shipped import shipped
 from mimic.train.starts import LIFTED, UNEVEN, Start, quat_from_euler
 
 KINDS = ("steady", "rising", "falling")

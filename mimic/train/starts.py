@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import torch
 
+from mimic.config.training import MdpSettings
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
-from mimic.settings import MdpSettings
 
 TILT = 0.12
 """Largest extra pitch of an upright start [rad]."""

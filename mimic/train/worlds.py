@@ -22,15 +22,16 @@ import numpy as np
 import torch
 import warp as wp
 
+from mimic.config.training import MdpSettings
+from mimic.dynamics.cuda_graphs import Replayed, ReplayedWarp
+from mimic.dynamics.machine import SOLREF_STEPS
+from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_model, vary_model
+from mimic.dynamics.servo import Servo, read_standing
+from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.graphs import Replayed, ReplayedWarp
-from mimic.robot.machine import SOLREF_STEPS
-from mimic.robot.model import bouncing, carry, draw_variation, load_model, vary_model
-from mimic.robot.servo import Servo, read_standing
-from mimic.settings import MdpSettings
+from mimic.robot.model import FLOOR
 from mimic.train.disturbances import quat_rotate
 from mimic.train.motors import WorldMotors
-from mimic.types import LEGS
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +79,7 @@ class Worlds:
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         wp.config.log_level = wp.LOG_ERROR
         wp.init()
-        self.device = device
+        self.device, self._description = device, description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
         self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
@@ -94,7 +95,8 @@ class Worlds:
         self.mj_model = model
         n = settings.worlds
         data = mujoco.MjData(model)
-        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.qpos[:7] = 0.0, 0.0, description.pose_height["lie"], 1.0, 0.0, 0.0, 0.0
+        data.qpos[7:] = data.ctrl[:] = description.poses["lie"]
         mujoco.mj_forward(model, data)
         with wp.ScopedDevice(device):
             fields = RANDOMISED if self.motors is None else (*RANDOMISED, *DRIVEN)
@@ -143,7 +145,7 @@ class Worlds:
                 self.motors.write_static(varied, i)
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
-            carry(varied, f"{LEGS[side]}_knee", payload, np.array(description.raw["toe"]["position"]))
+            carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
             grounds.append((v.restitution, other.uniform(*d.contact_time)))
             angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
             slopes.append(
@@ -167,7 +169,7 @@ class Worlds:
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
-        self._floor = nominal.geom("floor").id
+        self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
         self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
@@ -178,9 +180,9 @@ class Worlds:
         self._level = torch.tensor(self.mj_model.opt.gravity, dtype=torch.float32, device=self.device).expand(n, 3)
         self._gravity = self._level.clone()  # Warp's array is a view of it
         self.model.opt.gravity = wp.from_torch(self._gravity, dtype=wp.vec3)
-        self.ease(1.0)
+        self.set_share(1.0)
 
-    def ease(self, share: float) -> None:
+    def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
         usual = self._contact_time
         grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
@@ -189,7 +191,7 @@ class Worlds:
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
-            self.motors.ease(share)
+            self.motors.set_share(share)
         level = torch.zeros_like(self._own_slope)
         level[:, 0] = 1.0
         mixed = level + share * (self._own_slope - level)
@@ -220,7 +222,7 @@ class Worlds:
 
     def _make_support(self) -> _Support:
         model = self.mj_model
-        ids = [g for g in range(model.ngeom) if model.geom(g).name != "floor"]
+        ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
         kinds = [int(model.geom_type[g]) for g in ids]
         return _Support(
             geoms=torch.tensor(ids, device=self.device),
@@ -228,10 +230,11 @@ class Worlds:
             size=torch.tensor(model.geom_size[ids], dtype=torch.float32, device=self.device),
         )
 
-    def geom_columns(self, *endings: str) -> torch.Tensor:
-        """Return the columns of :meth:`lowest` whose shape's name ends with one of the given."""
+    def columns(self, *roles: str, legs: Sequence[str] = LEGS) -> torch.Tensor:
+        """Return the columns of `lowest` of the collision shapes with these roles (mimic.robot.parts.ROLES)."""
         names = [self.mj_model.geom(int(g)).name for g in self._support.geoms]
-        return torch.tensor([i for i, n in enumerate(names) if n.endswith(endings)], device=self.device)
+        wanted = self._description.names.shapes(*roles, legs=legs)
+        return torch.tensor([i for i, name in enumerate(names) if name in wanted], dtype=torch.long, device=self.device)
 
     def lowest(self) -> torch.Tensor:
         """Return the height of the lowest point of each collision shape (worlds, shapes) [m]."""
@@ -253,7 +256,7 @@ class Worlds:
         mjw.kinematics(self.model, self.data)
 
     def step(self) -> None:
-        """Advance all worlds by a control step, with the commands in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
+        """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
         if self.motors is not None:
             self._step_driven()
             return

@@ -1,4 +1,7 @@
-"""Every kind of fault once, on the emulated robot in its own time; benchmarks/fault_campaign.py plays hundreds."""
+"""Faults on the emulated robot in its own time, one for each rule.
+
+benchmarks/fault_campaign.py plays hundreds of all kinds.
+"""
 
 from __future__ import annotations
 
@@ -11,34 +14,30 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from benchmarks.faults_in_process import KINDS_OF_FAULT, Outcome, play
 
+pytestmark = pytest.mark.slow
+
 STANDS, TRACKS = 2.7, 1.0
 """When the robot stands, and for how long it follows commands, from 2.5 s on [s]."""
 
 AFTER = {
-    "bus_off": ({"motor_silent", "imu_silent"}, "damp"),
     "ctrl_c": ({"interrupt"}, "sit_down"),
-    "ctrl_c_twice": ({"interrupt"}, "sit_down"),
-    "guardian_gone": ({"guardian_gone"}, "sit_down"),
+    "watchdog_gone": ({"watchdog_ended"}, "sit_down"),
     "imu_frozen": ({"imu_frozen"}, "damp"),
     "imu_invalid": ({"imu_invalid"}, "damp"),
     "imu_silent": ({"imu_silent"}, "damp"),
-    "imu_stuck": ({"imu_frozen"}, "damp"),
     "imu_tilted": ({"imu_contradicts_itself"}, "damp"),
-    "motor_dead": ({"motor_silent", "joint_impossible"}, "sit_down"),
-    "motor_deaf": ({"motor_silent"}, "sit_down"),
     "motor_fault": ({"motor_fault"}, "sit_down"),
-    "motor_hot": ({"motor_fault", "motor_hot"}, "sit_down"),
     "motor_mute": ({"motor_silent"}, "sit_down"),
     "policy_nan": ({"not_finite"}, "damp"),
-    "policy_raises": ({"exception"}, "damp"),
     "power_cycle": ({"motor_off", "joint_impossible"}, "sit_down"),
     "sigterm": ({"terminated"}, "damp"),
     "sink_raises": ({"exception"}, "damp"),
-    "stalled": ({"motor_silent", "imu_silent"}, "damp"),
-    "under_voltage": ({"motor_fault"}, "damp"),
     "unplugged": ({"exception"}, "damp"),
 }
-"""The rules that may find a fault of a robot that stands, and what they ask for."""
+"""One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
+
+TOLERATED = ("frames_lost", "frames_late", "policy_wild", "target_nan")
+"""Faults that may pass without ending the run."""
 
 SOON = 0.15
 """60 ms, a status word of the IMU that comes ten times a second, and the tick in which it is seen [s]."""
@@ -61,8 +60,8 @@ def test_a_fault_of_a_standing_robot_is_found_in_time_by_its_rule(kind, tmp_path
     assert -0.03 <= outcome.after <= SOON, outcome
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS_OF_FAULT if kind not in AFTER])
-def test_a_fault_that_may_be_borne_leaves_a_robot_that_is_damped_and_a_whole_log(kind, tmp_path):
+@pytest.mark.parametrize("kind", TOLERATED)
+def test_a_tolerated_fault_leaves_a_damped_robot_and_a_complete_log(kind, tmp_path):
     sound(play(1000 + KINDS_OF_FAULT.index(kind), tmp_path, kind, seconds=TRACKS))
 
 

@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -16,21 +17,26 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from benchmarks.hidden_effects import physics, suite, summary
 from benchmarks.hidden_effects.agreement import disagreement
 from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
-from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, links, measured, simulate
+from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, Truth, links, measured, simulate
 from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable, sizes
-from mimic.calibration import Calibration, Errors, Remainder, Stage, Traces
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.excitation import Excitation, hung_ranges, probe_targets
+from mimic.records import JOINTS, LEGS
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.excitation import Excitation, hung_ranges, probe_targets
-from mimic.types import JOINTS, LEGS
+from mimic.sysid.result import Calibration, Errors, Stage, Traces, UnexplainedResidual
 
 DESCRIPTION = load_description()
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
 MOTION = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
 SMOOTH = Machine(friction=np.zeros(12), damping=np.full(12, 0.05), mass=np.ones(12), delay=0.01)
 PLAIN = Machine.drawn(np.random.default_rng(0))
-REST = simulate(PLAIN, MOTION, 0)
+
+
+@cache
+def rest() -> Truth:
+    """Return the motion of the machine that has no hidden effect."""
+    return simulate(PLAIN, MOTION, 0)
 
 
 def still(q: np.ndarray, seconds: float = 3.0) -> Excitation:
@@ -56,6 +62,7 @@ def with_effect(name: str, joints: tuple[str, ...] = JOINTS, **values: float) ->
     return replace(PLAIN, hidden=EffectSet((EffectValues(name=name, joints=scope, values=values),)))
 
 
+@pytest.mark.slow
 def test_leg_dynamics_are_those_of_mujoco():
     model = bare_model()
     model.dof_armature[:] = 0.0
@@ -75,6 +82,7 @@ def test_leg_dynamics_are_those_of_mujoco():
             assert np.abs(found - wanted[at]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_motion_without_friction_is_that_of_mujoco_at_a_tenth_of_the_step():
     motion = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=5, kind="random")
     truth = simulate(replace(SMOOTH, damping=np.zeros(12)), motion, 0)
@@ -93,6 +101,7 @@ def test_motion_without_friction_is_that_of_mujoco_at_a_tenth_of_the_step():
     assert worst < 0.1e-3
 
 
+@pytest.mark.slow
 def test_at_rest_the_error_is_gravity_over_kp():
     q = LOW + 0.3 * (HIGH - LOW)
     truth = simulate(SMOOTH, still(q), 0)
@@ -104,6 +113,7 @@ def test_at_rest_the_error_is_gravity_over_kp():
     assert np.abs(data.qfrc_bias).max() > 0.5
 
 
+@pytest.mark.slow
 def test_a_joint_pushed_by_less_than_its_friction_does_not_move_at_all():
     q = LOW + 0.4 * (HIGH - LOW)
     heavy = replace(SMOOTH, friction=np.full(12, 3.0))
@@ -116,12 +126,14 @@ def test_a_joint_pushed_by_less_than_its_friction_does_not_move_at_all():
     assert np.abs(light.q[-1] - q).min() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "values"), [("compliance", {"compliance": 2e-5}), ("backlash", {"gap": 1e-7})])
 def test_a_stiff_transmission_without_play_moves_as_none(name, values):
     truth = simulate(with_effect(name, **values), MOTION, 0)
-    assert np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max() < 0.1e-3
+    assert np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max() < 0.1e-3
 
 
+@pytest.mark.slow
 def test_a_loaded_elastic_joint_reads_the_motor_and_sags_behind_it():
     q = LOW + 0.3 * (HIGH - LOW)
     soft = EffectSet((EffectValues(name="compliance", joints=JOINTS, values={"compliance": 0.1}),))
@@ -136,6 +148,7 @@ def test_a_loaded_elastic_joint_reads_the_motor_and_sags_behind_it():
     assert np.abs(truth.q[-1] - rigid.q[-1]).max() > 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["probe", "random"])
 def test_motions_keep_clear_of_the_end_stops(kind):
     truth = simulate(PLAIN, probe_targets(LOW, HIGH, CENTRE, seconds=20.0, seed=2, kind=kind), 0)
@@ -143,6 +156,7 @@ def test_motions_keep_clear_of_the_end_stops(kind):
     assert np.all(truth.q < DESCRIPTION.q_max - 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(FAMILIES))
 def test_every_effect_of_the_catalogue_acts_and_a_size_of_nothing_does_not(name):
     rng = np.random.default_rng(3)
@@ -151,7 +165,7 @@ def test_every_effect_of_the_catalogue_acts_and_a_size_of_nothing_does_not(name)
     def moved(size: float) -> float:
         one = hidden_effect(name, dict.fromkeys(joints, size), PLAIN, rng, spread=False)
         truth = simulate(replace(PLAIN, hidden=EffectSet((one,))), MOTION, 0)
-        return float(np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max())
+        return float(np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max())
 
     assert moved(FAMILIES[name].cap) > FLOOR
     if name not in ("torque_speed", "compliance", "backlash"):  # their least value is another machine
@@ -159,20 +173,22 @@ def test_every_effect_of_the_catalogue_acts_and_a_size_of_nothing_does_not(name)
 
 
 def test_every_catalogued_effect_that_is_not_declared_has_a_family():
-    assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.declared}
+    assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.baseline}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(ALIENS))
 def test_every_alien_acts(name):
     size = 0.002 if name == "imbalance" else 0.5 if name != "base_swing" else 4.0
     truth = simulate(replace(PLAIN, aliens=alien(name, dict.fromkeys(JOINTS, size))), MOTION, 0)
-    assert np.sqrt(((truth.q - REST.q) ** 2).mean(0)).max() > FLOOR
+    assert np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max() > FLOOR
 
 
+@pytest.mark.slow
 def test_readings_are_steps_of_the_encoder_around_the_truth():
-    log = measured(REST, 7)
+    log = measured(rest(), 7)
     assert np.allclose(log.q / ENCODER, np.round(log.q / ENCODER), atol=1e-6)
-    assert abs((log.q - REST.q).std() / FLOOR - 1.0) < 0.03
+    assert abs((log.q - rest().q).std() / FLOOR - 1.0) < 0.03
     assert log.rate == pytest.approx(200.0)
     assert log.q_des is not None
     assert np.array_equal(log.q_des[::4], MOTION.q_des)
@@ -190,12 +206,14 @@ def test_a_scenario_is_drawn_from_its_name():
         assert a.where == b.where
 
 
+@pytest.mark.slow
 def test_an_effect_that_cannot_be_so_strong_is_refused():
     assert not reachable("kt_gain", "strong")
     with pytest.raises(ValueError, match="cannot be strong"):
         build(Scenario(group="single", names=("kt_gain",), strength="strong"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "strength"), [("torque_speed", "medium"), ("velocity_lag", "medium"), ("payload", "weak")]
 )
@@ -211,7 +229,7 @@ def silent(log) -> Calibration:
     rows = np.zeros((1, 12))
     errors = Errors(train=np.full(12, FLOOR), held_out=np.full(12, FLOOR))
     rest = tuple(
-        Remainder(
+        UnexplainedResidual(
             joint=j, ratio=2.0, state_r2=0.5, depends_on=(), peak_hz=1.0, peak_ratio=1.0, verdict="state-dependent"
         )
         for j in JOINTS
@@ -222,7 +240,7 @@ def silent(log) -> Calibration:
         unit="rad",
         noise=np.full(12, FLOOR),
         nominal=errors,
-        stages=(Stage(added="declared", errors=errors),),
+        stages=(Stage(added="baseline", errors=errors),),
         effects=EffectSet(),
         unexplained=rest,
         sentence="",
@@ -242,6 +260,7 @@ def slow(log) -> Calibration:
 SHORT = [Scenario.of(f"{what}/0/10s") for what in ("clean/nothing/none/probe", "single/cogging/weak/random")]
 
 
+@pytest.mark.slow
 def test_suite_writes_a_line_each_and_goes_on_where_it_stopped(tmp_path, capsys):
     assert suite.run_suite(SHORT[:1], tmp_path, 2, 60.0, silent) == 1
     assert suite.run_suite(SHORT, tmp_path, 2, 60.0, broken) == 1
@@ -251,6 +270,7 @@ def test_suite_writes_a_line_each_and_goes_on_where_it_stopped(tmp_path, capsys)
     assert single["truth"]["hidden"][0]["name"] == "cogging"
 
 
+@pytest.mark.slow
 def test_suite_stops_at_its_limit(tmp_path):
     assert suite.run_suite(SHORT, tmp_path, 1, 1.5, slow) == 0
     assert (tmp_path / "results.jsonl").read_text() == ""
@@ -260,8 +280,10 @@ def judged(**values) -> dict:
     joint = {"joint": "FL_knee", "verdict": "explained"}
     stages = [{"added": n, "rivals": r, "held_out": [FLOOR] * 12} for n, r in values.pop("stages")]
     return {
-        "names": ["cogging"], "where": {"cogging": ["FL_knee"]}, "belongs": True, "unexplained": [joint], "floor": FLOOR,
-        "named": [s["added"] for s in stages], "stages": [{"added": "declared", "rivals": [], "held_out": [FLOOR] * 12}, *stages],
+        "names": ["cogging"], "where": {"cogging": ["FL_knee"]}, "belongs": True,
+        "unexplained": [joint], "floor": FLOOR,
+        "named": [s["added"] for s in stages],
+        "stages": [{"added": "baseline", "rivals": [], "held_out": [FLOOR] * 12}, *stages],
         **values,
     }  # fmt: skip
 
@@ -279,6 +301,7 @@ def test_judging_tells_right_from_rival_from_wrong():
     assert not summary.right({"names": ["cogging"], "error": "x"})
 
 
+@pytest.mark.slow
 def test_a_trace_is_a_quarter_of_weak():
     built = build(Scenario(group="single", names=("cogging",), strength="trace", seconds=10.0))
     (cogging,) = built.machine.hidden
@@ -300,6 +323,7 @@ def test_what_a_motion_does_not_show_is_not_expected():
     assert summary.whole(judged(stages=[], names=["cogging", "spring"]))  # not measured: all are expected
 
 
+@pytest.mark.slow
 def test_changes_are_those_of_each_effect_alone():
     built = build(
         Scenario(group="pair", names=("torque_speed", "stribeck"), strength="medium", kind="random", seconds=10.0)

@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from onnx import numpy_helper  # noqa: E402
 
 from benchmarks.mean_policy import contract_of, mean_policy  # noqa: E402
+from mimic.io.assets import shipped  # noqa: E402
 from mimic.policy.contract import METADATA_KEY  # noqa: E402
-from mimic.shipped import shipped  # noqa: E402
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from mimic import store
 from mimic.cli import main
-from mimic.types import PoseTrack, TargetTrack
+from mimic.io import store
+from mimic.records import PoseTrack, TargetTrack
 
 STANDING = {
     "left_shoulder": (0.0, 0.2, 1.4),
@@ -70,9 +70,10 @@ def rows(out: Path) -> dict[str, dict[str, Any]]:
     return {row["file"]: row for row in pq.read_table(out / "summary.parquet").to_pylist()}
 
 
+@pytest.mark.slow
 def test_every_file_has_a_row_and_what_fails_stops_nothing(played):
     status, out = played
-    assert status == 0
+    assert status == 4
     found = rows(out)
     assert {name: row["status"] for name, row in found.items()} == {
         "broken.trc": "failed",
@@ -81,10 +82,11 @@ def test_every_file_has_a_row_and_what_fails_stops_nothing(played):
         "nobody.parquet": "failed",
         "one.npz": "done",
     }
-    assert "must begin with PathFileType" in found["broken.trc"]["error"]
+    assert "must start with PathFileType" in found["broken.trc"]["error"]
     assert found["nobody.parquet"]["error"]
 
 
+@pytest.mark.slow
 def test_a_row_holds_the_figures_of_its_own_folder(played):
     _, out = played
     row = rows(out)["deep/two [b].npz"]
@@ -98,31 +100,35 @@ def test_a_row_holds_the_figures_of_its_own_folder(played):
     assert {path.name for path in item.iterdir()} == {
         "targets.parquet",
         "log.parquet",
+        "health.parquet",
         "joints.parquet",
         "metrics.json",
     }
 
 
+@pytest.mark.slow
 def test_equal_files_are_played_once(played):
     found = rows(played[1])
     assert found["one.npz"]["folder"] == found["deep/copy of one.npz"]["folder"]
     assert len(list((played[1] / "items").iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_the_page_stands_alone_and_shows_names_as_they_are(played):
     page = (played[1] / "summary.html").read_text()
     assert "two [b].npz" in page
-    assert "must begin with PathFileType" in page
+    assert "must start with PathFileType" in page
     assert "http" not in page
     assert "<script" not in page
 
 
+@pytest.mark.slow
 def test_what_is_finished_is_not_played_again_and_what_failed_is_tried_again(played, folder, capsys):
     _, out = played
     before = {path: path.stat().st_mtime_ns for path in (out / "items").rglob("*") if path.is_file()}
     someone(folder / "three.npz", 0.15)
     try:
-        assert main(["batch", str(folder), "-o", str(out), *OPTIONS]) == 0
+        assert main(["batch", str(folder), "-o", str(out), *OPTIONS]) == 4
     finally:
         (folder / "three.npz").unlink()
     assert "3 of 6 files were finished before" in capsys.readouterr().out
@@ -131,20 +137,22 @@ def test_what_is_finished_is_not_played_again_and_what_failed_is_tried_again(pla
     assert rows(out)["one.npz"]["toe_error_cm"] is not None
 
 
+@pytest.mark.slow
 def test_another_setting_is_another_result(played, folder, tmp_path):
     _, out = played
     copy = tmp_path / "out"
     shutil.copytree(out, copy)
-    assert main(["batch", str(folder), "-o", str(copy), *OPTIONS, "--scale", "0.5"]) == 0
+    assert main(["batch", str(folder), "-o", str(copy), *OPTIONS, "--scale", "0.5"]) == 4
     assert rows(copy)["one.npz"]["folder"] != rows(out)["one.npz"]["folder"]
     assert (copy / rows(out)["one.npz"]["folder"]).is_dir()
 
 
 def listening() -> None:
-    """Hear Ctrl-C also where the tests run in the background of a shell, which ignores it for all that it starts there."""
+    """Hear Ctrl-C also where the tests run in the background of a shell, which ignores it for its children."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     someone(tmp_path / "in" / "a.npz", 0.1)
     for i in range(6):
@@ -162,8 +170,8 @@ def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     while not list(out.glob("items/*/metrics.json")) and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
-    told, _ = process.communicate(timeout=120)
-    assert process.returncode == 3, told.decode()
+    shown, _ = process.communicate(timeout=120)
+    assert process.returncode == 3, shown.decode()
     assert not list(out.rglob("*.part*"))
     done = list((out / "items").iterdir())
     assert 1 <= len(done) < 7
@@ -171,6 +179,7 @@ def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     assert len(rows(out)) == len(done)
 
 
+@pytest.mark.slow
 def test_what_a_killed_batch_left_is_swept_away(tmp_path):
     someone(tmp_path / "in" / "a.npz", 0.1)
     left = tmp_path / "out" / "items" / ".a-0123.99.part"
@@ -179,7 +188,8 @@ def test_what_a_killed_batch_left_is_swept_away(tmp_path):
     assert not left.exists()
 
 
-def test_a_batch_in_which_all_fails_is_for_the_user_to_mend(tmp_path, capsys):
+@pytest.mark.slow
+def test_a_batch_in_which_all_fails_is_a_user_error(tmp_path, capsys):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.bvh").write_text("nothing")
     assert main(["batch", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *OPTIONS]) == 2
@@ -187,7 +197,7 @@ def test_a_batch_in_which_all_fails_is_for_the_user_to_mend(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "shown"),
     [
         ("batch nowhere -o out", "nowhere is not a folder"),
         ("batch empty -o out", "no video and no motion file in empty"),
@@ -195,10 +205,10 @@ def test_a_batch_in_which_all_fails_is_for_the_user_to_mend(tmp_path, capsys):
         ("batch full -o out --policy nowhere.onnx", "there is no policy nowhere.onnx"),
     ],
 )
-def test_bad_input_is_told_and_nothing_is_written(line, told, tmp_path, capsys, monkeypatch):
+def test_bad_input_is_refused_and_nothing_is_written(line, shown, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     someone(tmp_path / "full" / "a.npz", 0.1)
     assert main(line.split()) == 2
-    assert told in capsys.readouterr().err
+    assert shown in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

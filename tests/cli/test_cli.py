@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic import __version__, store
+from mimic import __version__
 from mimic.cli import main
+from mimic.io import store
+from mimic.records import CommandTrack, JointSamples, RunLog, TargetTrack, WristTrack
 from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
-from mimic.types import CommandTrack, JointSamples, RunLog, TargetTrack, WristTrack
 
 HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
 HEAVY += ("openai", "ray", "yaml")
@@ -89,9 +90,9 @@ def test_importing_it_loads_no_heavy_library(module):
     assert in_a_process(f"import sys, {module}\nprint([m for m in {HEAVY} if m in sys.modules])") == "[]"
 
 
-def test_help_tells_the_commands_and_the_options(capsys):
+def test_help_lists_the_commands_and_the_options(capsys):
     assert main(["--help"]) == 0
-    told = capsys.readouterr().out
+    shown = capsys.readouterr().out
     for word in (
         "evaluate",
         "retarget",
@@ -105,7 +106,7 @@ def test_help_tells_the_commands_and_the_options(capsys):
         "--video",
         "--seed",
     ):
-        assert word in told, word
+        assert word in shown, word
 
 
 @pytest.mark.parametrize("command", ["batch", "retarget", "evaluate", "train", "view", "calibrate", "log"])
@@ -120,8 +121,8 @@ def test_version_is_that_of_the_package(capsys):
 
 
 def test_it_runs_as_a_module():
-    told = subprocess.run([sys.executable, "-m", "mimic", "--version"], check=True, capture_output=True, text=True)
-    assert told.stdout.strip() == __version__
+    shown = subprocess.run([sys.executable, "-m", "mimic", "--version"], check=True, capture_output=True, text=True)
+    assert shown.stdout.strip() == __version__
 
 
 def test_a_process_ends_with_the_exit_status():
@@ -130,7 +131,7 @@ def test_a_process_ends_with_the_exit_status():
     assert ended.stderr == "mimic: there is no file nowhere.mp4\n"
 
 
-# ---------------------------------------------------------------------- what the user has to mend
+# ---------------------------------------------------------------------- user errors
 
 
 def text_file(name: str) -> Callable[[Path], None]:
@@ -199,11 +200,11 @@ BAD = [
     ("wrists.parquet --sim", wrists, "the source is 0.00 s, shorter than one step"),
     ("joints.parquet --sim", joints, "holds a JointSamples, which cannot be played"),
     ("text.npz --sim", text_file("text.npz"), "text.npz cannot be read as NPZ"),
-    ("text.trc --sim", text_file("text.trc"), "text.trc is no TRC file"),
+    ("text.trc --sim", text_file("text.trc"), "text.trc, line 1: not a TRC file"),
     ("text.bvh --sim", text_file("text.bvh"), "text.bvh, line 1"),
     ("text.BVH --sim --up north", text_file("text.BVH"), "north"),
     ("retarget commands.parquet -o a.parquet", commands, "commands.parquet holds commands"),
-    ("folder --sim", folder, "folder is a folder; expected a video file"),
+    ("folder --sim", folder, "folder is a folder; expected a file"),
     ("folder.parquet --sim", lambda here: (here / "folder.parquet").mkdir(), "folder.parquet"),
     ("text.mp4 --sim", text_file("text.mp4"), "text.mp4"),
     ("retarget nowhere.mp4 -o a.parquet", nothing, "there is no file nowhere.mp4"),
@@ -218,21 +219,21 @@ BAD = [
     ("text.mp4 --sim --effects elbow.toml", elbows, "effect 'stribeck' names joint 'FL_elbow'"),
     ("evaluate text.onnx --table --effects nowhere.toml", text_file("text.onnx"), "nowhere.toml cannot be read"),
     ("--sim", nothing, "say what to play: a file, --text with a sentence, or --camera 0"),
-    ("targets.parquet --text wave --sim", nothing, "are ways in; give one of them"),
+    ("targets.parquet --text wave --sim", nothing, "are different inputs; give one of them"),
     ("--text wave", nothing, "add --sim"),
-    ("--camera 0 --text wave --sim", nothing, "are ways in; give one of them"),
+    ("--camera 0 --text wave --sim", nothing, "are different inputs; give one of them"),
     ("--camera nowhere.mp4 --sim", nothing, "there is no camera and no file 'nowhere.mp4'"),
-    ("--camera text.mp4 --sim", text_file("text.mp4"), "no picture comes from text.mp4"),
-    ("--camera 0 targets.parquet --robot can0", nothing, "are ways in; give one of them"),
+    ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
+    ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
-    ("--text moonwalk --sim", nothing, "does not know 'moonwalk' (near: walk)"),
+    ("--text moonwalk --sim", nothing, "has no word 'moonwalk' (near: walk)"),
     ("--text wave --sim --planner llm", nothing, "--llm-model"),
     ("--text wave --sim --planner poet", nothing, "poet"),
     ("text.yaml --sim", text_file("text.yaml"), "expected a list of frames"),
     ("fast.yaml --sim", fast_motion, "fast.yaml asks for what this robot cannot do: frame 1: velocity forward is 2"),
     ("view nowhere", nothing, "nowhere"),
     ("view folder", folder, "there is no scene.rrd in folder"),
-    ("dance", nothing, "add --sim"),
+    ("dance", nothing, "there is no command and no file 'dance'; commands are demo, retarget"),
 ]
 
 BAD_TRAINING = [
@@ -245,33 +246,33 @@ BAD_TRAINING = [
 ]
 
 
-def refused(line: str, told: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def refused(line: str, shown: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(here)
     status = main(line.split())
     out, err = capsys.readouterr()
     assert status == 2
     assert err.startswith("mimic: ")
-    assert told in err
+    assert shown in err
     assert err.count("\n") == 1, err
     assert "Traceback" not in out + err
     assert contents(here) == before
 
 
-@pytest.mark.parametrize(("line", "prepare", "told"), BAD, ids=[line for line, _, _ in BAD])
+@pytest.mark.parametrize(("line", "prepare", "shown"), BAD, ids=[line for line, _, _ in BAD])
 @pytest.mark.usefixtures("targets")
-def test_bad_input_is_told_in_one_line_and_nothing_is_written(line, prepare, told, here, capsys):
+def test_bad_input_is_one_line_and_nothing_is_written(line, prepare, shown, here, capsys):
     prepare(here)
-    refused(line, told, here, capsys)
+    refused(line, shown, here, capsys)
 
 
-@pytest.mark.parametrize(("line", "told"), BAD_TRAINING, ids=[line for line, _ in BAD_TRAINING])
-def test_bad_training_settings_are_told_in_one_line_and_nothing_is_written(line, told, here, capsys):
+@pytest.mark.parametrize(("line", "shown"), BAD_TRAINING, ids=[line for line, _ in BAD_TRAINING])
+def test_bad_training_settings_are_told_in_one_line_and_nothing_is_written(line, shown, here, capsys):
     for library in ("torch", "mujoco_warp", "rsl_rl"):
         pytest.importorskip(library, reason="training needs the extra 'train'")
-    refused(line, told, here, capsys)
+    refused(line, shown, here, capsys)
 
 
-def test_targets_that_cannot_be_played_are_told(here, contract, capsys):
+def test_targets_that_cannot_be_played_are_refused(here, contract, capsys):
     write_targets(here / "none.parquet", contract, 0)
     refused("none.parquet --sim", "there are no commands to play", here, capsys)
     write_targets(here / "slow.parquet", contract, 10, dt=0.1)
@@ -282,7 +283,7 @@ def test_training_without_its_libraries_names_the_extra(here, capsys, monkeypatc
     for module in [name for name in sys.modules if name.startswith("mimic.train")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "torch", None)
-    refused("train new", "pip install 'mimic[train]'", here, capsys)
+    refused("train new", "pip install 'mimic-retarget[train]'", here, capsys)
 
 
 @pytest.mark.parametrize("line", ["film.mp4 --sim --video film.mp4", "retarget film.mp4 -o film.mp4"])
@@ -293,7 +294,7 @@ def test_the_source_is_never_overwritten(line, here, capsys):
     assert (here / "film.mp4").read_bytes() == b"a film that exists once"
 
 
-def test_brackets_in_a_name_are_told_as_they_are(here, capsys):
+def test_brackets_in_a_name_are_printed_as_they_are(here, capsys):
     refused("[red]nowhere[/red].mp4 --sim", "there is no file [red]nowhere[/red].mp4", here, capsys)
 
 
@@ -333,7 +334,7 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
 
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
     assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", "--hold", "0"]) == 0
-    assert "phrasebook: 6 key frames" in capsys.readouterr().out
+    assert "grammar: 6 key frames" in capsys.readouterr().out
     run = here / "runs" / "step-forward-then-stop-and-wave"
     assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
     log = store.load(run / "log.parquet", RunLog)
@@ -357,7 +358,7 @@ def test_ctrl_c_ends_with_three(here, targets, capsys, monkeypatch):
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mimic.cli.play.play_source", interrupted)
+    monkeypatch.setattr("mimic.flows.play.play_source", interrupted)
     assert main([str(targets), "--sim"]) == 3
     assert capsys.readouterr().err == "mimic: interrupted\n"
 
@@ -366,7 +367,7 @@ def test_a_bug_is_not_hidden(here, targets, monkeypatch):
     def wrong(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("mimic.cli.play.play_source", wrong)
+    monkeypatch.setattr("mimic.flows.play.play_source", wrong)
     with pytest.raises(ZeroDivisionError):
         main([str(targets), "--sim"])
 
@@ -381,24 +382,24 @@ def test_a_run_that_falls_is_stopped_for_safety_and_kept(here, targets, constant
     assert (here / "out" / "log.parquet").is_file()
 
 
-def test_a_policy_is_judged_and_written_with_the_hash_of_what_was_judged(here, constant_onnx, capsys):
+def test_an_evaluation_is_written_with_the_hash_of_its_policy(here, constant_onnx, capsys):
     policy = constant_onnx(here / "useless.onnx")
     assert main(["evaluate", str(policy), "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
-    told = json.loads((here / "evaluation-useless.json").read_text())
-    assert told["summary"]["stood_up_and_kept"] == 0.0
-    assert told["provenance"]["inputs"]["policy"] == store.sha256_of(policy)
-    assert told["provenance"]["settings"]["episodes"] == 1
+    shown = json.loads((here / "evaluation-useless.json").read_text())
+    assert shown["summary"]["stood_up_and_kept"] == 0.0
+    assert shown["provenance"]["inputs"]["policy"] == store.sha256_of(policy)
+    assert shown["provenance"]["settings"]["episodes"] == 1
     assert "useless.onnx" in capsys.readouterr().out
 
 
-def test_ways_of_judging_exclude_each_other(here, capsys):
+def test_kinds_of_evaluation_exclude_each_other(here, capsys):
     assert main(["evaluate", "a.onnx", "--table", "--robustness"]) == 2
     assert "give one of them" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("way", ["--table", "--robustness", "--stand-up"])
-def test_ways_of_judging_refuse_what_is_not_there(way, here, capsys):
-    assert main(["evaluate", "nowhere.onnx", way]) == 2
+@pytest.mark.parametrize("kind", ["--table", "--robustness", "--stand-up"])
+def test_each_kind_of_evaluation_refuses_a_missing_policy(kind, here, capsys):
+    assert main(["evaluate", "nowhere.onnx", kind]) == 2
     assert capsys.readouterr().err.startswith("mimic: there is no policy nowhere.onnx")
     assert contents(here) == {}
 
@@ -406,9 +407,9 @@ def test_ways_of_judging_refuse_what_is_not_there(way, here, capsys):
 def test_the_table_is_printed_beside_the_paper_s_and_written(here, capsys, constant_onnx):
     policy = constant_onnx(here / "still.onnx")
     assert main(["evaluate", str(policy), "--table", "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
-    told = capsys.readouterr().out
+    shown = capsys.readouterr().out
     for word in ("paper", "contacts", "826.7", "toe error"):
-        assert word in told, word
+        assert word in shown, word
     written = json.loads((here / "table-still.json").read_text())
     assert written["provenance"]["settings"]["episodes"] == 1
     assert set(written["paper"]) == set(written["table"]["contacts"]["columns"])

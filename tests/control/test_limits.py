@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.control.limits import clamp_command, clamp_desired
+from mimic.records import JointCommand
 from mimic.robot.goals import draw_goals
-from mimic.robot.leg import front_legs
-from mimic.run.targets_within import command_within, toes_within
-from mimic.types import JointCommand
+from mimic.robot.leg_kinematics import front_legs
 
 
 def test_goals_of_the_training_pass_as_they_are(description):
     goals = draw_goals(description, 300, np.random.default_rng(0))
     for toes in goals:
-        v, kept, moved = toes_within(np.array([0.3, -0.3]), toes, description)
+        v, kept, moved = clamp_desired(np.array([0.3, -0.3]), toes, description)
         assert moved == 0
         assert np.array_equal(kept, toes)
         assert np.array_equal(v, [0.3, -0.3])
@@ -24,17 +24,17 @@ def test_goals_of_the_training_pass_as_they_are(description):
 def test_toes_beyond_the_legs_are_drawn_to_them_and_counted(away, description, contract):
     toes = np.array(contract.neutral_toes).reshape(2, 3)
     toes[1] += away
-    _, kept, moved = toes_within(np.zeros(2), toes, description)
+    _, kept, moved = clamp_desired(np.zeros(2), toes, description)
     assert moved == 1
     assert np.array_equal(kept[0], toes[0])
     leg = front_legs(description)[1]
     assert np.linalg.norm(kept[1] - leg.origin - [0.0, leg.offset, 0.0]) < 0.4
-    assert toes_within(np.zeros(2), kept + 1e-9 * np.sign(leg.origin - kept), description)[2] == 0
+    assert clamp_desired(np.zeros(2), kept + 1e-9 * np.sign(leg.origin - kept), description)[2] == 0
 
 
 def test_a_walk_faster_than_trained_is_slowed_and_counted(description, contract):
     toes = np.array(contract.neutral_toes).reshape(2, 3)
-    v, _, moved = toes_within(np.array([0.9, -2.0]), toes, description)
+    v, _, moved = clamp_desired(np.array([0.9, -2.0]), toes, description)
     assert np.array_equal(v, [0.3, -0.3])
     assert moved == 2
 
@@ -47,7 +47,7 @@ def command(**changes) -> JointCommand:
 
 def test_a_command_inside_passes_untouched(description):
     given = command(q_des=description.poses["upright"])
-    assert command_within(given, description) == (given, 0)
+    assert clamp_command(given, description) == (given, 0)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_what_is_outside_is_clamped_and_counted(name, value, expected, descripti
     base = command(q_des=description.poses["upright"])
     changed = getattr(base, name).copy()
     changed[5] = value
-    kept, moved = command_within(dataclasses.replace(base, **{name: changed}), description)
+    kept, moved = clamp_command(dataclasses.replace(base, **{name: changed}), description)
     limit = (description.q_max if value > 0 else description.q_min)[5] if expected is None else expected
     assert moved == 1
     assert getattr(kept, name)[5] == limit

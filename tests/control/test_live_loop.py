@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.run.loop import run_policy
-from mimic.settings import RunSettings
-from mimic.types import PHASES, Command
+from mimic.config.play import RunSettings
+from mimic.records import PHASES, Command
 
 SHORT = RunSettings(stand_up=1.0, blend=0.1, hold=0.1)
 
 
-class Told:
+class ScriptedCommands:
     """Answers a number of commands, then nothing."""
 
     def __init__(self, toes: np.ndarray, count: int) -> None:
@@ -36,11 +35,11 @@ def phases(log) -> list[tuple[str, int]]:
     return [(PHASES[name], int(count)) for name, count in zip(names, counts, strict=True)]
 
 
-def test_they_are_asked_for_once_a_tick_after_standing_up_and_the_last_is_held(memory_plant, told_policy, toes):
-    told = Told(toes, 25)
-    log = run_policy(memory_plant(), told_policy(), told, SHORT).log
+def test_they_are_asked_for_once_a_tick_after_standing_up_and_the_last_is_held(play, memory_plant, fixed_policy, toes):
+    commands = ScriptedCommands(toes, 25)
+    log = play(memory_plant(), fixed_policy(), commands, SHORT).log
     assert phases(log) == [("stand_up", 50), ("blend", 5), ("track", 20), ("hold", 5)]
-    assert told.asked == 25 + 6
+    assert commands.asked == 25 + 6
     rows = log.phase == PHASES.index("track")
     np.testing.assert_allclose(log.p_BE_des[rows], np.broadcast_to(toes, (20, 2, 3)))
     assert (log.v_des[rows, 0] == 0.1).all()
@@ -50,15 +49,15 @@ def test_they_are_asked_for_once_a_tick_after_standing_up_and_the_last_is_held(m
     assert log.heading_des[rows][0] == pytest.approx(0.3)
 
 
-def test_a_source_that_ends_before_it_began_ends_the_run(memory_plant, told_policy, toes):
-    log = run_policy(memory_plant(), told_policy(), Told(toes, 0), SHORT).log
+def test_a_source_that_ends_before_it_began_ends_the_run(play, memory_plant, fixed_policy, toes):
+    log = play(memory_plant(), fixed_policy(), ScriptedCommands(toes, 0), SHORT).log
     assert phases(log) == [("stand_up", 50)]
 
 
-def test_every_run_ends_sitting_down(memory_plant, told_policy, toes, contract):
+def test_every_run_ends_sitting_down(play, memory_plant, fixed_policy, toes, contract):
     import dataclasses
 
-    sitter = told_policy()
+    sitter = fixed_policy()
     sitter.contract = dataclasses.replace(contract, task="sit_down")
-    log = run_policy(memory_plant(), told_policy(), Told(toes, 10), SHORT, sit_down=sitter).log
+    log = play(memory_plant(), fixed_policy(), ScriptedCommands(toes, 10), SHORT, sit_down=sitter).log
     assert phases(log)[-1] == ("sit_down", round(SHORT.sit_down / 0.02))

@@ -3,14 +3,14 @@ from __future__ import annotations
 import os
 import threading
 
-from mimic.run.priority import LOOP, real_time
+from mimic.control.priority import LOOP, real_time
 
 
 def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
-def test_it_lasts_as_long_as_it_is_wanted_and_is_told_where_it_is_not_given():
+def test_it_lasts_for_the_block_and_a_refusal_is_reported():
     before = policy()
     with real_time(LOOP) as allowed:
         assert policy() == (os.SCHED_FIFO if allowed else before)

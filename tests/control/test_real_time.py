@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.run.brake import damping_command
-from mimic.run.pacing import PacedPlant
+from mimic.control.damping import damping_command
+from mimic.control.real_time import PacedPlant
 
 
 class World:
@@ -42,7 +42,7 @@ def test_quick_steps_wait_for_the_clock(memory_plant, world):
         state = plant.step(STILL).state
     assert world.t - 5.0 == pytest.approx(50 * 0.02)
     assert state.t == pytest.approx(1.0)
-    assert plant.late == 0
+    assert plant.overruns == 0
 
 
 def test_a_slow_step_is_made_up_for_by_the_next_ones(memory_plant, world):
@@ -53,7 +53,7 @@ def test_a_slow_step_is_made_up_for_by_the_next_ones(memory_plant, world):
         inner.fail = lambda _, tick=tick: setattr(world, "t", world.t + (0.07 if tick == 3 else 0.004))
         plant.step(STILL)
     assert world.t - 5.0 == pytest.approx(20 * 0.02)
-    assert plant.late > 0
+    assert plant.overruns > 0
 
 
 def test_who_is_far_behind_counts_anew(memory_plant, world):

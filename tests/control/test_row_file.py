@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+from mimic.control.row_file import RowFile, read_rows
 from mimic.errors import AssetError, ContractError
-from mimic.run.row_file import RowFile, read_rows
 
 SHAPES = {"t": (), "q": (3,), "p": (2, 2)}
 
@@ -83,7 +83,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_rows_survive_a_process_that_is_killed(tmp_path):
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom mimic.run.row_file import RowFile\n"
+        "import sys, time\nfrom pathlib import Path\nfrom mimic.control.row_file import RowFile\n"
         "file = RowFile(Path(sys.argv[1]), {'t': ()}, {})\n"
         "for number in range(100): file.add({'t': number})\n"
         "print('written', flush=True)\ntime.sleep(600)\n"

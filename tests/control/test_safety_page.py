@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from mimic.run.safety_rules import ELSEWHERE, RULES
+from mimic.control.safety_rules import LOOP_RULES, RULES
 
-PAGE = (Path(__file__).parents[2] / "docs" / "robot.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "manual" / "robot.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
@@ -14,6 +14,6 @@ def test_the_page_has_every_rule_as_the_code_has_it(rule):
     assert f"| `{rule.name}` | {rule.limit} | {rule.within} | {rule.outcome} |" in PAGE
 
 
-@pytest.mark.parametrize("name", ELSEWHERE)
+@pytest.mark.parametrize("name", LOOP_RULES)
 def test_the_page_has_the_rules_of_the_loop(name):
-    assert f"* `{name}`: {ELSEWHERE[name]}." in PAGE
+    assert f"* `{name}`: {LOOP_RULES[name]}." in PAGE

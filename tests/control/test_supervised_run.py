@@ -4,67 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from mimic.config.play import RunSettings
+from mimic.control.loop import run_policy
+from mimic.control.recorder import EVENTS, ROWS, RunRecorder, salvage
+from mimic.control.signals import Signals
+from mimic.control.supervisor import SafetyMode
 from mimic.errors import PlantError
-from mimic.run.loop import run_policy
-from mimic.run.recorder import EVENTS, ROWS, RunRecorder, salvage
-from mimic.run.safety import Mode, Supervisor
-from mimic.run.safety_rules import LIMITS
-from mimic.run.signals import Signals
-from mimic.run.ticking import Safety
-from mimic.settings import RunSettings
-from mimic.types import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
+from mimic.records import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1, sit_down=1.5)
 RAMP, BEFORE, LAST = 20, 50 + 10 + 20 + 5, 75
 """Ticks of the ramp, of the run, and of sitting down, with a track of 20."""
-
-
-FORGIVING = dataclasses.replace(
-    LIMITS, imu_turn=10.0, toes_apart=10.0, toes_apart_moving=10.0, front_above=-10.0, jump=100.0
-)
-"""The base of the robot in memory does what it is told, whatever its legs do; its joints jump as the test's policy does."""
-
-
-class HealthyPlant:
-    """Wraps a plant in memory: tells its health, and what a test changes of it."""
-
-    def __init__(self, plant, health: Callable[[int, Health], Health] = lambda tick, health: health) -> None:
-        self.plant, self.health = plant, health
-        self.description, self.sent, self.ticks = plant.description, plant.sent, 0
-
-    def start(self):
-        return self._alive(self.plant.start())
-
-    def _alive(self, state):
-        noise = 1e-4 * np.sin(7.0 * self.ticks + np.arange(4))  # an IMU never says quite the same twice
-        return dataclasses.replace(state, quat_WB=state.quat_WB + noise)
-
-    def step(self, command: JointCommand) -> Tick:
-        done = self.plant.step(command)
-        self.ticks += 1
-        health = Health(
-            age=np.full(12, 0.018),
-            missed=np.zeros(12, dtype=int),
-            faults=np.zeros(12, dtype=int),
-            running=np.ones(12, dtype=bool),
-            temperature=np.full(12, 30.0),
-            imu_age=0.005,
-            imu_unchanged=0.005,
-            imu_count=self.ticks,
-            imu_valid=True,
-            compute=0.001,
-            late=0.0,
-            bus_errors=0,
-        )
-        return dataclasses.replace(done, state=self._alive(done.state), health=self.health(self.ticks, health))
-
-    def close(self) -> None:
-        self.plant.close()
 
 
 def lean(tick: int) -> float:
@@ -73,21 +27,21 @@ def lean(tick: int) -> float:
 
 
 @pytest.fixture
-def supervised(memory_plant, told_policy, contract, track, description, tmp_path):
+def supervised(memory_plant, fixed_policy, contract, track, description, forgiving, tmp_path):
     """Return a function that plays a supervised run on a robot that stands in the upright pose."""
 
-    def play(*, health=lambda tick, health: health, fail=lambda tick: None, says=None, endless=False, **options):
+    def play(*, health=lambda tick, health: health, fail=lambda tick: None, answer=None, endless=False, **options):
         upright = (description.poses["upright"] - np.array(contract.default_q)) / np.array(contract.action_scale)
-        answer = says or (lambda call: upright)
-        sitter = told_policy(says=lambda call: upright)
+        answer = answer or (lambda call: upright)
+        sitter = fixed_policy(answer=lambda call: upright)
         sitter.contract = dataclasses.replace(contract, task="sit_down")
-        plant = HealthyPlant(memory_plant(pitch=lean, fail=fail), health)
+        plant = memory_plant(pitch=lean, fail=fail, health=health)
         signals = options.pop("signals", Signals())
         recorder = RunRecorder(tmp_path / "run", contract.observation_size, {"dt": 0.02})
-        supervisor = Supervisor(description, FORGIVING)
-        safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=RAMP * 0.02, endless=endless)
+        safety = forgiving(signals=signals, recorder=recorder, ramp=RAMP * 0.02, endless=endless, damp_at_end=True)
+        supervisor = safety.supervisor
         result = run_policy(
-            plant, told_policy(says=answer), track(20), SHORT, sit_down=sitter, safety=safety, **options
+            plant, fixed_policy(answer=answer), track(20), SHORT, sit_down=sitter, safety=safety, **options
         )
         recorder.close()
         return result, plant, supervisor
@@ -108,11 +62,11 @@ def test_it_ramps_runs_sits_down_and_damps_until_it_rests(supervised, contract):
     rest = names[RAMP + BEFORE + LAST :]
     assert set(rest) == {"damp"}
     assert 25 <= len(rest) <= 28
-    assert supervisor.mode == Mode.STOPPED
+    assert supervisor.mode == SafetyMode.STOPPED
     assert [e.rule for e in result.events] == ["finished", "at_rest"]
     assert result.fell_at is None
     assert not result.interrupted
-    assert plant.plant.closed
+    assert plant.closed
     assert len(result.log.t) == len(plant.sent)
 
 
@@ -131,7 +85,7 @@ def test_damping_has_no_stiffness_and_the_most_the_motors_brake_with(supervised,
     result, plant, _ = supervised()
     damped = result.log.phase == PHASES.index("damp")
     assert not result.log.kp[damped].any()
-    assert np.all(result.log.kd[damped] == description.raw["motor"]["kd_most"])
+    assert np.all(result.log.kd[damped] == description.kd_max)
     assert not plant.sent[-1].kp.any()
 
 
@@ -188,7 +142,7 @@ def test_a_rule_that_sits_down_is_followed_in_the_next_tick(supervised):
 
 
 def test_an_answer_that_is_not_a_number_never_goes_out(supervised):
-    result, plant, _ = supervised(says=lambda call: np.full(12, np.nan if call == 30 else 0.0))
+    result, plant, _ = supervised(answer=lambda call: np.full(12, np.nan if call == 30 else 0.0))
     assert phases(result.log)[RAMP + 30] == "damp"
     assert result.events[0].rule == "not_finite"
     assert all(np.isfinite(command.q_des).all() for command in plant.sent)
@@ -196,7 +150,7 @@ def test_an_answer_that_is_not_a_number_never_goes_out(supervised):
 
 
 def test_a_wild_policy_is_clamped_and_counted(supervised, description):
-    result, _, _ = supervised(says=lambda call: np.full(12, 500.0 * (-1) ** call))
+    result, _, _ = supervised(answer=lambda call: np.full(12, 500.0 * (-1) ** call))
     assert "outside_limits" in [e.rule for e in result.events]
     assert result.health.clamped.max() >= 12
     assert np.all(result.log.q_sent <= description.q_max + 1e-9)
@@ -217,10 +171,10 @@ def raising(error: BaseException, at: int):
 @pytest.mark.parametrize("at", [3, 60, 130])
 def test_whatever_is_raised_ends_damped_with_the_whole_log(error, at, supervised, tmp_path):
     result, plant, _ = supervised(fail=raising(error, at))
-    assert plant.plant.closed
+    assert plant.closed
     assert len(result.log.t) >= at + 1
     assert np.isnan(result.log.q_sent[at]).all()  # asked for, but never sent
-    decisive = next(e for e in result.events if e.mode > Mode.RUN)
+    decisive = next(e for e in result.events if e.mode > SafetyMode.RUN)
     assert decisive.rule == "exception"
     if isinstance(error, PlantError):
         assert result.error is error
@@ -288,23 +242,22 @@ def test_a_run_that_began_is_kept(tmp_path, supervised):
 
 
 def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_policy(
-    memory_plant, told_policy, contract, track, description
+    memory_plant, fixed_policy, track, forgiving
 ):
-    plant = HealthyPlant(memory_plant(pitch=lean))
-    inner = plant.step
+    plant = memory_plant(pitch=lean)
+    step_of_plant = plant.step
 
     def step(command: JointCommand) -> Tick:
-        done = inner(command)
-        if plant.ticks in (60, 61):
+        done = step_of_plant(command)
+        if len(plant.sent) in (60, 61):
             q = done.state.q.copy()
             q[4] = np.nan
             done = dataclasses.replace(done, state=dataclasses.replace(done.state, q=q))
         return done
 
     plant.step = step
-    policy = told_policy()
-    safety = Safety(supervisor=Supervisor(description, FORGIVING), signals=Signals(), ramp=RAMP * 0.02)
-    log = run_policy(plant, policy, track(20), SHORT, safety=safety).log
+    policy = fixed_policy()
+    log = run_policy(plant, policy, track(20), SHORT, safety=forgiving(ramp=RAMP * 0.02)).log
     assert np.flatnonzero(np.isnan(log.q[:, 4])).tolist() == [60, 61]
     assert np.isfinite(policy.seen).all()
     held = np.array([seen.reshape(3, -1)[-1][4] for seen in policy.seen])

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from mimic.dynamics.catalogue import BASELINE, CATALOGUE, UnknownEffect, effect, unit_of
 from mimic.errors import ConfigError
-from mimic.robot.effects import CATALOGUE, DECLARED, UnknownEffect, effect, unit_of
 
 PARAMETERS = [(e.name, p.name) for e in CATALOGUE.values() for p in e.parameters]
 
@@ -32,7 +32,7 @@ def test_structural_effects_have_somewhere_to_start():
 
 
 def test_the_declared_ones_are_those_of_the_paper():
-    assert DECLARED == ("coulomb", "viscous", "link_mass", "delay")
+    assert BASELINE == ("coulomb", "viscous", "link_mass", "delay")
 
 
 def test_an_unknown_effect_is_told_with_all_that_there_are():

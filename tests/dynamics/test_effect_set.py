@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.dynamics.effect_set import EffectSet, EffectValues, read_effects, write_effects
+from mimic.dynamics.machine import hung_robot
+from mimic.dynamics.servo import parameters_of
 from mimic.errors import ConfigError
+from mimic.records import JOINTS
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet, EffectValues, read_effects, write_effects
-from mimic.robot.machine import hung_robot
-from mimic.robot.servo import parameters_of
-from mimic.types import JOINTS
 
 KNEES = ("FL_knee", "FR_knee")
 

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import ConfigError
 from mimic.robot.description import load_description
-from mimic.robot.excitation import hung_ranges, probe_targets
 
 DESCRIPTION = load_description()
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.law import Law
-from mimic.robot.machine import SOLREF_STEPS, MachineModel, read_machine
-from mimic.robot.servo import Servo, neutral, static_model
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.law import Law
+from mimic.dynamics.machine import SOLREF_STEPS, MachineModel, read_machine
+from mimic.dynamics.servo import Servo, neutral, static_model
 
 INERTIA, ARMATURE = 0.02, 0.003
 
@@ -68,7 +68,7 @@ class Bench:
         speed: float = 0.0,
         rest: bool = False,
     ) -> dict[str, np.ndarray]:
-        """Return time, position, speed, torque and reading of the first shaft; with ``rest`` the other one is at rest."""
+        """Return time, position, speed, torque and reading of the first shaft; with ``rest`` the other rests."""
         d, law, other = self.data, self.law, np.array([1.0, 0.0 if rest else 1.0])
         if not self._begun:
             self._begun = True

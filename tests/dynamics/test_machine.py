@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, inertias, read_machine, tilted_gravity
+from mimic.dynamics.servo import static_model
 from mimic.errors import AssetError
-from mimic.robot.machine import MachineModel, as_logged, hung_robot, inertias, read_machine, tilted_gravity
-from mimic.robot.servo import static_model
-from mimic.types import JOINTS
+from mimic.records import JOINTS
 
 SLIDE = """<mujoco><worldbody><body name="cart"><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
 <joint name="{joint}" type="{type}" axis="1 0 0" frictionloss="3"/></body></worldbody></mujoco>"""
@@ -42,9 +42,11 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
 
 
 ARM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="base" {turn}>
-<body name="upper" pos="0.1 0 0"><inertial pos="0.02 0.01 -0.1" mass="0.6" fullinertia="0.003 0.004 0.002 0.0004 0.0003 -0.0002"/>
+<body name="upper" pos="0.1 0 0">
+<inertial pos="0.02 0.01 -0.1" mass="0.6" fullinertia="0.003 0.004 0.002 0.0004 0.0003 -0.0002"/>
 <joint name="shoulder" axis="0 1 0"/>
-<body name="lower" pos="0 0 -0.2"><inertial pos="0 0.01 -0.08" quat="0.9 0.3 0.2 0.1" mass="0.3" diaginertia="0.002 0.0015 0.0007"/>
+<body name="lower" pos="0 0 -0.2">
+<inertial pos="0 0.01 -0.08" quat="0.9 0.3 0.2 0.1" mass="0.3" diaginertia="0.002 0.0015 0.0007"/>
 <joint name="elbow" axis="0 1 0"/><site name="hand" pos="0 0 -0.18"/>{load}</body></body>
 <body name="other" pos="0 1 0"><inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.001"/>
 <joint name="alone" axis="1 0 0"/></body></body></worldbody></mujoco>"""
@@ -114,7 +116,7 @@ def test_the_hung_robot_is_four_legs_with_toes_at_their_ends(description) -> Non
     assert machine.chain.tolist() == [leg for leg in range(4) for _ in range(3)]
     knees = np.flatnonzero(machine.last)
     assert [JOINTS[i][3:] for i in knees] == ["knee"] * 4
-    assert machine.tip[knees[0]] == pytest.approx(description.raw["toe"]["position"], abs=1e-6)
+    assert machine.tip[knees[0]] == pytest.approx(description.leg.toe, abs=1e-6)
     assert (machine.low, machine.high) == (
         pytest.approx(description.q_min, abs=1e-3),
         pytest.approx(description.q_max, abs=1e-3),

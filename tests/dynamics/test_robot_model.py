@@ -7,18 +7,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.frames import rotation_from_quat
-from mimic.robot.leg import front_toes
-from mimic.robot.model import (
-    TOES,
+from mimic.config.play import NOMINAL, Randomisation
+from mimic.dynamics.robot_model import (
     command_in_effect,
     draw_variation,
     load_model,
     restitution_damping,
     vary_model,
 )
-from mimic.settings import NOMINAL, Randomisation
-from mimic.types import JOINTS, LEGS
+from mimic.geometry import rotation_from_quat
+from mimic.records import JOINTS, LEGS
+from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.model import TOES
 
 VARIED = (
     "dof_frictionloss",

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.heat import MotorHeat, seconds_to_limit, winding_rise
+from mimic.dynamics.thermal import MotorHeat, seconds_to_limit, winding_rise
 
 
 def limit_of(torque: float, description, *, ticks: int = 100, dt: float = 0.02) -> np.ndarray:
@@ -12,7 +12,7 @@ def limit_of(torque: float, description, *, ticks: int = 100, dt: float = 0.02) 
 
 @pytest.mark.parametrize("point", range(9))
 def test_the_times_of_the_overload_table_come_back(point, description):
-    torque, seconds = description.overload_torque[point], description.overload_seconds[point]
+    torque, seconds = description.thermal.overload_torque[point], description.thermal.overload_time[point]
     for sign in (1.0, -1.0):
         assert np.allclose(np.log(limit_of(sign * torque, description) / seconds), 0.0, atol=0.17)
 

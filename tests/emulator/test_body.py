@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.config.play import NOMINAL, Solver
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.emulator.body import AMBIENT, EmulatedBody
+from mimic.emulator.motor import FREE, HOT, Drive
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.run.emulated_body import AMBIENT, EmulatedBody
-from mimic.run.emulated_motor import FREE, HOT, Drive
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, Solver
-from mimic.types import JOINTS, JointCommand
+from mimic.records import JOINTS, JointCommand
+from mimic.simulation.plant import SimulatedPlant
 
 KNEE = JOINTS.index("FL_knee")
 
@@ -69,7 +69,7 @@ def test_until_it_is_released_somebody_holds_it(description):
 
 
 def test_hung_up_its_trunk_stays_and_its_free_legs_hang(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     made.advance(4.0)
     q = joints(made)[:, 0].reshape(4, 3)
     assert np.allclose(np.abs(q[:, 0]), description.q_max[0], atol=0.01), "thighs swing in under their axis"
@@ -80,7 +80,7 @@ def test_hung_up_its_trunk_stays_and_its_free_legs_hang(description):
 
 
 def test_between_steps_a_joint_is_where_its_velocity_takes_it(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     made.advance(0.1)
     q, dq, _ = made.joint(KNEE, made.time)
     assert abs(dq) > 0.1
@@ -88,9 +88,9 @@ def test_between_steps_a_joint_is_where_its_velocity_takes_it(description):
 
 
 def test_damping_only_brakes_and_a_feed_forward_torque_is_given(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     made.drive(KNEE, Drive(kd=5.0), 0.0)
-    free = body(description, hung=True)
+    free = body(description, suspended=True)
     for m in (made, free):
         m.advance(0.15)
     assert abs(made.joint(KNEE, made.time)[1]) < 0.3 * abs(free.joint(KNEE, free.time)[1])
@@ -100,7 +100,7 @@ def test_damping_only_brakes_and_a_feed_forward_torque_is_given(description):
 
 
 def test_no_more_torque_than_the_limit_is_given(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     made.drive(KNEE, Drive(tau=9.0, limit=2.0), 0.0)
     made.advance(0.01)
     assert made.joint(KNEE, made.time)[2] == pytest.approx(2.0)
@@ -110,7 +110,7 @@ def test_no_more_torque_than_the_limit_is_given(description):
 
 
 def test_a_desired_velocity_is_followed(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     hold(made, description.poses["four"])
     made.advance(0.5)
     made.drive(KNEE, Drive(kd=5.0, dq=-1.0), made.time)
@@ -119,7 +119,7 @@ def test_a_desired_velocity_is_followed(description):
 
 
 def test_a_target_with_a_pace_is_approached_at_it(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     hold(made, description.poses["four"])
     made.advance(0.5)
     begin = made.joint(KNEE, made.time)[0]
@@ -131,7 +131,7 @@ def test_a_target_with_a_pace_is_approached_at_it(description):
 def test_a_delay_is_that_of_the_effect(description):
     """A torque that is asked for at 0.1 s is given from 0.1 s plus the delay on."""
     for seconds in (0.0, 0.02):
-        made = body(description, hung=True, effects=effect("delay", time=seconds))
+        made = body(description, suspended=True, effects=effect("delay", time=seconds))
         made.drive(KNEE, Drive(tau=1.0), 0.1)
         made.advance(0.1 + seconds - 0.001)
         assert made.joint(KNEE, made.time)[2] == 0.0
@@ -140,7 +140,7 @@ def test_a_delay_is_that_of_the_effect(description):
 
 
 def test_a_command_that_comes_within_a_step_acts_for_what_is_left_of_it(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     made.advance(0.1)
     made.drive(KNEE, Drive(tau=1.0), 0.101)
     made.drive(KNEE, Drive(tau=3.0), 0.102)
@@ -153,7 +153,7 @@ def test_a_command_that_comes_within_a_step_acts_for_what_is_left_of_it(descript
 def test_hidden_friction_slows_a_falling_leg(description):
     speeds = []
     for level in (0.05, 0.4):
-        made = body(description, hung=True, effects=effect("coulomb", "FL_knee", level=level))
+        made = body(description, suspended=True, effects=effect("coulomb", "FL_knee", level=level))
         made.advance(0.1)
         speeds.append(abs(made.joint(KNEE, made.time)[1]))
     assert speeds[1] < 0.7 * speeds[0]
@@ -167,7 +167,7 @@ def test_an_encoder_that_is_off_reads_off(description):
 
 def test_a_tilted_stand_tilts_the_trunk_and_is_of_hung_robots_only(description):
     tilt = effect("base_tilt", roll=0.0, pitch=0.1)
-    quat, _ = body(description, hung=True, effects=tilt).base()
+    quat, _ = body(description, suspended=True, effects=tilt).base()
     assert np.allclose(quat, [np.cos(0.05), 0, np.sin(0.05), 0])
     with pytest.raises(ConfigError, match="base_tilt"):
         EmulatedBody(description, effects=tilt)
@@ -175,7 +175,7 @@ def test_a_tilted_stand_tilts_the_trunk_and_is_of_hung_robots_only(description):
 
 def test_work_makes_a_motor_warm_as_fast_as_the_maker_says(description):
     """12 N m may last 28 s by the manual; the fitted model says 33 s at most."""
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     assert made.temperature(KNEE) == AMBIENT
     made.drive(KNEE, Drive(tau=-12.0), 0.0)  # against the stop
     made.advance(20.0)
@@ -200,7 +200,7 @@ def test_the_same_seed_gives_the_same_motion(description):
 
 
 def test_a_free_motor_gives_no_torque(description):
-    made = body(description, hung=True)
+    made = body(description, suspended=True)
     hold(made, description.poses["four"])
     made.advance(0.2)
     assert np.abs(joints(made)[:, 2]).max() > 0.1

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mimic.run.can_frame import CanFrame, frame_bits
-from mimic.run.emulated_bus import EmulatedBus, Sent
+from mimic.emulator.bus import EmulatedBus, Sent
+from mimic.hardware.can.frame import CanFrame, frame_bits
 
 LOW, HIGH = CanFrame(0x01000001, bytes(8)), CanFrame(0x04000001, bytes(8))
 MBIT = 1_000_000

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from mimic.emulator.faults import KINDS, EmulatedFault, parse_fault, random_fault
 from mimic.errors import ConfigError
-from mimic.run.emulated_faults import KINDS, EmulatedFault, parse_fault, random_fault
-from mimic.types import JOINTS
+from mimic.records import JOINTS
 
 
 @pytest.mark.parametrize(
@@ -72,5 +72,5 @@ def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
 
 
 def test_the_manual_names_every_kind():
-    manual = (Path(__file__).parents[2] / "docs" / "robot.md").read_text(encoding="utf-8")
+    manual = (Path(__file__).parents[2] / "docs" / "manual" / "robot.md").read_text(encoding="utf-8")
     assert [kind for kind in KINDS if f"`{kind}`" not in manual] == []

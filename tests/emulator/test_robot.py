@@ -6,17 +6,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.motor import ROTOR_TURN
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
-from mimic.robot.wiring import Wiring, load_wiring
-from mimic.run.can_frame import CanFrame, frame_bits
-from mimic.run.cybergear import Codec
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulated_motor import ROTOR_TURN
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.imu import ImuReading, make_imu
-from mimic.run.link import Received
-from mimic.run.motor_messages import (
+from mimic.hardware.can.frame import CanFrame, frame_bits
+from mimic.hardware.can.link import Received
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_SPD,
@@ -43,8 +42,9 @@ from mimic.run.motor_messages import (
     Stop,
     WriteParameter,
 )
-from mimic.settings import EmulateSettings
-from mimic.types import JOINTS
+from mimic.hardware.wiring import Wiring, load_wiring
+from mimic.hardware.xsens_mti import ImuReading, make_imu
+from mimic.records import JOINTS
 
 HOST = 0xFD
 KNEE = JOINTS.index("FL_knee")
@@ -55,7 +55,7 @@ class Bench:
 
     def __init__(self, description, wiring: Wiring | None = None, faults: tuple[str, ...] = (), **options) -> None:
         self.wiring = load_wiring() if wiring is None else wiring
-        settings = EmulateSettings(**({"homed": True, "placement": 0.0} | options))
+        settings = EmulateSettings(**({"zeroed": True, "placement": 0.0} | options))
         self.robot = EmulatedRobot(description, self.wiring, settings, faults=[parse_fault(f) for f in faults])
         self.link = EmulatedLink(self.robot)
         self.codec = Codec()
@@ -127,7 +127,7 @@ def test_at_power_up_every_motor_tells_its_id_once(description):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_after_power_up_angles_are_known_within_a_turn_of_the_rotor_only(seed, bench):
-    made = bench(homed=False, seed=seed)
+    made = bench(zeroed=False, seed=seed)
     for joint in range(12):
         answer = made.ask(Stop(motor=made.id(joint), host=HOST))
         assert abs(answer.q) <= ROTOR_TURN / 2 + 1e-3
@@ -136,7 +136,7 @@ def test_after_power_up_angles_are_known_within_a_turn_of_the_rotor_only(seed, b
 
 def test_the_encoder_stays_where_it_is_mounted(bench):
     """Off and on again, wherever the zero was set meanwhile, the same place reads the same."""
-    made = bench("power_cycle:FL_knee@0.5", homed=False)
+    made = bench("power_cycle:FL_knee@0.5", zeroed=False)
     first = made.ask(Stop(motor=made.id(KNEE), host=HOST)).q
     assert made.ask(SetZero(motor=made.id(KNEE), host=HOST)).q == pytest.approx(0.0, abs=1e-3)
     made.write(KNEE, LIMIT_SPD, 7.0)
@@ -147,7 +147,7 @@ def test_the_encoder_stays_where_it_is_mounted(bench):
 
 
 def test_different_seeds_mount_encoders_differently(bench):
-    readings = [bench(homed=False, seed=s).ask(Stop(motor=3, host=HOST)).q for s in (1, 2)]
+    readings = [bench(zeroed=False, seed=s).ask(Stop(motor=3, host=HOST)).q for s in (1, 2)]
     assert readings[0] != readings[1]
 
 
@@ -223,7 +223,7 @@ def test_motors_of_the_other_position_range_can_be_found_out(description):
 
 
 def test_only_a_motor_that_is_switched_on_moves(bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     made.robot.body.release()
     made.operate(KNEE, tau=-3.0)
     made.listen(0.02)
@@ -239,7 +239,7 @@ def test_only_a_motor_that_is_switched_on_moves(bench):
 
 
 def test_the_last_command_goes_on_when_the_host_falls_silent(bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     made.enable(KNEE)
     made.operate(KNEE, tau=-3.0)
     made.listen(1.0)
@@ -248,7 +248,7 @@ def test_the_last_command_goes_on_when_the_host_falls_silent(bench):
 
 @pytest.mark.parametrize("honoured", [True, False])
 def test_firmware_that_honours_the_timeout_lets_go_and_other_firmware_forgets_it(honoured, bench):
-    made = bench(hung=True, can_timeout=honoured)
+    made = bench(suspended=True, can_timeout=honoured)
     made.write(KNEE, CAN_TIMEOUT, 2000)  # 0.1 s
     assert made.read(KNEE, CAN_TIMEOUT) == (2000 if honoured else 0)
     made.enable(KNEE)
@@ -261,7 +261,7 @@ def test_firmware_that_honours_the_timeout_lets_go_and_other_firmware_forgets_it
 
 
 def test_the_torque_limit_holds_from_when_it_is_written(bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     made.enable(KNEE)
     made.operate(KNEE, tau=-5.0)
     made.listen(0.5)  # until it is at its stop
@@ -271,7 +271,7 @@ def test_the_torque_limit_holds_from_when_it_is_written(bench):
 
 
 def test_joint_and_motor_turn_the_same_way_as_the_wiring_says(bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     for joint in (KNEE, JOINTS.index("FR_knee")):
         made.enable(joint)
         target = float(made.wiring.p_of(np.full(12, -1.2))[joint])
@@ -284,7 +284,7 @@ def test_joint_and_motor_turn_the_same_way_as_the_wiring_says(bench):
 
 @pytest.mark.parametrize(("mode", "index", "value"), [(2, SPD_REF, -2.0), (3, IQ_REF, -2.0)])
 def test_speed_and_current_modes_turn_the_motor(mode, index, value, bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     joint = JOINTS.index("FR_hip")
     made.write(joint, RUN_MODE, mode)
     made.enable(joint)
@@ -295,7 +295,7 @@ def test_speed_and_current_modes_turn_the_motor(mode, index, value, bench):
 
 
 def test_position_mode_moves_only_once_it_has_a_speed(bench):
-    made = bench(hung=True)
+    made = bench(suspended=True)
     made.write(KNEE, RUN_MODE, 1)
     made.write(KNEE, LOC_REF, 0.0)
     made.enable(KNEE)
@@ -374,7 +374,7 @@ def test_an_imu_that_tilts_is_wrong_by_as_much(description):
 
 
 def test_a_dead_motor_is_silent_and_limp(bench):
-    made = bench("motor_dead:FL_knee@1", hung=True)
+    made = bench("motor_dead:FL_knee@1", suspended=True)
     made.enable(KNEE)
     made.operate(KNEE, tau=-3.0)
     made.listen(1.0)
@@ -384,7 +384,7 @@ def test_a_dead_motor_is_silent_and_limp(bench):
 
 
 def test_a_mute_motor_obeys(bench):
-    made = bench("motor_mute:FL_knee@1", hung=True)
+    made = bench("motor_mute:FL_knee@1", suspended=True)
     made.enable(KNEE)
     made.listen(1.0)
     made.say(Operation(motor=3, q=0, dq=0, kp=0, kd=0, tau=-3.0))
@@ -393,7 +393,7 @@ def test_a_mute_motor_obeys(bench):
 
 
 def test_a_deaf_motor_goes_on(bench):
-    made = bench("motor_deaf:FL_knee@1", hung=True)
+    made = bench("motor_deaf:FL_knee@1", suspended=True)
     made.enable(KNEE)
     made.operate(KNEE, tau=-3.0)
     made.listen(1.0)
@@ -411,7 +411,7 @@ def test_a_deaf_motor_goes_on(bench):
     ],
 )
 def test_a_fault_switches_the_motor_off_until_it_is_cleared(fault, bit, detail, bench):
-    made = bench(fault, hung=True)
+    made = bench(fault, suspended=True)
     made.enable(KNEE)
     reports = [m for m in made.messages(0.48) if isinstance(m, FaultReport) and m.motor == 3]
     assert [report.faults for report in reports] == [detail]
@@ -454,7 +454,7 @@ def test_doubled_frames_come_twice(bench):
 
 
 def test_corrupted_frames_have_one_wrong_bit(description):
-    made = Bench(description, faults=("frames_corrupted=1@0",), imu_noise=0.0, hung=True)
+    made = Bench(description, faults=("frames_corrupted=1@0",), imu_noise=0.0, suspended=True)
     heard = [r.frame for r in made.listen(0.5) if r.frame.id in (0x021, 0x023, 0x025, 0x029, 0x031, 0x001, 0x061)]
     right = bytes.fromhex("7FFF000000000000")
     wrong = [
@@ -502,7 +502,7 @@ def test_a_fault_may_count_from_when_the_first_motor_is_switched_on(bench):
     made.enable(KNEE)
     assert watch(made, 0.9).problem is None
     assert "silent" in watch(made, 0.5).problem or watch(made, 0.1).count == 0
-    assert next(text for _, text in made.robot.told).startswith("first motor")
+    assert next(text for _, text in made.robot.events).startswith("first motor")
 
 
 def test_a_fault_on_a_bus_that_is_not_there_is_refused(description):
@@ -561,7 +561,7 @@ def test_the_load_of_the_bus_is_that_of_the_arithmetic(buses, rate, imu, expecte
     wiring = dataclasses.replace(
         wiring, imu=dataclasses.replace(wiring.imu, rate={"quaternion": imu, "rate_of_turn": imu})
     )
-    made = Bench(description, wiring, hung=True)
+    made = Bench(description, wiring, suspended=True)
     made.listen(0.1)
     bits, begin = [bus.bits for bus in made.robot.buses], made.link.now()
     for heard in moving(made, rate, 1.0):
@@ -572,7 +572,7 @@ def test_the_load_of_the_bus_is_that_of_the_arithmetic(buses, rate, imu, expecte
 
 
 def test_two_buses_carry_half_each_and_one_the_imu(description):
-    made = Bench(description, load_wiring(buses=2), hung=True)
+    made = Bench(description, load_wiring(buses=2), suspended=True)
     made.listen(0.1)
     for _ in moving(made, 100.0, 0.5):
         pass

@@ -8,19 +8,22 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import CATCH_UP, EmulatorServer
 from mimic.errors import BusError
-from mimic.robot.wiring import load_wiring
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.emulator_server import CATCH_UP, EmulatorServer
-from mimic.settings import EmulateSettings
+from mimic.hardware.wiring import load_wiring
 
 PATIENCE = 30.0
+"""Limit on hanging only [s]."""
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
 def server(description) -> Iterator[EmulatorServer]:
-    made = EmulatorServer(EmulatedRobot(description, load_wiring(), EmulateSettings(homed=True)), slcan=0)
+    made = EmulatorServer(EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True)), slcan=0)
     yield made
     made.close()
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mimic.run.can_frame import CanFrame
-from mimic.run.can_text import SlcanSession, SocketcandSession
+from mimic.emulator.wire_formats import SlcanSession, SocketcandSession
+from mimic.hardware.can.frame import CanFrame
 
 COMMAND = CanFrame(0x017FFF01, bytes.fromhex("8A2F7FFF0F5C3333"))
 QUATERNION = CanFrame(0x021, bytes.fromhex("7FFF000000000000"), extended=False)

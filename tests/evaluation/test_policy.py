@@ -1,16 +1,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from mimic.config.evaluation import EvaluateSettings
 from mimic.errors import AssetError, ContractError
+from mimic.evaluation import policy
+from mimic.evaluation.policy import GOAL_SECONDS, command_script, evaluate, goal_path
+from mimic.io.assets import shipped
+from mimic.io.store import plain
 from mimic.robot.goals import leg_joints
-from mimic.run.evaluation import GOAL_SECONDS, command_script, evaluate, goal_path
-from mimic.settings import EvaluateSettings
-from mimic.shipped import shipped
-from mimic.store import plain
 
 FEW = EvaluateSettings(episodes=2, seconds=2.0, workers=1)
 
@@ -57,25 +59,34 @@ def test_scripts_are_those_of_their_seed(description):
     assert not np.array_equal(one.p_BE, other.p_BE)
 
 
-def test_scripts_walk_and_turn_as_in_the_paper_unless_told(description):
+def test_scripts_walk_and_turn_as_in_the_paper_unless_given(description):
     free = script(description)
     assert np.abs(free.v[:, 0]).max() <= 0.3 + 1e-9
     assert not free.v[:, 1].any()
     assert len(np.unique(free.heading)) == 2
-    told = script(description, speed=-0.3, turn=1.0)
-    assert np.all(told.v[:, 0] == -0.3)
-    assert np.all(told.heading == 1.0)
+    fixed = script(description, speed=-0.3, turn=1.0)
+    assert np.all(fixed.v[:, 0] == -0.3)
+    assert np.all(fixed.heading == 1.0)
 
 
 @pytest.fixture(scope="module")
-def judged() -> tuple[dict, list]:
+def few_nominal_episodes() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(policy, "TOE_EPISODES", 1)
+        patch.setattr(policy, "COMMAND_EPISODES", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def evaluated(few_nominal_episodes) -> tuple[dict, list]:
     seen: list[tuple[int, int]] = []
     path = shipped("policies", "stand_track.onnx")
     return evaluate(path, FEW, progress=lambda done, total: seen.append((done, total))), seen
 
 
-def test_a_policy_is_judged_by_these_figures(judged):
-    result, _ = judged
+@pytest.mark.slow
+def test_a_policy_is_evaluated_by_these_figures(evaluated):
+    result, _ = evaluated
     assert set(result["summary"]) == FIGURES
     assert result["policy"] == "stand_track.onnx"
     assert result["summary"]["episodes"] == 2
@@ -84,28 +95,33 @@ def test_a_policy_is_judged_by_these_figures(judged):
     assert set(result["summary"]["turn_error_rad"]) == {"+90", "-60"}
 
 
-def test_every_kind_of_episode_is_played(judged):
-    kinds = [row["kind"] for row in judged[0]["episodes"]]
+@pytest.mark.slow
+def test_every_kind_of_episode_is_played(evaluated):
+    kinds = [row["kind"] for row in evaluated[0]["episodes"]]
     assert kinds.count("randomised") == 2
     assert {"toes", "walk", "turn"} < set(kinds)
 
 
-def test_progress_counts_all_episodes(judged):
-    result, seen = judged
+@pytest.mark.slow
+def test_progress_counts_all_episodes(evaluated):
+    result, seen = evaluated
     total = len(result["episodes"])
     assert seen == [(i + 1, total) for i in range(total)]
 
 
-def test_episodes_are_numbered_by_their_seeds(judged):
-    assert [row["seed"] for row in judged[0]["episodes"] if row["kind"] == "randomised"] == [1, 2]
+@pytest.mark.slow
+def test_episodes_are_numbered_by_their_seeds(evaluated):
+    assert [row["seed"] for row in evaluated[0]["episodes"] if row["kind"] == "randomised"] == [1, 2]
 
 
-def test_the_same_seeds_give_the_same_figures(judged):
+@pytest.mark.slow
+def test_the_same_seeds_give_the_same_figures(evaluated):
     again = evaluate(shipped("policies", "stand_track.onnx"), FEW)
-    assert json.dumps(plain(again)) == json.dumps(plain(judged[0]))
+    assert json.dumps(plain(again)) == json.dumps(plain(evaluated[0]))
 
 
-def test_a_policy_that_only_falls_is_judged_too(tmp_path, constant_onnx):
+@pytest.mark.slow
+def test_a_policy_that_only_falls_is_evaluated_too(tmp_path, constant_onnx, few_nominal_episodes):
     result = evaluate(constant_onnx(tmp_path / "useless.onnx"), FEW)
     assert result["summary"]["stood_up_and_kept"] == 0.0
     assert result["summary"]["nominal_falls"] > 0

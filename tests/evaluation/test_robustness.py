@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mimic.config.evaluation import RobustnessSettings
+from mimic.config.play import NO_DISTURBANCE, Disturbance, Randomisation, Solver
 from mimic.errors import AssetError
-from mimic.run import robustness
-from mimic.run.axes import AXES, START, all_at_once
-from mimic.run.robustness import SOLVERS, evaluate_robustness, holds
-from mimic.settings import CALM, Disturbance, Randomisation, RobustnessSettings, Solver
-from mimic.shipped import shipped
-from mimic.store import plain
+from mimic.evaluation import robustness
+from mimic.evaluation.disturbance_axes import AXES, START, all_at_once
+from mimic.evaluation.robustness import SOLVERS, evaluate_robustness, holds
+from mimic.io.assets import shipped
+from mimic.io.store import plain
 
 
 def changed(one: Any, other: Any) -> set[str]:
@@ -33,18 +34,18 @@ def test_an_axis_is_tried_at_its_ends_and_without_it(name):
 @pytest.mark.parametrize("name", AXES)
 def test_an_axis_changes_nothing_but_itself(name):
     axis = AXES[name]
-    calm = axis.apply((START, CALM), axis.nominal)
-    harsh = axis.apply((START, CALM), axis.asked[1] if axis.asked[1] != axis.nominal else axis.asked[0])
-    different = changed(calm[0], harsh[0]) | changed(calm[1], harsh[1])
+    undisturbed = axis.apply((START, NO_DISTURBANCE), axis.nominal)
+    harsh = axis.apply((START, NO_DISTURBANCE), axis.asked[1] if axis.asked[1] != axis.nominal else axis.asked[0])
+    different = changed(undisturbed[0], harsh[0]) | changed(undisturbed[1], harsh[1])
     assert 1 <= len(different) <= 2
-    assert changed(START, calm[0]) <= {"push_interval"}
-    assert not changed(CALM, calm[1])
+    assert changed(START, undisturbed[0]) <= {"push_interval"}
+    assert not changed(NO_DISTURBANCE, undisturbed[1])
 
 
 def test_all_at_once_is_nominal_at_nothing_and_inside_the_ranges_at_one():
     ranges, disturbance = all_at_once(0.0, 1)
     assert changed(START, ranges) <= {"push_interval"}
-    assert not changed(CALM, disturbance)
+    assert not changed(NO_DISTURBANCE, disturbance)
     worlds = [all_at_once(1.0, seed) for seed in range(50)]
     friction = [ranges.ground_friction[0] for ranges, _ in worlds]
     assert AXES["ground_friction"].asked[0] <= min(friction) < 0.8 < 2.5 < max(friction) <= 3.0
@@ -84,7 +85,8 @@ def small(monkeypatch) -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_shares_fall_where_a_robot_is_dragged_off_or_commanded_late():
+@pytest.mark.slow
+def test_shares_fall_where_a_robot_is_dragged_off_or_commanded_with_delay():
     seen: list[tuple[int, int]] = []
     path = shipped("policies", "stand_track.onnx")
     result = evaluate_robustness(path, FEW, progress=lambda done, total: seen.append((done, total)))
@@ -104,7 +106,7 @@ def test_a_policy_that_is_not_there_is_refused(tmp_path):
         evaluate_robustness(tmp_path / "nowhere.onnx", FEW)
 
 
-def test_points_are_told_apart_by_their_names():
+def test_points_are_distinguished_by_their_names():
     for axis in AXES.values():
         assert len({f"{value:g}" for value in axis.points}) == len(axis.points)
         assert np.isfinite(axis.points).all()

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.config.evaluation import SitDownEvaluateSettings
+from mimic.control.damping import damping_command
 from mimic.errors import ContractError
+from mimic.evaluation.contact_recorder import ContactRecorder
+from mimic.evaluation.sit_down import evaluate_sit_down, lies, summarise
 from mimic.policy.runtime import load_policy
-from mimic.run.brake import damping_command
-from mimic.run.simulation import SimulatedPlant
-from mimic.run.sit_down_evaluation import evaluate_sit_down, lies, summarise
-from mimic.run.touches import TouchRecorder
-from mimic.settings import SitDownEvaluateSettings
-from mimic.types import JointCommand
+from mimic.records import JointCommand
+from mimic.simulation.plant import SimulatedPlant
 
 FEW = SitDownEvaluateSettings(episodes=3, seconds=2.5, workers=1)
 
@@ -27,7 +27,7 @@ def sinking_onnx(constant_onnx, contract, description, tmp_path):
     return constant_onnx(tmp_path / "sinking.onnx", metadata=metadata)
 
 
-def test_hand_overs_are_judged_and_repeat(sinking_onnx):
+def test_policy_switches_are_evaluated_and_repeat(sinking_onnx):
     result = evaluate_sit_down(sinking_onnx, FEW)
     assert result == evaluate_sit_down(sinking_onnx, FEW)
     assert len(result["episodes"]) == 3
@@ -70,8 +70,8 @@ def test_robots_that_fell_before_are_counted_apart():
 
 def test_what_touches_and_how_fast_is_seen_at_each_physics_step(description):
     """A robot that is dropped falls at a known speed, and sinks onto its belly when its legs go limp."""
-    recorder = TouchRecorder()
-    plant = SimulatedPlant(description, samples=False, watch=recorder)
+    recorder = ContactRecorder(description)
+    plant = SimulatedPlant(description, samples=False, observer=recorder)
     state = plant.start()
     plant.data.qpos[2] += 0.2
     folded = np.where(np.arange(12) % 3 == 0, 0.0, np.where(np.arange(12) % 3 == 1, 1.3, -2.5))
@@ -80,13 +80,13 @@ def test_what_touches_and_how_fast_is_seen_at_each_physics_step(description):
     )
     for _ in range(8):
         plant.step(stiff)
-    flying = recorder.landing(0.0)
+    flying = recorder.touchdown(0.0)
     assert not flying.trunk_touched
     assert flying.impact_speed == 0.0
     assert flying.sinking_speed == pytest.approx(9.81 * 0.16, rel=0.05)
     for _ in range(60):
         state = plant.step(damping_command(state.q, 0.2)).state
-    down = recorder.landing(0.0)
+    down = recorder.touchdown(0.0)
     assert down.trunk_touched
     assert not down.head_touched
     assert down.toe_speed == pytest.approx((2 * 9.81 * 0.2) ** 0.5, rel=0.25)
@@ -94,6 +94,7 @@ def test_what_touches_and_how_fast_is_seen_at_each_physics_step(description):
     assert down.acceleration > 9.0
 
 
+@pytest.mark.slow
 def test_the_shipped_policy_comes_down_gently(description):
     path = load_policy(None, description, task="sit_down").path
     s = evaluate_sit_down(path, SitDownEvaluateSettings(episodes=40, seed=7001))["summary"]

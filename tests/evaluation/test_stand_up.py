@@ -4,29 +4,29 @@ import json
 
 import pytest
 
+from mimic.config.evaluation import StandUpSettings
 from mimic.errors import AssetError
-from mimic.run.stand_up import evaluate_stand_up, summarise
-from mimic.settings import StandUpSettings
-from mimic.shipped import shipped
-from mimic.store import plain
+from mimic.evaluation.stand_up import evaluate_stand_up, summarise
+from mimic.io.assets import shipped
+from mimic.io.store import plain
 
 FEW = StandUpSettings(episodes=3, still_episodes=1, still_seconds=2.0, workers=1)
 
 
 @pytest.fixture(scope="module")
-def judged() -> dict:
+def evaluated() -> dict:
     return evaluate_stand_up(shipped("policies", "stand_track.onnx"), FEW)
 
 
-def test_every_start_and_every_standing_robot_is_judged(judged):
-    kinds = [row["kind"] for row in judged["episodes"]]
+def test_every_start_and_every_standing_robot_is_evaluated(evaluated):
+    kinds = [row["kind"] for row in evaluated["episodes"]]
     assert kinds.count("rise") == 3
     assert kinds.count("still") == 1
-    assert [row["seed"] for row in judged["episodes"] if row["kind"] == "rise"] == [1, 2, 3]
+    assert [row["seed"] for row in evaluated["episodes"] if row["kind"] == "rise"] == [1, 2, 3]
 
 
-def test_the_shipped_policy_stands_up_and_stays_inside_its_motors(judged):
-    s = judged["summary"]
+def test_the_shipped_policy_stands_up_and_stays_inside_its_motors(evaluated):
+    s = evaluated["summary"]
     assert s["upright_in_time"] == 1.0
     assert 0.1 < s["stand_up_median_s"] <= s["stand_up_p95_s"] < 1.5
     assert 1.0 < s["joint_speed_max_rad_s"] <= s["joint_speed_limit_rad_s"]
@@ -34,9 +34,10 @@ def test_the_shipped_policy_stands_up_and_stays_inside_its_motors(judged):
     assert s["still_drift_mean_m"] <= s["still_drift_max_m"] <= s["still_farthest_m"] < 0.5
 
 
-def test_the_same_seeds_give_the_same_figures(judged):
+@pytest.mark.slow
+def test_the_same_seeds_give_the_same_figures(evaluated):
     again = evaluate_stand_up(shipped("policies", "stand_track.onnx"), FEW)
-    assert json.dumps(plain(again)) == json.dumps(plain(judged))
+    assert json.dumps(plain(again)) == json.dumps(plain(evaluated))
 
 
 def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so():
@@ -50,7 +51,8 @@ def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so():
     assert s["stand_up_median_s"] == pytest.approx(1.25)
 
 
-def test_a_policy_that_only_falls_is_judged_too(tmp_path, constant_onnx):
+@pytest.mark.slow
+def test_a_policy_that_only_falls_is_evaluated_too(tmp_path, constant_onnx):
     s = evaluate_stand_up(constant_onnx(tmp_path / "useless.onnx"), FEW)["summary"]
     assert s["upright_in_time_and_kept"] == 0.0
     assert s["still_drift_mean_m"] == float("inf")

@@ -1,7 +1,7 @@
 from pathlib import Path
 
-from mimic.robot.effect_set import read_effects
-from mimic.types import JOINTS
+from mimic.dynamics.effect_set import read_effects
+from mimic.records import JOINTS
 
 HIDDEN = Path(__file__).resolve().parents[2] / "examples" / "hidden.toml"
 

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic import store
 from mimic.cli import main
-from mimic.types import PHASES, CommandTrack, LiveTrack, PoseTrack, RunLog
-from mimic.view.footage import encode_h264, read_frames
+from mimic.io import store
+from mimic.records import PHASES, CommandTrack, LiveTrack, PoseTrack, RunLog
+from mimic.view.film.footage import encode_h264, read_frames
+
+pytestmark = pytest.mark.slow
 
 WAVING = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"
 
@@ -30,14 +32,22 @@ def run(tmp_path_factory) -> Path:
 
 
 def test_it_leaves_the_files_of_a_run_and_the_latency_of_every_frame(run):
-    names = {"log.parquet", "joints.parquet", "metrics.json", "scene.rrd", "live.parquet", "pose.parquet"}
+    names = {
+        "log.parquet",
+        "health.parquet",
+        "joints.parquet",
+        "metrics.json",
+        "scene.rrd",
+        "live.parquet",
+        "pose.parquet",
+    }
     assert {path.name for path in run.iterdir()} == {*names, "commands.parquet"}
     track = store.load(run / "live.parquet", LiveTrack)
-    told = json.loads((run / "metrics.json").read_text())["live"]
-    assert told["frames"] == len(track.t)
+    live = json.loads((run / "metrics.json").read_text())["live"]
+    assert live["frames"] == len(track.t)
     assert len(track.t) + track.skipped.sum() <= 60
     assert (track.latency >= track.detector).all()
-    assert told["latency_ms"]["p50"] == pytest.approx(1e3 * np.median(track.latency))
+    assert live["latency_ms"]["p50"] == pytest.approx(1e3 * np.median(track.latency))
     assert np.all(np.diff(track.t) > 0)
 
 

@@ -16,14 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic import store
 from mimic.errors import FrameError
-from mimic.run.buses import open_link
-from mimic.run.cybergear import Codec
-from mimic.run.motor_messages import Feedback, Mode, Operation
-from mimic.types import PHASES, HealthLog, RunLog
+from mimic.hardware.can.python_can import open_link
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import Feedback, Mode, Operation
+from mimic.io import store
+from mimic.records import PHASES, HealthLog, RunLog
 
 PATIENCE = 120.0
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -32,7 +34,7 @@ def emulator(tmp_path) -> Iterator[Callable[..., str]]:
     started: list[subprocess.Popen] = []
 
     def start(*options: str) -> str:
-        command = [sys.executable, "-m", "mimic", "emulate", "--listen", "127.0.0.1:0", "--homed", *options]
+        command = [sys.executable, "-m", "mimic", "emulate", "--listen", "127.0.0.1:0", "--zeroed", *options]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=here(tmp_path))
         started.append(process)
         assert process.stdout is not None
@@ -60,8 +62,8 @@ def mimic(folder: Path, *words: str) -> subprocess.Popen:
 class Listener:
     """Hears all that goes over a bus."""
 
-    def __init__(self, words: str) -> None:
-        self.link, self.codec = open_link(words), Codec()
+    def __init__(self, bus_url: str) -> None:
+        self.link, self.codec = open_link(bus_url), Codec()
         self.modes: dict[int, Mode] = {}
         self.gains: dict[int, tuple[float, float]] = {}
 
@@ -95,8 +97,8 @@ class Listener:
 def listening() -> Iterator[Callable[[str], Listener]]:
     made: list[Listener] = []
 
-    def listen(words: str) -> Listener:
-        made.append(Listener(words))
+    def listen(bus_url: str) -> Listener:
+        made.append(Listener(bus_url))
         return made[-1]
 
     yield listen
@@ -110,13 +112,13 @@ TRIES = 4
 
 @pytest.fixture
 def moving_robot(emulator, listening, tmp_path) -> Callable[[], tuple[subprocess.Popen, Listener, Path]]:
-    """Return a function that starts a robot that a policy moves: the process that drives it, the bus, the run folder."""
+    """Return a function that starts a robot moved by a policy: the process that drives it, the bus, the run folder."""
 
     def begin() -> tuple[subprocess.Popen, Listener, Path]:
         for number in range(TRIES):
-            words, run = emulator(), tmp_path / f"run{number}"
-            listener = listening(words)
-            process = mimic(tmp_path, "--robot", words, "--homed", "--yes", "-o", str(run))
+            bus_url, run = emulator(), tmp_path / f"run{number}"
+            listener = listening(bus_url)
+            process = mimic(tmp_path, "--robot", bus_url, "--zeroed", "--yes", "-o", str(run))
             listener.until(lambda on=listener, it=process: on.moving() or it.poll() is not None)
             if process.poll() is None:
                 return process, listener, run
@@ -148,7 +150,7 @@ def test_ctrl_c_sits_down_and_leaves_a_whole_log(moving_robot):
     assert PHASES[log.phase[-1]] == "damp"
 
 
-def test_a_process_that_is_killed_leaves_a_robot_that_its_guardian_damps_and_a_log_that_can_be_salvaged(
+def test_a_process_that_is_killed_leaves_a_robot_that_its_watchdog_damps_and_a_log_that_can_be_salvaged(
     moving_robot, tmp_path
 ):
     run, listener, folder = moving_robot()
@@ -177,8 +179,8 @@ def test_a_request_to_end_damps(moving_robot):
 
 
 def test_a_robot_without_zeros_is_not_moved(emulator, tmp_path):
-    words = emulator()
-    run = mimic(tmp_path, "--robot", words, "--yes", "-o", str(tmp_path / "run"))
+    bus_url = emulator()
+    run = mimic(tmp_path, "--robot", bus_url, "--yes", "-o", str(tmp_path / "run"))
     told, _ = run.communicate(timeout=PATIENCE)
     assert run.returncode == 2
     assert "nothing was moved" in told
@@ -187,16 +189,16 @@ def test_a_robot_without_zeros_is_not_moved(emulator, tmp_path):
 
 
 def test_scan_zero_and_check_agree_on_a_robot(emulator, tmp_path):
-    words = emulator()
+    bus_url = emulator()
     for verb, *options in (("scan",), ("zero", "--yes"), ("check",)):
-        run = mimic(tmp_path, "robot", verb, words, *options)
+        run = mimic(tmp_path, "robot", verb, bus_url, *options)
         told, _ = run.communicate(timeout=PATIENCE)
         assert run.returncode == 0, told
-    assert "set since the power came" in told
+    assert "set since the power" in told
 
 
 def test_nobody_at_the_other_end_is_told_in_a_sentence(tmp_path):
-    run = mimic(tmp_path, "--robot", "socketcand://127.0.0.1:9/can0", "--homed", "--yes", "-o", str(tmp_path / "run"))
+    run = mimic(tmp_path, "--robot", "socketcand://127.0.0.1:9/can0", "--zeroed", "--yes", "-o", str(tmp_path / "run"))
     told, _ = run.communicate(timeout=PATIENCE)
     assert run.returncode == 2
     assert "nobody listens" in told

@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic import __version__, store
+from mimic import __version__
 from mimic.cli import main
-from mimic.retarget.targets import target_track
+from mimic.config.play import RunSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.io import store
+from mimic.io.assets import shipped
+from mimic.records import PHASES, JointSamples, PoseTrack, RunLog, TargetTrack, WristTrack
+from mimic.retargeting.targets import target_track
 from mimic.robot.reach import Reach
-from mimic.settings import RetargetSettings, RunSettings
-from mimic.shipped import shipped
-from mimic.types import PHASES, JointSamples, PoseTrack, RunLog, TargetTrack, WristTrack
 
 WAVING = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"
-FILES = {"targets.parquet", "log.parquet", "joints.parquet", "metrics.json", "scene.rrd"}
+FILES = {"targets.parquet", "health.parquet", "log.parquet", "joints.parquet", "metrics.json", "scene.rrd"}
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +108,7 @@ def test_the_robot_ends_lying_on_its_feet(played):
     assert -log.v_WB[rows, 2].min() < 1.9  # it drops to its knees first
 
 
-def test_figures_tell_that_the_robot_stood(played):
+def test_metrics_show_that_the_robot_stood(played):
     metrics = json.loads((played[1] / "metrics.json").read_text())
     assert metrics["falls"] == 0
     assert metrics["standing_share"] > 0.9
@@ -143,6 +145,7 @@ def test_the_targets_of_a_run_can_be_played_again(played, workplace):
     assert (again / "log.parquet").is_file()
 
 
+@pytest.mark.slow
 def test_a_video_becomes_targets_and_then_a_run_and_its_pose_is_found_once(workplace, capsys):
     if not WAVING.is_file():
         pytest.skip("examples/videos/waving.mp4 is not here")

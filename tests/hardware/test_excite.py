@@ -5,27 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.calibrate.checks import check_log
-from mimic.calibrate.flow import calibrate
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import ProbeSettings
+from mimic.config.sysid import CalibrateSettings
+from mimic.control.signals import Signals
+from mimic.dynamics.excitation import hung_ranges
+from mimic.dynamics.machine import hung_robot, with_gains
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import ConfigError, PlantError
-from mimic.machine_log import read_log, write_log
-from mimic.robot.excitation import hung_ranges
-from mimic.robot.machine import hung_robot, with_gains
-from mimic.robot.wiring import load_wiring
-from mimic.run.bus_load import expected_load
-from mimic.run.can_robot import CanRobot
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.motor_messages import Mode
-from mimic.run.preflight import preflight
-from mimic.run.probe import probe
-from mimic.run.probe_motion import GROUPS, asked_rates, probe_motion, recorded_motion, turns
-from mimic.run.signals import Signals
-from mimic.settings import CalibrateSettings, EmulateSettings, ProbeSettings
-from mimic.types import JOINTS
+from mimic.hardware.can.load import expected_load
+from mimic.hardware.cybergear.messages import Mode
+from mimic.hardware.excite import probe
+from mimic.hardware.excite_motion import GROUPS, asked_rates, probe_motion, recorded_motion, turns
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.preflight import preflight
+from mimic.hardware.wiring import load_wiring
+from mimic.io.joint_log import read_log, write_log
+from mimic.records import JOINTS
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.log.checks import check_log
 
-SHORT = ProbeSettings(seconds=12.0, rate=100.0, approach=0.3)
+SHORT = ProbeSettings(seconds=12.0, rate_hz=100.0, approach=0.3)
 """The shortest that calibration takes."""
 
 WIRING = load_wiring()
@@ -35,7 +37,7 @@ LESS = 200
 
 
 def made(description, *faults: str) -> tuple[EmulatedRobot, CanRobot]:
-    options = EmulateSettings(homed=True, hung=True)
+    options = EmulateSettings(zeroed=True, suspended=True)
     robot = EmulatedRobot(description, load_wiring(), options, faults=[parse_fault(f) for f in faults])
     link = EmulatedLink(robot)
     link.sleep(0.1)
@@ -44,7 +46,7 @@ def made(description, *faults: str) -> tuple[EmulatedRobot, CanRobot]:
 
 @pytest.mark.parametrize("joints", list(GROUPS))
 def test_targets_stay_where_nothing_can_touch_and_the_others_are_held(joints, description):
-    settings = ProbeSettings(seconds=120.0, rate=50.0, joints=joints)
+    settings = ProbeSettings(seconds=120.0, rate_hz=50.0, joints=joints)
     motion = probe_motion(description, settings).q_des
     low, high, centre = hung_ranges(description)
     assert motion.shape == (6000, 12)
@@ -62,7 +64,7 @@ def test_targets_stay_where_nothing_can_touch_and_the_others_are_held(joints, de
 
 @pytest.mark.parametrize("joints", list(GROUPS))
 def test_the_joints_of_legs_that_move_are_asked_in_every_row(joints, description):
-    motion = probe_motion(description, ProbeSettings(seconds=120.0, rate=50.0, joints=joints))
+    motion = probe_motion(description, ProbeSettings(seconds=120.0, rate_hz=50.0, joints=joints))
     moves = np.diff(motion.q_des, axis=0) != 0
     assert np.all(motion.watched[1:][moves])
     legs = motion.watched.reshape(-1, 4, 3)
@@ -71,7 +73,7 @@ def test_the_joints_of_legs_that_move_are_asked_in_every_row(joints, description
 
 
 def test_joints_come_to_rest_at_the_centre_before_others_move(description):
-    motion = probe_motion(description, ProbeSettings(seconds=24.0, rate=100.0, joints="sides", kind="random"))
+    motion = probe_motion(description, ProbeSettings(seconds=24.0, rate_hz=100.0, joints="sides", kind="random"))
     _, _, centre = hung_ranges(description)
     assert np.array_equal(motion.q_des[1180:1200], np.tile(centre, (20, 1)))
     assert np.all(motion.watched[1180:1200, :3])
@@ -119,6 +121,7 @@ def test_a_recorded_run_is_played_inside_the_ranges_and_begins_anew(description)
     assert np.allclose(motion[198], motion[0])  # 1.98 s later
 
 
+@pytest.mark.slow
 def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     robot, plant = made(description)
     result = probe(plant, probe_motion(description, SHORT), SHORT, Signals())
@@ -142,10 +145,11 @@ def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     assert log.extra["voltage"] == pytest.approx(24.0, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joints", "rate", "most"), [("sides", 200.0, 0.5), ("legs", 100.0, 0.27)])
 def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, rate, most, description):
     robot, plant = made(description)
-    settings = ProbeSettings(seconds=40.0, rate=rate, joints=joints, approach=0.3)
+    settings = ProbeSettings(seconds=40.0, rate_hz=rate, joints=joints, approach=0.3)
     motion = probe_motion(description, settings).begin(2 * LESS)
     seen: list[tuple[float, int]] = []
     result = probe(
@@ -158,19 +162,20 @@ def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, r
     assert result.expected == pytest.approx(told, rel=0.02)
     assert result.load[0] < most
     look = preflight(
-        plant.exchange,
+        plant.motor_bus,
         description,
         rate_hz=asked_rates(motion, settings, description),
         trust_zeros=True,
         homing=None,
-        hung=True,
+        suspended=True,
     )
     assert f"{told[0]:.0%}" in look[0].text
 
 
+@pytest.mark.slow
 def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_path):
     _, plant = made(description)
-    settings = ProbeSettings(seconds=20.0, rate=100.0, joints="sides", approach=1.0)
+    settings = ProbeSettings(seconds=20.0, rate_hz=100.0, joints="sides", approach=1.0)
     motion = probe_motion(description, settings).begin(1150)
     result = probe(plant, motion, settings, Signals())
     assert result.missing == 0.0
@@ -189,19 +194,21 @@ def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_
     assert np.all(np.abs(log.q - result.log.q)[asked] == 0.0)
 
 
-@pytest.mark.parametrize("fault", ["motor_dead:RR_knee@1.4", "motor_fault:RR_hip=8@1.4", "motor_hot:RR_hip=75@1.4"])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["motor_dead:RR_knee@1.4", "motor_fault:RR_hip=8@1.4"])
 def test_a_joint_that_is_only_held_is_supervised_as_quickly(fault, description):
     robot, plant = made(description, fault)
-    settings = ProbeSettings(seconds=20.0, rate=200.0, joints="sides", approach=0.3)
+    settings = ProbeSettings(seconds=20.0, rate_hz=200.0, joints="sides", approach=0.3)
     motion, seen = probe_motion(description, settings).begin(400), []
     result = probe(plant, motion, settings, Signals(), progress=lambda *_: seen.append(robot.now))
     assert result.ended is not None
     assert fault.split(":")[1][:6] in result.ended.text
-    noticed = seen[0] + (len(result.log.t) - 1) / settings.rate - robot.told[-1][0]
-    row = 1.0 / settings.rate
+    noticed = seen[0] + (len(result.log.t) - 1) / settings.rate_hz - robot.events[-1][0]
+    row = 1.0 / settings.rate_hz
     assert 0.0 < noticed <= (0.06 if "dead" in fault else description.dt) + 2 * row
 
 
+@pytest.mark.slow
 def test_readings_that_did_not_come_are_missing_and_not_repeated(description):
     _, plant = made(description, "frames_lost=0.05@1.4")
     result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
@@ -224,7 +231,14 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
 
 
-@pytest.mark.parametrize("fault", ["motor_dead:FL_knee@1.4", "motor_fault:RR_hip=8@1.4", "motor_hot:FL_hip=75@1.4"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "motor_dead:FL_knee@1.4",
+        pytest.param("motor_fault:RR_hip=8@1.4", marks=pytest.mark.slow),
+        pytest.param("motor_hot:FL_hip=75@1.4", marks=pytest.mark.slow),
+    ],
+)
 def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
     robot, plant = made(description, fault)
     result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
@@ -235,6 +249,7 @@ def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
     assert set(reached) == {Mode.RESET}
 
 
+@pytest.mark.slow
 def test_a_bus_that_fails_keeps_what_was_measured(description):
     _, plant = made(description, "unplugged@1.4-3")
     result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
@@ -249,21 +264,23 @@ def test_what_ends_before_anything_was_measured_is_an_error(description):
         probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
 
 
+@pytest.mark.slow
 def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
     _, plant = made(description, "imu_silent@1.4")
     assert probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals()).ended is None
 
 
+@pytest.mark.slow
 def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(description):
     """The emulated motors act at any time within a step, tell rounded words, and answer late now and then."""
     _, robot = made(description, "frames_late=0.004@+5-5.1")
-    settings = ProbeSettings(seconds=14.0, rate=100.0, approach=0.3)
+    settings = ProbeSettings(seconds=14.0, rate_hz=100.0, approach=0.3)
     probed = probe(robot, probe_motion(description, settings), settings, Signals())
     machine = with_gains(hung_robot(description), probed.log.metadata)
     facts = check_log(probed.log, np.stack([machine.low, machine.high], -1))
     tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"))
     result = calibrate(facts.log, machine, tried)
-    assert [s.added for s in result.stages if s.added not in ("", "declared")] == []
+    assert [s.added for s in result.stages if s.added not in ("", "baseline")] == []
     assert np.sqrt(np.mean(result.stages[-1].errors.held_out ** 2)) < 2e-4
     values = {e.name: e.values for e in result.effects}
     assert values["viscous"]["coefficient"] == pytest.approx(machine.model.dof_damping, rel=0.1)

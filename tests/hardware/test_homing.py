@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import AssetError, PlantError
-from mimic.robot.wiring import load_wiring
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.exchange import Exchange
-from mimic.run.homing import check_lying, home, homed, read_homing, uneven, with_homing
-from mimic.settings import EmulateSettings
-from mimic.types import JOINTS
+from mimic.hardware.homing import check_lying, home, read_homing, uneven, with_homing, zero_problems
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.wiring import load_wiring
+from mimic.records import JOINTS
 
 TURN = 2 * np.pi / 7.75
 
@@ -25,10 +25,10 @@ def robot(description) -> EmulatedRobot:
     return EmulatedRobot(description, load_wiring(), EmulateSettings(placement=0.05, seed=4))
 
 
-def exchange_of(robot: EmulatedRobot) -> Exchange:
-    exchange = Exchange(EmulatedLink(robot), load_wiring())
-    exchange.link.sleep(0.1)
-    return exchange
+def exchange_of(robot: EmulatedRobot) -> MotorBus:
+    motor_bus = MotorBus(EmulatedLink(robot), load_wiring())
+    motor_bus.link.sleep(0.1)
+    return motor_bus
 
 
 def cycle_power(robot: EmulatedRobot) -> None:
@@ -42,57 +42,57 @@ def truth(robot: EmulatedRobot) -> np.ndarray:
 
 
 def test_a_robot_that_was_just_switched_on_is_not_homed(robot, description):
-    exchange = exchange_of(robot)
-    assert homed(exchange, None)
-    homing, _ = home(exchange, description, None)
+    motor_bus = exchange_of(robot)
+    assert zero_problems(motor_bus, None)
+    homing, _ = home(motor_bus, description, None)
     cycle_power(robot)
-    problems = homed(exchange, homing)
+    problems = zero_problems(motor_bus, homing)
     assert len(problems) == 12
     assert "lost its zero" in problems[0]
 
 
 def test_the_first_homing_takes_the_lying_pose_for_what_it_sees(robot, description):
-    exchange = exchange_of(robot)
-    homing, q = home(exchange, description, None)
+    motor_bus = exchange_of(robot)
+    homing, q = home(motor_bus, description, None)
     assert np.array_equal(q, description.poses["lie"])
-    assert homed(exchange, homing) == []
+    assert zero_problems(motor_bus, homing) == []
     known = with_homing(load_wiring(), homing)
-    read = known.q_of(np.array([f.q for f in exchange.feedback]))
+    read = known.q_of(np.array([f.q for f in motor_bus.feedback]))
     assert np.abs(read - truth(robot)).max() < 0.055  # what the placement was off by
 
 
 def test_a_later_homing_puts_joints_back_to_the_angles_of_the_first_one(robot, description):
-    exchange = exchange_of(robot)
-    homing, _ = home(exchange, description, None)
+    motor_bus = exchange_of(robot)
+    homing, _ = home(motor_bus, description, None)
     before = truth(robot)
     error = description.poses["lie"] - before
     cycle_power(robot)
     moved = before + np.random.default_rng(0).uniform(-0.25, 0.25, 12)
     moved = np.clip(moved, description.q_min, description.q_max)
     robot.body.data.qpos[7:] = moved  # somebody laid it down differently
-    again, q = home(exchange, description, homing)
+    again, q = home(motor_bus, description, homing)
     assert np.allclose(q, truth(robot) + error, atol=2e-3)
-    assert homed(exchange, again) == []
+    assert zero_problems(motor_bus, again) == []
     assert again.mark != homing.mark
-    assert homed(exchange, homing)
+    assert zero_problems(motor_bus, homing)
 
 
 def test_homing_twice_without_a_power_cycle_changes_nothing(robot, description):
-    exchange = exchange_of(robot)
-    first, q = home(exchange, description, None)
-    second, again = home(exchange, description, first)
+    motor_bus = exchange_of(robot)
+    first, q = home(motor_bus, description, None)
+    second, again = home(motor_bus, description, first)
     assert np.allclose(again, q, atol=2e-3)
     assert np.allclose(second.phase, first.phase)
 
 
 def test_a_motor_that_was_exchanged_is_told_and_learnt_anew(robot, description):
-    exchange = exchange_of(robot)
-    homing, _ = home(exchange, description, None)
+    motor_bus = exchange_of(robot)
+    homing, _ = home(motor_bus, description, None)
     other = dataclasses.replace(homing, uid=(homing.uid[0] + 1, *homing.uid[1:]))
-    problems = homed(exchange, other)
+    problems = zero_problems(motor_bus, other)
     assert len(problems) == 1
     assert "FL_abad has another motor" in problems[0]
-    _, q = home(exchange, description, other)
+    _, q = home(motor_bus, description, other)
     assert q[0] == description.poses["lie"][0]
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
-from mimic.robot.wiring import load_wiring
-from mimic.run.can_robot import CanRobot, still
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.motor_messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
-from mimic.settings import EmulateSettings
-from mimic.types import JOINTS, JointCommand
+from mimic.hardware.cybergear.messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
+from mimic.hardware.plant import CanRobot, idle_command
+from mimic.hardware.wiring import load_wiring
+from mimic.records import JOINTS, JointCommand
 
 
-class Watcher:
+class Watchdog:
     """Notes what it is told."""
 
     def __init__(self) -> None:
@@ -39,17 +39,17 @@ class Watcher:
         self.told.append("take over")
 
 
-@pytest.fixture(params=[1, 2])
+@pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow)])
 def made(request, description):
     """Return a function that makes an emulated robot and the plant on it, on one bus or two."""
 
-    def make(*faults: str, watcher=None, torque_limit=None, **settings):
+    def make(*faults: str, watchdog=None, torque_limit=None, **settings):
         wiring = load_wiring(buses=request.param)
-        options = EmulateSettings(**{"homed": True, "placement": 0.02, **settings})
+        options = EmulateSettings(**{"zeroed": True, "placement": 0.02, **settings})
         robot = EmulatedRobot(description, wiring, options, faults=[parse_fault(f) for f in faults])
         link = EmulatedLink(robot)
         link.sleep(0.1)
-        return robot, CanRobot(link, wiring, description, watcher=watcher, torque_limit=torque_limit)
+        return robot, CanRobot(link, wiring, description, watchdog=watchdog, torque_limit=torque_limit)
 
     return make
 
@@ -113,14 +113,14 @@ def test_a_tick_tells_the_command_as_the_frames_rounded_it(made, description):
     assert np.abs(sent.q_des - asked.q_des).max() <= 4e-4
     assert np.abs(sent.kp - asked.kp).max() <= 8e-3
     for joint, motor in enumerate(robot.motors):
-        sign, offset = plant.exchange.wiring.sign[joint], plant.exchange.wiring.offset[joint]
+        sign, offset = plant.motor_bus.wiring.sign[joint], plant.motor_bus.wiring.offset[joint]
         assert motor.drive.q * sign + offset == pytest.approx(sent.q_des[joint], abs=1e-9)
         assert motor.drive.kp == pytest.approx(sent.kp[joint], abs=1e-9)
         assert motor.drive.kd == pytest.approx(sent.kd[joint], abs=1e-9)
 
 
 def test_what_it_reads_is_what_the_joints_do(made, description):
-    robot, plant = made(hung=True)
+    robot, plant = made(suspended=True)
     plant.start()
     target = description.poses["four"]
     for _ in range(60):
@@ -210,7 +210,7 @@ def test_it_brakes_with_all_that_the_motors_have(made, description):
     for _ in range(25):
         plant.step(hold(description, description.poses["four"]))
     seen: list[tuple[float, float]] = []
-    plant.exchange.link.close()
+    plant.motor_bus.link.close()
     link = EmulatedLink(robot)
     receive = link.receive
 
@@ -219,7 +219,7 @@ def test_it_brakes_with_all_that_the_motors_have(made, description):
         return receive(timeout)
 
     link.receive = look
-    plant.exchange.link = link
+    plant.motor_bus.link = link
     plant.close()
     damped = [pair for pair in seen if pair[0] == 0.0]
     assert damped
@@ -283,7 +283,7 @@ def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
 
 def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(description):
     wiring = load_wiring(buses=2)
-    robot = EmulatedRobot(description, wiring, EmulateSettings(homed=True))
+    robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True))
     link = EmulatedLink(robot)
     link.sleep(0.1)
     plant = CanRobot(link, wiring, description)
@@ -297,39 +297,39 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
     assert "did not confirm" in plant.ending
 
 
-# ---------------------------------------------------------------------- its guardian
+# ---------------------------------------------------------------------- its watchdog
 
 
-def test_the_guardian_is_armed_before_anything_is_on_and_disarmed_when_all_is_off(made, description):
-    watcher = Watcher()
-    robot, plant = made(watcher=watcher)
+def test_the_watchdog_is_armed_before_anything_is_on_and_disarmed_when_all_is_off(made, description):
+    watchdog = Watchdog()
+    robot, plant = made(watchdog=watchdog)
     armed = []
-    watcher.arm = lambda: armed.append(modes(robot))
+    watchdog.arm = lambda: armed.append(modes(robot))
     plant.start()
     plant.step(hold(description))
     plant.close()
     assert armed == [{Mode.RESET}]
-    assert watcher.told[-1] == "disarm"
-    assert set(watcher.told[:-1]) == {"beat"}
+    assert watchdog.told[-1] == "disarm"
+    assert set(watchdog.told[:-1]) == {"beat"}
 
 
-def test_the_guardian_takes_over_where_not_all_motors_confirm(made, description):
-    watcher = Watcher()
-    robot, plant = made(watcher=watcher)
+def test_the_watchdog_takes_over_where_not_all_motors_confirm(made, description):
+    watchdog = Watchdog()
+    robot, plant = made(watchdog=watchdog)
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}"))
     with pytest.raises(BusError):
         plant.step(hold(description))
     plant.close()
-    assert watcher.told[-1] == "take over"
+    assert watchdog.told[-1] == "take over"
 
 
-def test_a_guardian_that_is_gone_is_told(made, description):
-    watcher = Watcher()
-    _, plant = made(watcher=watcher)
+def test_a_watchdog_that_is_gone_is_told(made, description):
+    watchdog = Watchdog()
+    _, plant = made(watchdog=watchdog)
     plant.start()
     assert plant.step(hold(description)).health.guarded
-    watcher.there = False
+    watchdog.there = False
     assert not plant.step(hold(description)).health.guarded
 
 
@@ -344,6 +344,6 @@ def test_the_load_of_the_bus_is_what_it_was(made, description):
 
 
 def test_asking_for_nothing_has_no_gains():
-    command = still(np.array([np.nan, 1.0] * 6))
+    command = idle_command(np.array([np.nan, 1.0] * 6))
     assert np.isfinite(command.q_des).all()
     assert not np.any([command.kp, command.kd, command.tau_ff])

@@ -7,32 +7,32 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.robot.wiring import load_wiring
-from mimic.run.bus_load import expected_load
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.exchange import Exchange
-from mimic.run.homing import home, with_homing
-from mimic.run.preflight import Finding, feet_normal, preflight
-from mimic.settings import EmulateSettings
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
+from mimic.hardware.can.load import expected_load
+from mimic.hardware.homing import home, with_homing
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.preflight import Check, feet_normal, preflight
+from mimic.hardware.wiring import load_wiring
 
 WIRING = load_wiring()
 
 
-def look(description, *faults: str, wiring=WIRING, homed=True, trust=True, rate=50.0, q=None, **settings):
-    settings = {"homed": homed, "placement": 0.03, **settings}
+def look(description, *faults: str, wiring=WIRING, zeroed=True, trust=True, rate=50.0, q=None, **settings):
+    settings = {"zeroed": zeroed, "placement": 0.03, **settings}
     robot = EmulatedRobot(description, WIRING, EmulateSettings(**settings), faults=[parse_fault(f) for f in faults])
     if q is not None:
         robot.body.data.qpos[7:] = q
-    exchange = Exchange(EmulatedLink(robot), wiring)
-    exchange.link.sleep(0.2)
-    found = preflight(exchange, description, rate_hz=rate, homing=None, trust_zeros=trust)
+    motor_bus = MotorBus(EmulatedLink(robot), wiring)
+    motor_bus.link.sleep(0.2)
+    found = preflight(motor_bus, description, rate_hz=rate, homing=None, trust_zeros=trust)
     assert all(motor.mode.name == "RESET" for motor in robot.motors)
     return {finding.name: finding for finding in found}
 
 
-def stops(found: dict[str, Finding]) -> list[str]:
+def stops(found: dict[str, Check]) -> list[str]:
     return [name for name, finding in found.items() if finding.verdict == "stop"]
 
 
@@ -77,18 +77,18 @@ def test_what_is_wrong_is_named(fault, name, told, description):
 
 
 def test_zeros_that_are_not_known_stop_it(description):
-    found = look(description, homed=False, trust=False)
+    found = look(description, zeroed=False, trust=False)
     assert "zeros" in stops(found)
     assert "mimic robot zero" in found["zeros"].text
 
 
 def test_zeros_that_were_set_pass(description):
     robot = EmulatedRobot(description, WIRING, EmulateSettings(placement=0.02))
-    exchange = Exchange(EmulatedLink(robot), WIRING)
-    exchange.link.sleep(0.2)
-    homing, _ = home(exchange, description, None)
-    exchange = Exchange(EmulatedLink(robot), with_homing(WIRING, homing))
-    found = preflight(exchange, description, rate_hz=50.0, homing=homing, trust_zeros=False)
+    motor_bus = MotorBus(EmulatedLink(robot), WIRING)
+    motor_bus.link.sleep(0.2)
+    homing, _ = home(motor_bus, description, None)
+    motor_bus = MotorBus(EmulatedLink(robot), with_homing(WIRING, homing))
+    found = preflight(motor_bus, description, rate_hz=50.0, homing=homing, trust_zeros=False)
     assert {f.name: f.verdict for f in found}["zeros"] == "ok"
     assert not [f for f in found if f.verdict == "stop"]
 
@@ -103,10 +103,10 @@ def test_a_robot_that_does_not_lie_is_stopped_with_the_joint_that_is_furthest_of
 
 def test_another_position_range_than_the_wirings_is_found_far_from_zero(description):
     far = dataclasses.replace(WIRING, offset=WIRING.offset - 3.0 * WIRING.sign * np.ones(12))
-    robot = EmulatedRobot(description, far, EmulateSettings(homed=True, position_range=12.5))
-    exchange = Exchange(EmulatedLink(robot), far)
-    exchange.link.sleep(0.2)
-    found = {f.name: f for f in preflight(exchange, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    robot = EmulatedRobot(description, far, EmulateSettings(zeroed=True, position_range=12.5))
+    motor_bus = MotorBus(EmulatedLink(robot), far)
+    motor_bus.link.sleep(0.2)
+    found = {f.name: f for f in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
     # 0.53 % of 3 rad are 16 mrad, less than the two readings are trusted with; at the lying pose nothing can be told
     assert found["position range"].verdict in ("note", "stop")
     near = look(description)["position range"]
@@ -129,23 +129,23 @@ def test_the_load_is_that_of_the_arithmetic(rate, buses, expected):
 
 @pytest.mark.parametrize("rate", [50.0, 100.0])
 def test_the_load_of_an_emulated_bus_is_within_a_twentieth_of_the_arithmetic(rate, description):
-    from mimic.types import JointCommand
+    from mimic.records import JointCommand
 
-    robot = EmulatedRobot(description, WIRING, EmulateSettings(homed=True, hung=True))
-    exchange = Exchange(EmulatedLink(robot), WIRING)
-    exchange.link.sleep(1.0)
-    exchange.drain()
+    robot = EmulatedRobot(description, WIRING, EmulateSettings(zeroed=True, suspended=True))
+    motor_bus = MotorBus(EmulatedLink(robot), WIRING)
+    motor_bus.link.sleep(1.0)
+    motor_bus.drain()
     rng, begin, before = np.random.default_rng(0), robot.now, robot.buses[0].bits
-    seen = exchange.bits.copy()
+    seen = motor_bus.bits.copy()
     gains = np.full(12, 30.0), np.full(12, 3.0)
     for _ in range(int(2 * rate)):
         q = description.poses["lie"] + rng.uniform(-0.3, 0.3, 12)
-        exchange.command(JointCommand(q_des=q, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12)))
-        exchange.listen(exchange.link.now() + 1.0 / rate)
+        motor_bus.command(JointCommand(q_des=q, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12)))
+        motor_bus.listen(motor_bus.link.now() + 1.0 / rate)
     seconds = robot.now - begin
     load = (robot.buses[0].bits - before) / WIRING.bitrate / seconds
     assert load == pytest.approx(expected_load(WIRING, rate)[0], rel=0.05)
-    assert (exchange.bits - seen)[0] / WIRING.bitrate / seconds == pytest.approx(load, rel=0.01)
+    assert (motor_bus.bits - seen)[0] / WIRING.bitrate / seconds == pytest.approx(load, rel=0.01)
 
 
 def test_four_feet_on_the_ground_point_up(description):

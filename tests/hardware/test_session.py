@@ -6,36 +6,37 @@ from collections.abc import Callable
 
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
-from mimic.robot.wiring import load_wiring
-from mimic.run import on_robot
-from mimic.run.can_robot import CanRobot
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulated_link import EmulatedLink
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.motor_messages import Mode
-from mimic.settings import BusSettings, EmulateSettings
+from mimic.hardware import session
+from mimic.hardware.cybergear.messages import Mode
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.wiring import load_wiring
 
 
 @pytest.fixture
 def robot(description, monkeypatch) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
-    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(homed=True))
+    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True))
 
-    def opened(words: str, wiring: object) -> EmulatedLink:
+    def opened(bus_url: str, wiring: object) -> EmulatedLink:
         link = EmulatedLink(robot)
         link.sleep(0.2)
         return link
 
-    monkeypatch.setattr(on_robot, "opened", opened)
+    monkeypatch.setattr(session, "open_buses", opened)
     return robot
 
 
 def get_ready(description, then: Callable[[CanRobot], None]) -> None:
     """Do something with the robot once it is ready."""
-    settings = BusSettings(homed=True, yes=True, guardian=False)
-    options = {"rate_hz": 50.0, "told": lambda _: None, "go": lambda: None}
-    with on_robot.ready("can0", settings, description, **options) as plant:
+    settings = BusSettings(zeroed=True, yes=True, watchdog=False)
+    options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None}
+    with session.robot_session("can0", settings, description, **options) as plant:
         then(plant)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mimic.errors import AssetError, ConfigError
-from mimic.robot.wiring import load_wiring
-from mimic.shipped import shipped
-from mimic.types import JOINTS
+from mimic.hardware.wiring import load_wiring
+from mimic.io.assets import shipped
+from mimic.records import JOINTS
 
 
 @pytest.fixture
@@ -44,6 +44,10 @@ def test_readings_and_angles_turn_into_each_other(description):
     assert np.array_equal(wiring.q_of(np.ones(12)) - wiring.offset > 0, wiring.sign > 0)
 
 
+def test_a_file_without_a_maker_has_cybergear_motors(edited):
+    assert load_wiring(edited('motor = "cybergear"', "")).maker == "cybergear"
+
+
 def test_two_buses_share_left_and_right():
     wiring = load_wiring(buses=2)
     assert [JOINTS[i][1] for i in np.flatnonzero(wiring.bus == 1)] == ["R"] * 6
@@ -73,6 +77,8 @@ def test_the_same_id_may_be_on_two_buses(edited):
             "FL_hip = { motor = 2, sign = -1, offset = nan",
             "offset of FL_hip",
         ),
+        ('motor = "cybergear"', 'motor = "acme"', "the motors are 'acme'; mimic knows cybergear"),
+        ('motor = "cybergear"', "motor = 3", "motor is 3; expected the maker"),
         ("host = 0xFD", "host = 5", "host of the file is 5"),
         ("position_range = 12.566370614359172", "position_range = 720.0", "position_range is 720"),
         ("bitrate = 1_000_000", 'bitrate = "fast"', "bitrate of the file"),

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mimic.errors import ConfigError, FrameError
-from mimic.robot.wiring import ImuWiring
-from mimic.run.can_frame import CanFrame
-from mimic.run.imu import MtiSample, XsensMti, decode_mti, encode_mti, make_imu
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.wiring import ImuWiring
+from mimic.hardware.xsens_mti import MtiSample, XsensMti, decode_mti, encode_mti, make_imu
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 rotations = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda v: Rotation.from_rotvec(np.array(v)))

@@ -8,16 +8,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from mimic.errors import CalibrationError
-from mimic.machine_log import MachineLog, read_log, write_log
+from mimic.io.joint_log import JointLog, read_log, write_log
 
 NAN = float("nan")
 
 
 @pytest.fixture
-def log() -> MachineLog:
+def log() -> JointLog:
     t = 1.7e9 + 0.005 * np.arange(40)
     q = np.stack([np.sin(t), np.cos(t)], -1)
-    return MachineLog(
+    return JointLog(
         joints=("a", "b"),
         t=t,
         q=q,
@@ -29,7 +29,7 @@ def log() -> MachineLog:
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv"])
-def test_a_log_comes_back_as_it_was(log: MachineLog, tmp_path: Path, name: str) -> None:
+def test_a_log_comes_back_as_it_was(log: JointLog, tmp_path: Path, name: str) -> None:
     again = read_log(write_log(log, tmp_path / name))
     assert again.joints == log.joints
     assert again.dq is None
@@ -40,29 +40,29 @@ def test_a_log_comes_back_as_it_was(log: MachineLog, tmp_path: Path, name: str) 
     assert again.metadata == log.metadata
 
 
-def test_rows_and_joints_are_picked_together(log: MachineLog) -> None:
+def test_rows_and_joints_are_picked_together(log: JointLog) -> None:
     part = log.part(slice(10, 20)).of(["b"])
     assert part.joints == ("b",)
     assert np.array_equal(part.q[:, 0], log.q[10:20, 1])
     assert len(part.extra["temperature.a"]) == 10
 
 
-def test_arrays_cannot_be_changed(log: MachineLog) -> None:
+def test_arrays_cannot_be_changed(log: JointLog) -> None:
     with pytest.raises(ValueError, match="read-only"):
         log.q[0] = 0.0
 
 
-def test_a_joint_that_the_log_lacks_is_named(log: MachineLog) -> None:
+def test_a_joint_that_the_log_lacks_is_named(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match="the model has joint 'c', but the log has a, b"):
         log.of(["a", "c"])
 
 
-def test_a_channel_of_another_shape_is_refused(log: MachineLog) -> None:
+def test_a_channel_of_another_shape_is_refused(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"tau of the log has shape \(40, 1\), expected \(40, 2\)"):
         replace(log, tau=np.zeros((40, 1)))
 
 
-def test_two_joints_of_one_name_are_refused(log: MachineLog) -> None:
+def test_two_joints_of_one_name_are_refused(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match="the same name"):
         replace(log, joints=("a", "a"))
 
@@ -93,14 +93,14 @@ def test_a_missing_column_is_named(tmp_path: Path, columns: list[str], reason: s
         ('{"kd": {"a": -1}}', "kd is"),
     ],
 )
-def test_notes_that_cannot_be_gains_are_refused(log: MachineLog, tmp_path: Path, notes: str, reason: str) -> None:
+def test_notes_that_cannot_be_gains_are_refused(log: JointLog, tmp_path: Path, notes: str, reason: str) -> None:
     path = write_log(log, tmp_path / "log.csv")
     path.with_suffix(".json").write_text(notes)
     with pytest.raises(CalibrationError, match=reason):
         read_log(path)
 
 
-def test_notes_beside_a_parquet_file_win(log: MachineLog, tmp_path: Path) -> None:
+def test_notes_beside_a_parquet_file_win(log: JointLog, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "log.parquet")
     path.with_suffix(".json").write_text(json.dumps({"kd": 1.5}))
     assert read_log(path).metadata["kd"] == 1.5
@@ -134,7 +134,7 @@ def test_missing_values_become_nan(tmp_path: Path) -> None:
 
 def held(tmp_path: Path, q: list[float], q_des: list[float], note: object = None) -> np.ndarray:
     """Return what is read of a joint, whose log has a note of joints that were read in turn."""
-    log = MachineLog(
+    log = JointLog(
         joints=("a",),
         t=0.01 * np.arange(len(q)),
         q=np.array(q)[:, None],
@@ -178,11 +178,11 @@ def test_a_note_of_held_joints_that_says_nothing_is_refused(note, tmp_path: Path
 def test_the_rate_is_that_of_the_clock_without_gaps() -> None:
     t = np.cumsum(np.tile([0.000998, 0.000998, 0.001004], 1000))  # a median of 0.998 ms, a mean of 1 ms
     t[2000:] += 0.7
-    log = MachineLog(joints=("a",), t=t, q=np.zeros((3000, 1)), q_des=np.zeros((3000, 1)))
+    log = JointLog(joints=("a",), t=t, q=np.zeros((3000, 1)), q_des=np.zeros((3000, 1)))
     assert log.rate == pytest.approx(1000.0, rel=1e-5)
 
 
-def test_angles_in_degrees_are_told_by_a_note(log: MachineLog, tmp_path: Path) -> None:
+def test_angles_in_degrees_are_told_by_a_note(log: JointLog, tmp_path: Path) -> None:
     assert log.q_des is not None
     degrees = replace(log, q=np.rad2deg(log.q), q_des=np.rad2deg(log.q_des), metadata={**log.metadata, "units": "deg"})
     found = read_log(write_log(degrees, tmp_path / "log.parquet"))
@@ -199,7 +199,7 @@ def test_angles_in_degrees_are_told_by_a_note(log: MachineLog, tmp_path: Path) -
         ('{"gravity": [0, 0]}', "gravity is"),
     ],
 )
-def test_notes_of_units_and_gravity_must_be_such(log: MachineLog, tmp_path: Path, note: str, reason: str) -> None:
+def test_notes_of_units_and_gravity_must_be_such(log: JointLog, tmp_path: Path, note: str, reason: str) -> None:
     path = write_log(log, tmp_path / "log.csv")
     (tmp_path / "log.json").write_text(note)
     with pytest.raises(CalibrationError, match=reason):
@@ -208,11 +208,22 @@ def test_notes_of_units_and_gravity_must_be_such(log: MachineLog, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("kp", "reason"),
-    [({"a": 5.0}, "have no kp for b"), ({"a": 5.0, "b": 5.0, "c": 5.0}, "have a kp for c")],
+    [({"a": 5.0}, "has no kp for b"), ({"a": 5.0, "b": 5.0, "c": 5.0}, "has a kp for c")],
 )
 def test_gains_by_joint_are_those_of_the_joints(tmp_path: Path, kp: dict[str, float], reason: str) -> None:
     t = np.arange(3.0)
     q = np.zeros((3, 2))
-    path = write_log(MachineLog(joints=("a", "b"), t=t, q=q, q_des=q, metadata={"kp": kp}), tmp_path / "log.csv")
+    path = write_log(JointLog(joints=("a", "b"), t=t, q=q, q_des=q, metadata={"kp": kp}), tmp_path / "log.csv")
     with pytest.raises(CalibrationError, match=reason):
         read_log(path)
+
+
+def test_the_snippet_of_the_documentation_writes_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "manual" / "log-format.md").read_text(encoding="utf-8")
+    section = page.split("## From another logger")[1]
+    snippet = "\n".join(line[4:] for line in section.splitlines() if line.startswith("    "))
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, "log-format.md", "exec"), {})
+    log = read_log("log.parquet")
+    assert log.joints == ("hip", "knee")
+    assert log.metadata["kp"] == 20.0

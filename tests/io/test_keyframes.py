@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from mimic.errors import SourceError
-from mimic.keyframes import MOST_FRAMES, KeyFrame, KeyFrames, frames_from, plain_frame, read_keyframes, save_keyframes
+from mimic.io.keyframes import (
+    MOST_FRAMES,
+    KeyFrame,
+    KeyFrames,
+    frames_from,
+    plain_frame,
+    read_keyframes,
+    save_keyframes,
+)
 
 GOOD = {
     "what": "an arm",
@@ -26,7 +34,7 @@ def test_plain_data_becomes_key_frames_in_radians():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"duration": None}, "duration is None; expected a number"),
         ({"duration": "1 s"}, "duration is '1 s'; expected a number"),
@@ -36,15 +44,15 @@ def test_plain_data_becomes_key_frames_in_radians():
         ({"velocity": 0.2}, "velocity is 0.2; expected 2 numbers in a list"),
         ({"left_deg": [0, 45]}, "expected 3 numbers in a list"),
         ({"left_deg": [0, 45, [1]]}, "expected 3 numbers in a list"),
-        ({"speed": 3}, "'speed', which is not known"),
+        ({"speed": 3}, "'speed', which is unknown"),
     ],
 )
-def test_each_fault_is_told_with_its_frame(change, told):
+def test_each_fault_is_told_with_its_frame(change, message):
     frames, wrong = frames_from([GOOD, {**GOOD, **change}])
     assert frames == ()
     assert len(wrong) == 1
     assert "frame 2" in wrong[0]
-    assert told in wrong[0]
+    assert message in wrong[0]
 
 
 def test_missing_fields_are_all_told_at_once():
@@ -53,7 +61,7 @@ def test_missing_fields_are_all_told_at_once():
 
 
 @pytest.mark.parametrize("data", [None, [], "frames", {"frames": {}}, {"motion": [GOOD]}, 3])
-def test_what_has_no_frames_is_told(data):
+def test_what_has_no_frames_is_reported(data):
     assert "expected a list of frames" in frames_from(data)[1][0]
 
 
@@ -63,7 +71,7 @@ def test_too_many_frames_are_refused_before_they_are_looked_at():
 
 def test_a_motion_survives_its_file_and_the_file_can_be_read_by_a_person(tmp_path):
     frames, _ = frames_from([GOOD, {**GOOD, "what": "ärmel: hoch # nicht", "duration": 1.25}])
-    motion = KeyFrames(frames=frames, sentence="wave: 'now'", planner="phrasebook")
+    motion = KeyFrames(frames=frames, sentence="wave: 'now'", planner="grammar")
     path = tmp_path / "motion.yaml"
     save_keyframes(motion, path)
     again = read_keyframes(path)
@@ -76,19 +84,19 @@ def test_a_motion_survives_its_file_and_the_file_can_be_read_by_a_person(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("frames: [", "is no YAML"),
-        ("!!python/object/apply:os.system ['touch hacked']", "is no YAML"),
+        ("frames: [", "is not valid YAML"),
+        ("!!python/object/apply:os.system ['touch hacked']", "is not valid YAML"),
         ("frames:\n- duration: 1\n", "frame 1 lacks velocity"),
         ("just words", "expected a list of frames"),
         ("#" * 1_000_001, "bytes; a motion in key frames has at most"),
     ],
 )
-def test_a_file_that_is_none_is_refused(text, told, tmp_path, monkeypatch):
+def test_a_file_that_is_none_is_refused(text, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.yaml").write_text(text)
-    with pytest.raises(SourceError, match=told):
+    with pytest.raises(SourceError, match=message):
         read_keyframes(tmp_path / "a.yaml")
     assert not (tmp_path / "hacked").exists()
 

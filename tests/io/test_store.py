@@ -10,16 +10,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from mimic import __version__, store, types
+from mimic import __version__, records
+from mimic.config.play import RunSettings
 from mimic.errors import AssetError
-from mimic.settings import RunSettings
-from mimic.types import CommandTrack, PoseTrack, Record, RunLog, TargetTrack, WristTrack
+from mimic.io import store
+from mimic.records import CommandTrack, PoseTrack, Record, RunLog, TargetTrack, WristTrack
 
-RECORDS = [kind for kind in vars(types).values() if isinstance(kind, type) and issubclass(kind, Record)]
+RECORDS = [kind for kind in vars(records).values() if isinstance(kind, type) and issubclass(kind, Record)]
 RECORDS.remove(Record)
 
 EXTRAS = {
-    PoseTrack: {"size": (640, 480), "warnings": ("the camera moves", "two people"), "names": types.LANDMARKS},
+    PoseTrack: {"size": (640, 480), "warnings": ("the camera moves", "two people"), "names": records.LANDMARKS},
     WristTrack: {"arm_length": 0.53, "warnings": ()},
     TargetTrack: {"report": {"targets": 3, "pose": {"share": 0.25, "axis": [0, 1]}}, "warnings": ("slow",)},
     RunLog: {"metadata": {"dt": 0.02, "fell_at": None, "settings": {"seed": 3}}},
@@ -29,12 +30,12 @@ EXTRAS = {
 def example(kind: type[Record], rows: int = 4) -> Record:
     """A record filled with random numbers and some NaN."""
     rng = np.random.default_rng(rows)
-    free = {"landmark": len(types.LANDMARKS), "observation": 123}
+    free = {"landmark": len(records.LANDMARKS), "observation": 123}
     values = {}
     for f in dataclasses.fields(kind):
         if "axes" not in f.metadata:
             continue
-        shape = (rows, *(free.get(axis) or len(types.AXES[axis]) for axis in f.metadata["axes"]))
+        shape = (rows, *(free.get(axis) or len(records.AXES[axis]) for axis in f.metadata["axes"]))
         value = rng.normal(size=shape) * 10.0 ** rng.integers(-9, 9, shape)
         if f.metadata["dtype"] is np.float64 and rows:
             value.reshape(-1)[:1] = np.nan
@@ -177,26 +178,26 @@ def test_another_type_of_record_is_told_by_name(tmp_path):
         store.load(tmp_path / "a.parquet", CommandTrack)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(AssetError, match=r"there is no file .*nowhere\.parquet"):
         store.load(tmp_path / "nowhere.parquet", WristTrack)
 
 
 @pytest.mark.parametrize("content", [b"", b"name,value\n", b"PAR1 and then nothing"])
-def test_a_file_that_is_no_table_is_told(content, tmp_path):
+def test_a_file_that_is_no_table_is_reported(content, tmp_path):
     path = tmp_path / "a.parquet"
     path.write_bytes(content)
     with pytest.raises(AssetError, match="not a record of mimic"):
         store.load(path, WristTrack)
 
 
-def test_a_table_of_someone_else_is_told(tmp_path):
+def test_a_table_of_someone_else_is_reported(tmp_path):
     pq.write_table(pa.table({"t": [0.0]}), tmp_path / "a.parquet")
     with pytest.raises(AssetError, match="not a record of mimic"):
         store.header(tmp_path / "a.parquet")
 
 
-def test_half_of_a_record_is_told(tmp_path):
+def test_half_of_a_record_is_reported(tmp_path):
     path = tmp_path / "a.parquet"
     store.save(wrists(), path, made_by=NOBODY)
     path.write_bytes(path.read_bytes()[:-200])

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 
 from mimic.errors import ConfigError, MissingExtra
-from mimic.run.cluster import results_on_ray
-from mimic.run.workers import Died
+from mimic.jobs.local import Died
+from mimic.jobs.ray import results_on_ray
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_a_job_that_takes_its_process_down_does_not_stop_the_rest(cluster):
     assert results == {0: 0, 2: 2}
 
 
-def test_no_cluster_is_told_with_what_to_do(monkeypatch):
+def test_a_missing_cluster_is_reported_with_the_next_step(monkeypatch):
     ray = pytest.importorskip("ray", reason="playing on a cluster needs the extra 'ray'")
 
     def refuses(**options: object) -> None:
@@ -69,5 +69,5 @@ def test_without_ray_the_extra_is_named(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtra, match=r"mimic\[ray\]"):
+    with pytest.raises(MissingExtra, match=r"mimic-retarget\[ray\]"):
         next(results_on_ray(where, [0.0], address="auto"))

@@ -30,12 +30,14 @@ def test_the_contract_comes_from_inside_the_file(tmp_path, constant_onnx, contra
     assert policy.contract == other
 
 
-def test_a_missing_file_is_told(tmp_path, description):
-    with pytest.raises(AssetError, match=r"there is no policy .*nowhere\.onnx; the shipped one is"):
+def test_a_missing_file_is_reported(tmp_path, description):
+    with pytest.raises(
+        AssetError, match=r"there is no policy .*nowhere\.onnx; give an ONNX file or a shipped policy: stand_track"
+    ):
         load_policy(tmp_path / "nowhere.onnx", description)
 
 
-def test_a_file_that_is_no_model_is_told_in_one_line(tmp_path, description):
+def test_a_file_that_is_no_model_is_reported_in_one_line(tmp_path, description):
     path = tmp_path / "a.onnx"
     path.write_text("not a model")
     with pytest.raises(AssetError, match=r"a\.onnx is not an ONNX model") as error:
@@ -50,7 +52,7 @@ def test_a_model_without_a_contract_is_refused(tmp_path, constant_onnx, descript
 
 def test_a_model_for_another_robot_is_refused(tmp_path, constant_onnx, contract, description):
     other = dataclasses.replace(contract, robot="cyberdog9")
-    with pytest.raises(ContractError, match="robot is cyberdog9; this robot expects cyberdog2"):
+    with pytest.raises(ContractError, match="trained for cyberdog9; it cannot drive the robot cyberdog2"):
         Policy(constant_onnx(tmp_path / "a.onnx", metadata=other.to_json()), description)
 
 

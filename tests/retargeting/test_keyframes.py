@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.keyframes import KeyFrame, KeyFrames
-from mimic.retarget.keyframes import keyframe_commands
-from mimic.robot.arms import posture
+from mimic.config.retarget import RetargetSettings
+from mimic.io.keyframes import KeyFrame, KeyFrames
+from mimic.retargeting.keyframes import keyframe_commands
+from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import Reach
-from mimic.settings import RetargetSettings
 
 
 @pytest.fixture(scope="module")

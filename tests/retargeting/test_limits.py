@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mimic.retarget.limits import limit_step, limit_track
+from mimic.retargeting.limits import limit_step, limit_track
 
 DT, SPEED, ACCELERATION = 0.02, np.array([7.0, 5.0]), np.array([400.0, 100.0])
 

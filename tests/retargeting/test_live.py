@@ -7,12 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.retarget.live import Asked, LiveRetarget, LiveTargets
-from mimic.retarget.targets import target_track
-from mimic.retarget.wrists import wrist_track
+from mimic.config.pose import LiveSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.records import LANDMARKS, Command, LiveCommands, PoseTrack
+from mimic.retargeting.live import LiveRetarget, LiveTarget, LiveTargets
+from mimic.retargeting.targets import target_track
+from mimic.retargeting.wrists import wrist_track
 from mimic.robot.reach import Reach
-from mimic.settings import LiveSettings, RetargetSettings
-from mimic.types import LANDMARKS, Command, LiveCommands, PoseTrack
 
 ASPECT = 640 / 480
 FOCAL = 0.87
@@ -48,7 +49,7 @@ def person(
     return landmarks, image, valid
 
 
-def watch(retarget: LiveRetarget, seconds: float, t0: float = 0.0, **options) -> Asked:
+def watch(retarget: LiveRetarget, seconds: float, t0: float = 0.0, **options) -> LiveTarget:
     asked = None
     for t in np.arange(t0, t0 + seconds, 1 / 30):
         values = {name: value(t) if callable(value) else value for name, value in options.items()}
@@ -163,10 +164,10 @@ def commands(targets: LiveTargets, clock: Clock, seconds: float) -> list[Command
 
 
 @pytest.fixture
-def up(reach, clock) -> Asked:
+def up(reach, clock) -> LiveTarget:
     """Both hands up, seen now."""
     q = reach.closest(reach.toes(reach.description.poses["upright"]) + [0.12, 0.0, 0.03]).q
-    return Asked(t=clock.t, q=q, seen=np.ones(2, dtype=bool), heading=0.0, v=np.zeros(2))
+    return LiveTarget(t=clock.t, q=q, seen=np.ones(2, dtype=bool), heading=0.0, v=np.zeros(2))
 
 
 def test_they_are_live_commands(reach):
@@ -247,7 +248,7 @@ def test_only_the_newest_counts(reach, clock, up):
     np.testing.assert_allclose(commands(targets, clock, 1.0)[-1].p_BE, reach.toes(home), atol=1e-6)
 
 
-def test_the_end_is_told(reach, clock, up):
+def test_the_end_is_reported(reach, clock, up):
     targets = LiveTargets(reach, LiveSettings(), clock=clock)
     targets.put(up)
     commands(targets, clock, 0.1)

@@ -3,13 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.retarget.one_euro import OneEuro
+from mimic.retargeting.one_euro import OneEuro
 
 T = np.arange(120) / 30
 
 
-def run(values: np.ndarray, steady: float = 1.5, lively: float = 4.0) -> np.ndarray:
-    filtered = OneEuro(steady, lively)
+def run(values: np.ndarray, min_cutoff: float = 1.5, beta: float = 4.0) -> np.ndarray:
+    filtered = OneEuro(min_cutoff, beta)
     return np.array([filtered(t, x) for t, x in zip(T, values, strict=True)])
 
 
@@ -24,8 +24,8 @@ def test_noise_at_rest_is_calmed():
 
 def test_a_quick_hand_lags_less_with_more_liveliness():
     way = np.stack([0.3 * np.sin(2 * np.pi * T), 0 * T, 0 * T], -1)
-    calm, lively = (np.abs(run(way, lively=value) - way).mean() for value in (0.0, 4.0))
-    assert lively < 0.6 * calm
+    calm, beta = (np.abs(run(way, beta=value) - way).mean() for value in (0.0, 4.0))
+    assert beta < 0.6 * calm
 
 
 def test_uneven_frames_give_the_same_motion():

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.retarget.sampling import EASE, HOLD, between, fill_gaps, target_times, turning_points
+from mimic.retargeting.sampling import EASE, HOLD, between, fill_gaps, target_times, turning_points
 
 NEUTRAL = np.array([0.1, 0.2, -0.1])
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.config.retarget import RetargetSettings
 from mimic.errors import SourceError
-from mimic.retarget.commands import command_track
-from mimic.retarget.targets import target_track, wanted_toes
+from mimic.records import WristTrack
+from mimic.retargeting.commands import command_track
+from mimic.retargeting.targets import target_track, wanted_toes
 from mimic.robot.reach import Reach
-from mimic.settings import RetargetSettings
-from mimic.types import WristTrack
 
 REACH = Reach()
 RENDERED = Path(__file__).parents[3] / "shared" / "data" / "videos" / "rendered"

@@ -5,18 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mimic.config.retarget import RetargetSettings
 from mimic.errors import ContractError, SourceError
-from mimic.retarget.wrists import (
+from mimic.records import LANDMARKS, PoseTrack
+from mimic.retargeting.wrists import (
     arm_length,
     camera_axis,
+    depth_note,
     pose_report,
     torso_heading,
     torso_vectors,
-    unseen,
     wrist_track,
 )
-from mimic.settings import RetargetSettings
-from mimic.types import LANDMARKS, PoseTrack
 
 TRUTH = Path(__file__).parents[2] / ".." / "shared" / "data" / "videos" / "rendered" / "boxing.npz"
 TURNS = RetargetSettings(turns=True)
@@ -195,10 +195,10 @@ def test_the_quantile_decides_how_far_an_arm_length_is():
         (45, (-np.sqrt(0.5), np.sqrt(0.5), 0), ("in front of", "diagonal")),
     ],
 )
-def test_the_camera_axis_says_what_is_hardly_seen(heading, axis, words):
+def test_the_camera_axis_names_the_motion_that_is_barely_visible(heading, axis, words):
     pose = track(*person(heading))
     np.testing.assert_allclose(camera_axis(pose), axis, atol=1e-9)
-    assert all(word in unseen(camera_axis(pose)) for word in words)
+    assert all(word in depth_note(camera_axis(pose)) for word in words)
 
 
 def test_the_report_counts_frames_and_arms():

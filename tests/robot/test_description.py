@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from mimic.errors import AssetError
-from mimic.robot import description as module
+from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription, load_description
-from mimic.types import JOINTS
 
 
 def test_every_pose_keeps_inside_the_joint_limits(description):
@@ -65,37 +66,41 @@ def test_both_directions_of_motion_are_alike(description):
 
 
 def test_the_overload_table_goes_from_little_to_much(description):
-    assert np.all(np.diff(description.overload_torque) > 0)
-    assert np.all(np.diff(description.overload_seconds) < 0)
-    assert description.torque_rated < description.overload_torque[0]
-    assert description.overload_torque[-1] == description.torque_max
+    assert np.all(np.diff(description.thermal.overload_torque) > 0)
+    assert np.all(np.diff(description.thermal.overload_time) < 0)
+    assert description.torque_rated < description.thermal.overload_torque[0]
+    assert description.thermal.overload_torque[-1] == description.torque_max
 
 
-def test_a_robot_that_does_not_ship_is_told():
+def test_an_unknown_robot_is_refused():
     with pytest.raises(AssetError, match="assets/spot is missing"):
         load_description("spot")
 
 
-def edited(text: str, tmp_path, monkeypatch) -> RobotDescription:
-    folder = tmp_path / "edited"
-    folder.mkdir()
+def edited(text: str, folder: Path) -> RobotDescription:
     (folder / "robot.toml").write_text(text, encoding="utf-8")
-    monkeypatch.setattr(module, "shipped", lambda *parts: folder)
-    load_description.cache_clear()
-    try:
-        return load_description("edited")
-    finally:
-        load_description.cache_clear()
+    return load_description(folder)
 
 
-def test_a_missing_number_is_told_by_name(description, tmp_path, monkeypatch):
+def test_a_missing_number_is_reported_by_name(description, tmp_path):
     text = (description.folder / "robot.toml").read_text(encoding="utf-8").replace("torque_rated =", "torque_rotted =")
     with pytest.raises(AssetError, match=r"robot\.toml lacks 'torque_rated'"):
-        edited(text, tmp_path, monkeypatch)
+        edited(text, tmp_path)
 
 
-def test_a_pose_that_lacks_a_joint_is_told(description, tmp_path, monkeypatch):
+def test_a_pose_that_lacks_a_joint_is_refused(description, tmp_path):
     text = (description.folder / "robot.toml").read_text(encoding="utf-8")
     text = text.replace("four = { z = 0.259, up = 0.0, q = [0.0, ", "four = { z = 0.259, up = 0.0, q = [")
     with pytest.raises(AssetError, match="does not have 12 joints"):
-        edited(text, tmp_path, monkeypatch)
+        edited(text, tmp_path)
+
+
+def test_a_description_is_found_by_its_name_its_folder_and_its_file(description):
+    assert load_description(description.folder) is description
+    assert load_description(description.folder / "robot.toml") is description
+    assert load_description("cyberdog2") is description
+
+
+def test_a_folder_without_a_description_is_refused(tmp_path):
+    with pytest.raises(AssetError, match=r"there is no .*robot\.toml"):
+        load_description(tmp_path)

@@ -3,8 +3,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mimic.robot.leg import all_toes, front_toes
-from mimic.robot.model import TOES, load_model
+from mimic.dynamics.robot_model import load_model
+from mimic.robot.leg_kinematics import all_toes, front_toes
+from mimic.robot.model import TOES
 
 
 def test_toes_are_where_the_model_has_them(description):

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from mimic.records import LEGS
 from mimic.robot.description import load_description
 from mimic.robot.reach import FRONT, Reach
-from mimic.types import LEGS
 
 REACH = Reach()
 DESCRIPTION = load_description()
@@ -119,5 +119,5 @@ def test_a_smooth_motion_through_the_boundary_stays_smooth():
 
 def test_acceleration_leaves_torque_for_the_rest():
     assert REACH.acceleration_max.shape == (FRONT,)
-    assert np.all(REACH.acceleration_max * DESCRIPTION.raw["motor"]["armature"] < 0.5 * DESCRIPTION.torque_max)
+    assert np.all(REACH.acceleration_max * DESCRIPTION.armature < 0.5 * DESCRIPTION.torque_max)
     assert REACH.speed_max == pytest.approx(0.6 * DESCRIPTION.speed_flat)

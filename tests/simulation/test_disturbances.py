@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimic.config.play import NOMINAL, Disturbance, Solver
+from mimic.dynamics.robot_model import load_model
 from mimic.errors import ConfigError
-from mimic.robot.model import load_model
-from mimic.run.simulation import SimulatedPlant, with_timestep
-from mimic.settings import NOMINAL, Disturbance, Solver
-from mimic.types import JointCommand, RobotState, Tick
+from mimic.records import JointCommand, RobotState, Tick
+from mimic.simulation.plant import SimulatedPlant, with_timestep
 
 
 def command(description, q: np.ndarray) -> JointCommand:
@@ -156,12 +156,12 @@ def test_noise_is_on_what_is_measured_and_not_on_the_motion(description):
 
 
 def test_a_robot_that_hears_nothing_stays_as_it_was(description):
-    deaf = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=1.0)))
+    dropping = play(SimulatedPlant(description, disturbance=Disturbance(lost_share=1.0)))
     plant = SimulatedPlant(description)
     start = plant.start()
-    told = [plant.step(command(description, start.q)) for _ in range(30)]
-    assert same(deaf[-1].state, told[-1].state)
-    assert np.array_equal(deaf[-1].sent.q_des, start.q)
+    commanded = [plant.step(command(description, start.q)) for _ in range(30)]
+    assert same(dropping[-1].state, commanded[-1].state)
+    assert np.array_equal(dropping[-1].sent.q_des, start.q)
 
 
 def test_some_commands_are_lost_and_the_rest_arrive(description):
@@ -204,9 +204,9 @@ def test_a_control_step_is_a_whole_number_of_physics_steps(description):
 
 
 def test_a_delay_is_the_same_time_at_any_timestep(description):
-    late = dataclasses.replace(NOMINAL, delay=(0.03, 0.03))
+    delayed = dataclasses.replace(NOMINAL, delay=(0.03, 0.03))
     steps = [
-        SimulatedPlant(description, ranges=late, solver=Solver(timestep=h)).variation.delay_steps
+        SimulatedPlant(description, ranges=delayed, solver=Solver(timestep=h)).variation.delay_steps
         for h in (0.005, 0.001)
     ]
     assert steps == [6, 30]

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from mimic.config.play import NOMINAL, Randomisation, Solver
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.robot_model import command_in_effect, load_model
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.model import command_in_effect, load_model
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, Randomisation, Solver
-from mimic.types import JOINTS, JointCommand, RobotState
+from mimic.records import JOINTS, JointCommand, RobotState
+from mimic.simulation.plant import SimulatedPlant
 
 FINE = Solver(timestep=0.001)
 
@@ -109,8 +109,8 @@ def test_a_calibrated_delay_takes_the_place_of_the_drawn_one(milliseconds, descr
 
 
 def test_one_joint_may_act_later_than_the_others(description):
-    late = EffectSet((EffectValues(name="joint_delay", joints=("FL_knee",), values={"time": 0.02}),))
-    plant = SimulatedPlant(description, effects=late)
+    delayed = EffectSet((EffectValues(name="joint_delay", joints=("FL_knee",), values={"time": 0.02}),))
+    plant = SimulatedPlant(description, effects=delayed)
     lie = plant.start().q
     tau = plant.step(command(description, lie + 0.2)).state.tau
     assert tau[1] > 2.0

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimic.config.play import NOMINAL, Randomisation, RunSettings
+from mimic.control.damping import damping_command
+from mimic.control.loop import run_policy
 from mimic.errors import PlantError
-from mimic.frames import heading_from_quat
+from mimic.geometry import heading_from_quat
 from mimic.metrics import stand_up_time, standing
 from mimic.policy.runtime import load_policy
-from mimic.run.brake import damping_command
-from mimic.run.loop import run_policy
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, Randomisation, RunSettings
-from mimic.types import CommandTrack, JointCommand, RobotState
+from mimic.records import CommandTrack, JointCommand, RobotState
+from mimic.simulation.plant import SimulatedPlant
 
 PUSHED = dataclasses.replace(Randomisation(), push_interval=0.1)
 

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.calibration import Calibration, Candidate, Errors, Remainder, Stage, Traces
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.store import save_json
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.io.store import save_json
+from mimic.sysid.result import Calibration, Candidate, Errors, Stage, Traces, UnexplainedResidual
 
 
 def small() -> Calibration:
@@ -26,10 +26,10 @@ def small() -> Calibration:
         unit="rad",
         noise=row,
         nominal=Errors(train=8 * row, held_out=8 * row),
-        stages=(Stage(added="declared", errors=errors), Stage(added="backlash", errors=errors, candidates=(tried,))),
+        stages=(Stage(added="baseline", errors=errors), Stage(added="backlash", errors=errors, candidates=(tried,))),
         effects=EffectSet((EffectValues(name="delay", values={"time": np.array([0.01])}),)),
         unexplained=(
-            Remainder(
+            UnexplainedResidual(
                 joint="a", ratio=1.0, state_r2=0.0, depends_on=(), peak_hz=1.0, peak_ratio=2.0, verdict="explained"
             ),
         ),
@@ -41,7 +41,7 @@ def small() -> Calibration:
 def test_all_but_the_traces_comes_out_as_json(tmp_path: Path) -> None:
     save_json(small().to_json(), tmp_path / "calibration.json")
     data = json.loads((tmp_path / "calibration.json").read_text())
-    assert data["format"] == 1
+    assert data["format"] == 2
     assert data["found"] == ["backlash"]
     assert data["errors"]["nominal"]["held_out"] == {"a": 8.0, "b": 24.0, "all": np.sqrt(320.0)}
     assert data["errors"]["final"]["train"]["b"] == 6.0

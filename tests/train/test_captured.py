@@ -5,16 +5,16 @@ import dataclasses
 
 import pytest
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.settings import LearnSettings, MdpSettings
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
-from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.learn import runner_config, train  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 MDP = MdpSettings(worlds=6, history=3)  # small, as the networks below
 PLAIN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, captured=False, reaching=0.0)

@@ -8,15 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.robot.model import load_model
-from mimic.settings import NOMINAL, UNDISTURBED, MdpSettings
-from mimic.types import LEGS
+from mimic.config.play import NOMINAL
+from mimic.config.training import UNDISTURBED, MdpSettings
+from mimic.dynamics.robot_model import load_model
+from mimic.records import LEGS
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.disturbances import quat_multiply, quat_rotate  # noqa: E402
-from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.feet import Feet, sliding  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 RANGES = dataclasses.replace(
     UNDISTURBED, slope=(4.0, 4.0), toe_payload=(0.3, 0.3), drag=(8.0, 8.0), drag_share=1.0, drag_from=(0.0, 0.0)
@@ -31,7 +32,7 @@ def make(description, **changes: object) -> StandTrackEnv:
         upright_share=0.0,
         randomisation=NOMINAL,
         command_margin=0.0,
-        calm_share=1.0,
+        disturbance_share_at_first=1.0,
         upright_share_at_first=0.0,
     )
     solved = {"solver_iterations": 100, "linesearch_iterations": 50}

@@ -5,19 +5,21 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.config.play import NOMINAL, Solver
+from mimic.config.rewards import FinishFactors, RewardWeights
+from mimic.config.training import UNDISTURBED, MdpSettings
+from mimic.dynamics.robot_model import restitution_damping
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
+from mimic.records import JointCommand
 from mimic.robot.description import with_timestep
-from mimic.robot.leg import front_toes
-from mimic.robot.model import restitution_damping
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, UNDISTURBED, FinishFactors, MdpSettings, RewardWeights, Solver
-from mimic.types import JointCommand
+from mimic.robot.leg_kinematics import front_toes
+from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.environment import StandTrackEnv  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
-FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED, calm_share=1.0)
+FEW = MdpSettings(worlds=6, noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED, disturbance_share_at_first=1.0)
 
 
 def make(description, seed: int = 3, **changes: object) -> StandTrackEnv:
@@ -188,10 +190,10 @@ def test_gains_slopes_and_the_ground_come_in_over_the_ramp(description):
         worlds=2,
         disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0), contact_time=(1.5, 1.5)),
         randomisation=dataclasses.replace(FEW.randomisation, restitution=(0.4, 0.4)),
-        calm_share=0.25,
-        ease_latest=240.0,
-        ease_steps=480.0,
-        ease_falls=-1.0,
+        disturbance_share_at_first=0.25,
+        curriculum_latest=240.0,
+        curriculum_steps=480.0,
+        curriculum_falls=-1.0,
     )
 
     usual = env.worlds.mj_model.geom("floor").solref[0]
@@ -230,8 +232,8 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
             finish_steps=(240.0, 720.0),
             upright_share=1.0,
             upright_share_at_first=1.0,
-            ease_latest=0.0,
-            ease_steps=240.0,
+            curriculum_latest=0.0,
+            curriculum_steps=240.0,
         )
         env.resume_at(calls)
         return env.step(torch.zeros(FEW.worlds, 12))[1]
@@ -247,7 +249,7 @@ def test_drift_is_the_velocity_error_over_a_second(description):
         description,
         rewards=only(drift=-1.0),
         reward_scale=1.0,
-        late_share=1.0,
+        refining_share_at_first=1.0,
         still_share=1.0,
         upright_share=1.0,
         upright_share_at_first=1.0,

@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.config.rewards import RewardWeights
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError, MimicError
 from mimic.policy.runtime import Policy
-from mimic.settings import LearnSettings, MdpSettings, RewardWeights
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
-from mimic.train.environment import StandTrackEnv, make_contract  # noqa: E402
+from mimic.train.contract import make_contract  # noqa: E402
 from mimic.train.learn import TrainingDiverged, runner_config, settings_hash, train  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 MDP = MdpSettings(worlds=4)
 LEARN = LearnSettings(iterations=1, device="cpu", steps=8, hidden=(32, 16), epochs=2, minibatches=2)

@@ -3,15 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mimic.frames import heading_from_quat
+from mimic.geometry import heading_from_quat
 from mimic.policy.contract import ObservationBuilder, joint_command
-from mimic.robot.leg import front_toes
-from mimic.run.simulation import SimulatedPlant
-from mimic.types import JointCommand
+from mimic.records import JointCommand
+from mimic.robot.leg_kinematics import front_toes
+from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
-from mimic.settings import MdpSettings  # noqa: E402
-from mimic.train.environment import make_contract  # noqa: E402
+from mimic.config.training import MdpSettings  # noqa: E402
+from mimic.train.contract import make_contract  # noqa: E402
 from mimic.train.mirror import mirrored_actions, mirrored_observations  # noqa: E402
 
 

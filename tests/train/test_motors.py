@@ -8,21 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.config.play import NOMINAL, Solver
+from mimic.config.training import TRAINING_RANDOMISATION, UNDISTURBED, MdpSettings
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.effect_set import EffectSet, EffectValues, write_effects
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet, EffectValues, write_effects
-from mimic.robot.effects import CATALOGUE
-from mimic.run.simulation import SimulatedPlant
-from mimic.settings import NOMINAL, TRAINING_RANDOMISATION, UNDISTURBED, MdpSettings, Solver
-from mimic.types import JOINTS, JointCommand
+from mimic.records import JOINTS, JointCommand
+from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.environment import StandTrackEnv  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 from mimic.train.worlds import Worlds  # noqa: E402
 
 STEP = 0.0025
 EXACT = MdpSettings(
-    worlds=6, randomisation=NOMINAL, disturbances=UNDISTURBED, calm_share=1.0, solver_iterations=100, timestep=STEP
+    worlds=6,
+    randomisation=NOMINAL,
+    disturbances=UNDISTURBED,
+    disturbance_share_at_first=1.0,
+    solver_iterations=100,
+    timestep=STEP,
 )
 
 VALUES: dict[str, dict[str, float]] = {
@@ -182,7 +188,7 @@ def test_gains_come_in_over_the_ramp(description, tmp_path):
     env = environment(description, file(tmp_path, one("gains", kp=0.8, kd=1.0)), randomisation=TRAINING_RANDOMISATION)
 
     def spread(share: float) -> float:
-        env.worlds.ease(share)
+        env.worlds.set_share(share)
         env.worlds.step()
         return float(np.abs(env.worlds.model.actuator_gainprm.numpy()[..., 0] / (0.8 * description.kp) - 1).max())
 

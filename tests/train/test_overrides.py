@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.settings import LearnSettings, MdpSettings
 from mimic.train.overrides import with_overrides
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.settings import LearnSettings, MdpSettings
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from mimic.robot.description import load_description  # noqa: E402
-from mimic.train.environment import StandTrackEnv  # noqa: E402
 from mimic.train.learn import runner_config  # noqa: E402
 from mimic.train.runner import Ranks, Runner  # noqa: E402
+from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 together = pytest.mark.skipif(
     not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="PyTorch without gloo"
@@ -69,6 +69,7 @@ def two(seeds: tuple[int, int], folder: Path, captured: bool = True) -> list[tor
     return [torch.load(folder / f"{rank}.pt") for rank in (0, 1)]
 
 
+@pytest.mark.slow
 @together
 def test_two_processes_that_see_the_same_learn_what_one_learns(tmp_path):
     first, second = two((1, 1), tmp_path)
@@ -76,6 +77,7 @@ def test_two_processes_that_see_the_same_learn_what_one_learns(tmp_path):
     assert (first - learned(1, LEARN)).abs().max() < 2e-5
 
 
+@pytest.mark.slow
 @together
 def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
     first, second = two((1, 2), tmp_path)
@@ -86,6 +88,7 @@ def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does
     assert (first - plain).abs().max() < 2e-5
 
 
+@pytest.mark.slow
 @together
 @pytest.mark.parametrize("captured", [False, True])
 def test_torchrun_trains_one_policy_and_the_first_process_writes_it(captured, tmp_path):

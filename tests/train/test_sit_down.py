@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mimic.config.play import NOMINAL
+from mimic.config.rewards import SitDownWeights
+from mimic.config.training import UNDISTURBED, LearnSettings, MdpSettings, SitDownSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.frames import heading_from_quat, up_cosine
+from mimic.geometry import heading_from_quat, up_cosine
 from mimic.policy.runtime import Policy
-from mimic.settings import NOMINAL, UNDISTURBED, LearnSettings, MdpSettings, SitDownSettings, SitDownWeights
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
@@ -89,7 +91,7 @@ def test_there_is_a_weight_for_each_term_in_its_order(env):
     env.step(torch.zeros(SIT.worlds, 12))
     finite = torch.ones(SIT.worlds, dtype=torch.bool)
     low = env.worlds.lowest()
-    terms = sit_down_terms(env._facts(finite, low), env._descent(finite, low))
+    terms = sit_down_terms(env._facts(finite, low), env._descent(finite, low), env.description.training.joint_speed)
     assert list(terms) == [f.name for f in dataclasses.fields(SitDownWeights)]
 
 

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.records import LANDMARKS, PHASES, PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.leg import front_toes
-from mimic.types import LANDMARKS, PHASES, PoseTrack, RunLog, TargetTrack
-from mimic.view.footage import encode_h264
+from mimic.robot.leg_kinematics import front_toes
+from mimic.view.film.footage import encode_h264
 
-SHARED = Path(__file__).parents[2] / ".." / "shared" / "data" / "videos"
 STAND_UP, BLEND, TRACKED, HELD = 20, 5, 50, 5
 DT = 0.02
 

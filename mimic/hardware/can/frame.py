@@ -47,7 +47,7 @@ _CRC = 0x4599
 """Polynomial of the check sum. Source: ISO 11898-1, CRC-15-CAN."""
 
 _UNSTUFFED = 10 + 3
-"""Bits after the check sum: its delimiter, acknowledge slot and delimiter, end of frame; then the pause. ISO 11898-1."""
+"""Bits after the check sum: its delimiter, acknowledge slot and delimiter, end of frame; the pause. ISO 11898-1."""
 
 
 def _crc_bit(crc: int, bit: int) -> int:
@@ -66,7 +66,7 @@ _CRC_TABLE = tuple(_crc_byte(byte) for byte in range(256))
 
 
 def _run_bit(state: int, bit: int) -> tuple[int, int]:
-    """Return the state after a bit and whether one is stuffed; state = 2 * length of the run (1-5) + its bit, 0 at first."""
+    """Return the state after a bit, and 1 if a bit is stuffed; state = 2 * run length (1-5) + its bit, first 0."""
     length, last = state >> 1, state & 1
     length = length + 1 if length and bit == last else 1
     return (2 + (1 - bit), 1) if length == 5 else (2 * length + bit, 0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from mimic.run.can_frame import CanFrame
+from mimic.hardware.can.frame import CanFrame
 
 
 class Received(NamedTuple):

@@ -1,4 +1,4 @@
-"""Opens the buses that a person names, by python-can.
+"""Opens buses by python-can, from the URL that the user gives.
 
     can0                            SocketCAN, the kernel's interfaces
     can0,can1                       several buses, in this order
@@ -7,9 +7,9 @@
     virtual:NAME                    inside one process
     pcan:PCAN_USBBUS1               any other interface of python-can and its channel
 
-What python-can 4.6.1 does not do by itself, and is done here: small TCP segments go out at once (slcan over TCP else takes
-44 ms for twelve commands), a socketcand server that died is an error and not silence, a server that never answers is given
-up, and nothing is tried for ten seconds where nobody listens.
+Works around four limits of python-can 4.6.1: small TCP segments go out at once (otherwise slcan over TCP takes 44 ms
+for twelve commands); a socketcand server that died is an error; a server that never answers is given up; a closed port
+is reported at once instead of after ten seconds.
 """
 
 from __future__ import annotations
@@ -29,24 +29,26 @@ import can
 import serial
 
 from mimic.errors import BusError, ConfigError, FrameError, MimicError
-from mimic.run.can_frame import CanFrame
-from mimic.run.link import Received
+from mimic.hardware.can.faults import explain, first_line
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.link import Received
 
 ANSWER_WITHIN = 2.0
-"""A server that does not answer for so long is given up [s]."""
+"""A server that does not answer within this is given up [s]."""
 
 SEND_WITHIN = 0.01
-"""An adapter that does not take a frame for so long has failed [s]."""
+"""An adapter that does not take a frame within this has failed [s]."""
 
 _LINE_WITHIN = 0.002
 """A line of slcan whose beginning is there is complete within this [s]."""
 
 _TRIES = 3
-"""Handshakes of socketcand that are tried: on a busy bus a frame can come right after an answer, which python-can refuses."""
+"""Handshakes of socketcand that are tried: on a busy bus a frame can come right after an answer, which python-can
+refuses."""
 
 _FULL, _FRAME = 60, 0.00015
-"""Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues ten frames
-unless told otherwise, and twelve commands come at once."""
+"""Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues
+ten frames unless told otherwise, and twelve commands come at once."""
 
 _SLICE = 0.0005
 """How long to wait at a time on a bus that cannot be waited for [s]."""
@@ -87,7 +89,7 @@ class _Port:
                 late = isinstance(reason.__cause__, serial.SerialTimeoutException)
                 if late and self.file is not None and select.select([], [self.file], [], 0)[1]:
                     return
-                raise BusError(f"{self.name} does not take frames any more: {_short(reason)}") from None
+                raise BusError(f"{self.name} no longer takes frames: {explain(reason)}") from None
 
     def take(self) -> CanFrame | None:
         """Return a frame that is there already, or None."""
@@ -108,7 +110,7 @@ class _Port:
             except (ValueError, FrameError):  # a garbled line of slcan; the next one is there already, or nothing
                 self.garbled += 1
             except (can.CanError, OSError) as reason:
-                raise BusError(f"{self.name} has failed: {_short(reason)}") from None
+                raise BusError(f"{self.name} has failed: {explain(reason)}") from None
 
     def _check(self) -> None:
         """Raise if the server is gone: python-can's socketcand client would be silent for ever."""
@@ -132,7 +134,7 @@ class _Port:
 
 
 class CanLink:
-    """Buses of python-can and the computer's monotonic clock. See :class:`mimic.run.link.Link`."""
+    """Buses of python-can and the computer's monotonic clock. See `mimic.hardware.can.link.Link`."""
 
     def __init__(self, ports: list[_Port]) -> None:
         self._ports = ports
@@ -198,20 +200,20 @@ class CanLink:
                 port.close()
 
 
-def open_link(words: str, *, bitrate: int = 1_000_000) -> CanLink:
-    """Open the buses that a person names.
+def open_link(bus_url: str, *, bitrate: int = 1_000_000) -> CanLink:
+    """Open buses.
 
     Args:
-        words: One bus or several with commas, see above.
-        bitrate: Of the adapters that are told one [bit/s]; SocketCAN has its own from ``ip link``.
+        bus_url: One bus, or several separated by commas; the forms are above.
+        bitrate: For adapters that need one [bit/s]; SocketCAN has its own from ``ip link``.
 
     Raises:
-        ConfigError: If a word is none of the forms.
-        BusError: If a bus is not there or does not answer.
+        ConfigError: If a bus has none of the forms.
+        BusError: If a bus does not exist or does not answer.
     """
-    names = [word.strip() for word in words.split(",")]
+    names = [word.strip() for word in bus_url.split(",")]
     if len(set(names)) < len(names) or "" in names:
-        raise ConfigError(f"the buses are {words!r}; expected different ones, such as {FORMS}")
+        raise ConfigError(f"the buses are {bus_url!r}; expected different ones, such as {FORMS}")
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of every message in two segments
     ports: list[_Port] = []
     try:
@@ -238,13 +240,13 @@ def _open(name: str, bitrate: int) -> _Port:
     except MimicError:
         raise
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as reason:
-        raise BusError(f"{name} cannot be opened: {_short(reason)}") from None
-    raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}, or another interface of python-can")
+        raise BusError(f"{name} cannot be opened: {explain(reason)}") from None
+    raise ConfigError(f"{name!r} is not a bus; expected {FORMS}, or another interface of python-can")
 
 
 def _socketcan(name: str) -> _Port:
     if not re.fullmatch(r"[A-Za-z0-9_.-]{1,15}", name):
-        raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}")
+        raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
     try:
         return _Port(name, can.Bus(interface="socketcan", channel=name, ignore_config=True), None, ready=True)
     except OSError as reason:
@@ -281,7 +283,7 @@ def _slcan(name: str, channel: str, bitrate: int) -> _Port:
     options: dict[str, Any] = {"bitrate": bitrate, "ignore_config": True, "timeout": 0}
     if "://" in channel:
         if not channel.startswith("socket://"):
-            raise ConfigError(f"{name!r} is no bus that mimic knows; expected {FORMS}")
+            raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
         _knock(name, *_address(channel))
         options["sleep_after_open"] = 0  # a board that resets when its port is opened has a serial port
     bus = can.Bus(interface="slcan", channel=channel, **options)
@@ -309,7 +311,7 @@ def _knock(name: str, host: str, port: int) -> None:
         socket.create_connection((host, port), timeout=ANSWER_WITHIN).close()
     except OSError as reason:
         raise BusError(
-            f"nobody listens at {host}:{port} ({_short(reason)}); {name} needs a server there, such as mimic emulate"
+            f"nobody listens at {host}:{port} ({first_line(reason)}); {name} needs a server, such as mimic emulate"
         ) from None
 
 
@@ -333,7 +335,3 @@ def _fileno(bus: can.BusABC) -> int | None:
         return bus.fileno()
     except (NotImplementedError, can.CanError):
         return None
-
-
-def _short(reason: BaseException) -> str:
-    return str(reason).strip().splitlines()[0] if str(reason).strip() else type(reason).__name__

@@ -1,8 +1,8 @@
 """Codec of the CyberGear protocol: messages to frames and back, pure.
 
-A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7 bits.
-Hosts have ids from 0x80 on here, so that the destination tells the direction of a frame: type 0 and type 17 are both
-asked and answered. (The protocol would also let a host be 0, which could be a motor.)
+A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7
+bits. Hosts have ids from 0x80 on here, so that the destination tells the direction of a frame: type 0 and type 17 are
+both asked and answered. (The protocol would also let a host be 0, which could be a motor.)
 
 A quantity of an operation command or a feedback is an unsigned word w that spans its range evenly. Encoding saturates
 to the range and truncates, as the maker's code does; decoding gives low + w (high - low) / 65535.
@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from mimic.errors import ConfigError, FrameError
-from mimic.run.can_frame import CanFrame
-from mimic.run.motor_messages import (
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.cybergear.messages import (
     DetailedFault,
     DeviceId,
     Enable,
@@ -60,15 +60,16 @@ them. The scale differs by 0.53 %; ``Codec.check_range`` tells which one a motor
 BAUD_RATES = {1: 1_000_000, 2: 500_000, 3: 250_000, 4: 125_000}
 """Code -> [bit/s]; manual 4.1.15."""
 
-_SPAN = 65535
+WORDS = 65535
+"""Steps in the range of a quantity."""
 _ROUNDING = 1e-6
 """Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
 
 def half_a_word(most: float) -> float:
-    """Return half of the step in which a quantity from -most to most is told: what truncating takes off, in the mean."""
-    return most / _SPAN
+    """Return half a step of a quantity from -most to most: what truncating takes off on average."""
+    return most / WORDS
 
 
 def to_word(value: float, low: float, high: float) -> int:
@@ -79,12 +80,12 @@ def to_word(value: float, low: float, high: float) -> int:
     """
     if not math.isfinite(value):
         raise FrameError(f"{value} cannot be sent; expected a finite number")
-    return int((min(max(value, low), high) - low) * _SPAN / (high - low) + _ROUNDING)
+    return int((min(max(value, low), high) - low) * WORDS / (high - low) + _ROUNDING)
 
 
 def from_word(word: int, low: float, high: float) -> float:
     """Return the quantity of a word."""
-    return low + word * (high - low) / _SPAN
+    return low + word * (high - low) / WORDS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -158,8 +159,8 @@ class Codec:
         """Return the message of a frame, of either direction.
 
         Raises:
-            FrameError: If the frame is not of this protocol: an identifier of 11 bits, not eight bytes, an unknown type,
-                ids, an index or a code that cannot be, bits set that must be zero.
+            FrameError: If the frame is not of this protocol: an identifier of 11 bits, not eight bytes, an unknown
+                type, ids, an index or a code that cannot be, bits set that must be zero.
         """
         if not frame.extended:
             raise FrameError(f"{frame} has an identifier of 11 bits; CyberGear's have 29")

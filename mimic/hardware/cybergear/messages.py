@@ -1,6 +1,7 @@
 """What is said to and by a CyberGear motor: messages in numbers, and the table of its parameters.
 
-Quantities are those of the motor itself: its own sign and zero. :mod:`mimic.run.cybergear` turns them into frames.
+Quantities are those of the motor itself: its own sign and zero. `mimic.hardware.cybergear.codec` turns them into
+frames.
 
 Source: CyberGear manual, sections 3.3 and 4.1; English translation in belovictor/cybergear-docs, commit 22c05e2.
 """

@@ -1,7 +1,4 @@
-"""BVH: a skeleton with joint angles. The joints' positions follow by forward kinematics.
-
-A parser of our own: of the readers that we looked for (bvh, bvhio, bvhtoolbox, pymo) none could be installed, and the
-format is half a page.
+"""BVH: a skeleton with joint angles; forward kinematics gives the positions of its joints.
 
 Source: Meredith and Maddock, "Motion Capture File Formats Explained", University of Sheffield, 2001, section 2.1: the
 channels of a joint are applied in their order, each about the axes that the ones before it left.
@@ -9,16 +6,17 @@ channels of a joint are applied in their order, each about the axes that the one
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.settings import StoredSettings
-from mimic.sources.points import Points
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.sources.mocap.points import Points
 
 _CHANNELS = {f"{axis}{kind}": (kind, i) for kind in ("position", "rotation") for i, axis in enumerate("xyz")}
 
@@ -47,22 +45,26 @@ class _Words:
     def next(self, expected: str) -> str:
         for word in self:
             return word
-        raise self.wrong("the file ends", expected)
+        raise self.wrong("the end of the file", expected)
 
     def number(self, expected: str) -> float:
         word = self.next(expected)
         try:
-            return float(word)
+            value = float(word)
         except ValueError:
             raise self.wrong(repr(word), expected) from None
+        if not math.isfinite(value):
+            raise self.wrong(repr(word), expected)
+        return value
+
+    def no_bvh(self) -> SourceError:
+        return SourceError(f"{self._name}, line 1: not a BVH file (it must start with HIERARCHY)")
 
     def wrong(self, given: str, expected: str) -> SourceError:
-        return SourceError(
-            f"{self._name}, line {self.line}: {given} where {expected} was expected; export the BVH again"
-        )
+        return SourceError(f"{self._name}, line {self.line}: expected {expected}, got {given}; export the BVH again")
 
 
-def read_bvh(path: Path, settings: StoredSettings) -> Points:
+def read_bvh(path: Path, settings: MocapSettings) -> Points:
     """Return the position of every joint of a BVH file in every frame; end sites are left out.
 
     Raises:
@@ -83,7 +85,7 @@ def read_bvh(path: Path, settings: StoredSettings) -> Points:
     if settings.fps:
         step = 1.0 / settings.fps
     if step <= 0.0:
-        raise SourceError(f"{path.name} says that a frame takes {step:g} s; say --fps")
+        raise SourceError(f"{path.name} gives a frame time of {step:g} s; give the frame rate with --fps")
     return Points(
         t=step * np.arange(frames),
         xyz=_positions(joints, values),
@@ -94,8 +96,8 @@ def read_bvh(path: Path, settings: StoredSettings) -> Points:
 
 
 def _hierarchy(words: _Words) -> list[_Joint]:
-    if words.next("HIERARCHY").upper() != "HIERARCHY":
-        raise words.wrong("something else", "HIERARCHY, the first word of a BVH file,")
+    if next(iter(words), "").upper() != "HIERARCHY":
+        raise words.no_bvh()
     joints: list[_Joint] = []
     open_ones: list[int] = []
     end_site = -1
@@ -126,7 +128,7 @@ def _hierarchy(words: _Words) -> list[_Joint]:
             return joints
         else:
             raise words.wrong(repr(word), "ROOT, JOINT, End, OFFSET, CHANNELS or MOTION")
-    raise words.wrong("the file ends", "MOTION")
+    raise words.wrong("the end of the file", "MOTION")
 
 
 def _header(words: _Words) -> tuple[int, float]:
@@ -142,9 +144,12 @@ def _numbers(words: _Words) -> list[float]:
     numbers = []
     for word in words:
         try:
-            numbers.append(float(word))
+            value = float(word)
         except ValueError:
             raise words.wrong(repr(word), "a number") from None
+        if not math.isfinite(value):
+            raise words.wrong(repr(word), "a number")
+        numbers.append(value)
     return numbers
 
 

@@ -1,7 +1,6 @@
-"""Stored motion of any origin becomes a person's track: points with names and times, in metres, camera axes.
+"""Recorded motion -> PoseTrack: named points over time, in metres and camera axes.
 
-Readers of single formats give :class:`Points`; from there on all files are treated alike, and from :class:`PoseTrack` on
-like a video.
+A reader for each format returns `Points`; all later steps are shared.
 """
 
 from __future__ import annotations
@@ -12,32 +11,32 @@ from pathlib import Path
 
 import numpy as np
 
+from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import SourceError
-from mimic.settings import PoseSettings, StoredSettings
-from mimic.sources.bvh import read_bvh
-from mimic.sources.npz import read_npz
-from mimic.sources.points import UNITS, Points
-from mimic.sources.skeletons import Scheme, read_names, recognise
-from mimic.sources.smoothing import smooth
-from mimic.sources.trc import read_trc
-from mimic.types import FloatArray, PoseTrack
+from mimic.records import FloatArray, PoseTrack
+from mimic.sources.mocap.bvh import read_bvh
+from mimic.sources.mocap.npz import read_npz
+from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.skeletons import Scheme, read_names, recognise
+from mimic.sources.mocap.trc import read_trc
+from mimic.sources.video.smoothing import smooth
 
-READERS: Mapping[str, Callable[[Path, StoredSettings], Points]] = {
+READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
     ".bvh": read_bvh,
     ".npz": read_npz,
     ".trc": read_trc,
 }
-"""Endings of files with stored motion."""
+"""Reader of each file ending."""
 
 ARM = 0.5
-"""Shoulder -> elbow -> wrist of a grown person is about this long [m]; it tells the unit of a file that names none. The
-motion does not depend on it: arms are measured in their own length."""
+"""Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
+The motion does not depend on it, because arms are measured in their own length."""
 CLEARLY = 0.75
-"""The trunk points along an axis when this share of it does."""
+"""Minimum component of the torso direction along an axis that is taken as up."""
 
 MIRRORED = (
-    "nose or feet point to the person's back: left and right are exchanged, or the axes of the file are left-handed; if "
-    "the robot moves the wrong leg, store x with the other sign"
+    "the nose or the feet point backwards: left and right are exchanged, or the axes of the file are left-handed; if "
+    "the robot moves the wrong leg, negate x in the file"
 )
 
 _UP = {
@@ -66,14 +65,14 @@ class _Named:
         return self.xyz[:, [self.names.index(side) for side in sides]].mean(axis=1)
 
 
-def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> PoseTrack:
-    """Return the person of a file with stored motion, smoothed like that of a video.
+def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> PoseTrack:
+    """Return the person in a file with recorded motion, smoothed like a video.
 
-    Left and right are believed, and there is no picture: ``image`` is NaN.
+    Left and right are taken from the file. There is no picture: ``image`` is NaN.
 
     Args:
         path: A file that ends in one of READERS.
-        stored: What the file does not say itself.
+        mocap: What the file does not say itself.
         settings: Visibility, least share of frames with a person, and cut-off, as for a video.
 
     Raises:
@@ -81,11 +80,11 @@ def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> 
     """
     if not path.is_file():
         raise SourceError(f"there is no file {path}")
-    points = READERS[path.suffix.lower()](path, stored)
-    scheme, found = recognise(points.names, read_names(stored.names))
+    points = READERS[path.suffix.lower()](path, mocap)
+    scheme, found = recognise(points.names, read_names(mocap.names))
     named = _named(points, found)
     _check_times(points.t, path, settings)
-    up, told = _up(named, stored.up if stored.up != "auto" else points.up, path)
+    up, notes = _up(named, mocap.up if mocap.up != "auto" else points.up, path)
     unit, length = _unit(named, points.unit)
     xyz = length * named.xyz @ _camera_axes(up).T
     origin = named.middle("hip")
@@ -94,7 +93,7 @@ def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> 
     xyz = xyz - (length * origin @ _camera_axes(up).T)[:, None]
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
     if _mirrored(named.names, xyz):
-        told = (*told, MIRRORED)
+        notes = (*notes, MIRRORED)
     track = PoseTrack(
         t=points.t - points.t[0],
         landmarks=_smoothed(points.t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
@@ -105,8 +104,8 @@ def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> 
         swapped=np.zeros(len(xyz), dtype=np.bool_),
         warnings=(
             *points.warnings,
-            f"read as {scheme}, {up} up, in {unit}; say --names or --up if that is wrong",
-            *told,
+            f"read as {scheme}, {up} up, in {unit}; correct it with --names or --up",
+            *notes,
         ),
     )
     _check_person(track, path, settings)
@@ -116,12 +115,16 @@ def track_stored(path: Path, stored: StoredSettings, settings: PoseSettings) -> 
 def _named(points: Points, scheme: Scheme) -> _Named:
     index = {name: i for i, name in enumerate(points.names)}
     columns = [[index[name] for name in theirs] for theirs in scheme.values()]
-    xyz = np.stack([points.xyz[:, own].mean(axis=1) for own in columns], axis=1)
+    finite = np.where(np.isfinite(points.xyz), points.xyz, np.nan)
+    xyz = np.stack([finite[:, own].mean(axis=1) for own in columns], axis=1)
     score = np.stack([points.score[:, own].min(axis=1) for own in columns], axis=1)
     return _Named(tuple(scheme), xyz, score)
 
 
 def _check_times(t: FloatArray, path: Path, settings: PoseSettings) -> None:
+    unknown = np.flatnonzero(~np.isfinite(t))
+    if len(unknown):
+        raise SourceError(f"row {unknown[0] + 1} of {path.name} has no time ({t[unknown[0]]:g} s); remove the row")
     if len(t) < 2 or t[-1] - t[0] < settings.min_duration:
         raise SourceError(
             f"{path.name} has {len(t)} rows in {t[-1] - t[0] if len(t) else 0:.2f} s; a motion needs at least two and "
@@ -131,8 +134,8 @@ def _check_times(t: FloatArray, path: Path, settings: PoseSettings) -> None:
     if len(back):
         row = int(back[0])
         raise SourceError(
-            f"the times of {path.name} do not increase: row {row + 2} has {t[row + 1]:g} s after {t[row]:g} s; sort the "
-            "rows and drop repeated ones"
+            f"the times of {path.name} do not increase: row {row + 2} has {t[row + 1]:g} s after {t[row]:g} s; "
+            "sort the rows and drop repeated ones"
         )
 
 
@@ -145,13 +148,13 @@ def _up(named: _Named, asked: str | None, path: Path) -> tuple[str, tuple[str, .
         return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
     if trunk is None:
         raise SourceError(
-            f"{path.name} has neither hips nor feet, which would show where up is; say --up, such as --up y"
+            f"{path.name} has neither hips nor feet, so the upward axis is unknown; give it, for example --up y"
         )
     axis = int(np.abs(trunk).argmax())
     if abs(trunk[axis]) < CLEARLY:
         raise SourceError(
-            f"the trunk in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no axis clearly; "
-            "say which axis is up with --up, such as --up y"
+            f"the torso in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no single axis; "
+            "give the upward axis, for example --up y"
         )
     return ("" if trunk[axis] > 0 else "-") + "xyz"[axis], ()
 

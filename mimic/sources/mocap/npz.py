@@ -1,4 +1,4 @@
-"""NPZ: times, points and visibilities from another pose estimator; docs/motion-formats.md has the layout."""
+"""NPZ: times, points and visibilities from another pose estimator; docs/manual/motion-formats.md has the layout."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.settings import StoredSettings
-from mimic.sources.points import Points
-from mimic.sources.skeletons import layout_of
+from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.skeletons import layout_of
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
@@ -19,7 +19,7 @@ VISIBILITY = ("visibility", "score", "scores", "confidence")
 _UPS = ("x", "y", "z", "-x", "-y", "-z")
 
 
-def read_npz(path: Path, settings: StoredSettings) -> Points:
+def read_npz(path: Path, settings: MocapSettings) -> Points:
     """Return the points of an NPZ file. Pickled objects in it are refused.
 
     Raises:
@@ -66,7 +66,7 @@ def _arrays(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def _names(arrays: dict[str, Any], count: int, settings: StoredSettings, path: Path) -> tuple[str, ...]:
+def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Path) -> tuple[str, ...]:
     if "names" in arrays and settings.layout is None:
         names = tuple(str(name) for name in np.atleast_1d(arrays["names"]))
         if len(names) != count:
@@ -76,7 +76,7 @@ def _names(arrays: dict[str, Any], count: int, settings: StoredSettings, path: P
     return layout_of(count, layout)
 
 
-def _times(arrays: dict[str, Any], rows: int, settings: StoredSettings, path: Path) -> np.ndarray:
+def _times(arrays: dict[str, Any], rows: int, settings: MocapSettings, path: Path) -> np.ndarray:
     if settings.fps:
         return np.arange(rows) / settings.fps
     if "t" in arrays:
@@ -86,4 +86,4 @@ def _times(arrays: dict[str, Any], rows: int, settings: StoredSettings, path: Pa
         return t
     if "fps" in arrays and np.ndim(arrays["fps"]) == 0 and float(arrays["fps"]) > 0:
         return np.arange(rows) / float(arrays["fps"])
-    raise SourceError(f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or say --fps")
+    raise SourceError(f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give --fps")

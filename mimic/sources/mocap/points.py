@@ -1,10 +1,10 @@
-"""Points with names and times, as a file has them."""
+"""Named points over time, as a file stores them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 """Length of each unit that a file may use [m]."""
@@ -12,7 +12,7 @@ UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Points:
-    """What a file of stored motion says, in its own axes and unit."""
+    """Recorded motion in the axes and the unit of its file."""
 
     t: FloatArray
     """Time of each row (T,) [s]."""
@@ -27,4 +27,4 @@ class Points:
     up: str | None = None
     """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
     warnings: tuple[str, ...] = ()
-    """What the user should know."""
+    """Warnings for the user."""

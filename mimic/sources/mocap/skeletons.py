@@ -1,6 +1,6 @@
 """What other people's files call a shoulder or a wrist, and how their rows are numbered.
 
-A scheme maps our landmark (see :data:`mimic.types.LANDMARKS`) to a name of the file, or to several whose mean it is.
+A scheme maps our landmark (see `mimic.records.LANDMARKS`) to a name of the file, or to several whose mean it is.
 ``--names left_wrist=LWRA+LWRB`` adds to the tables or overrules them.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mimic.errors import ConfigError, SourceError
-from mimic.types import LANDMARKS
+from mimic.records import LANDMARKS
 
 Scheme = Mapping[str, tuple[str, ...]]
 """Landmark -> names in the file; the landmark is their mean."""
@@ -21,7 +21,10 @@ _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index")
 
 
 def _sides(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
-    """Return a scheme from one pattern a limb in the order of _LIMBS; ``{}`` is the side, ``a+b`` a mean, "" nothing."""
+    """Return a scheme from one pattern per limb, in the order of _LIMBS.
+
+    ``{}`` is the side, ``a+b`` a mean, "" nothing.
+    """
     scheme = {}
     for limb, pattern in zip(_LIMBS, patterns, strict=False):
         for side, own in (("left", left), ("right", right)):
@@ -44,6 +47,8 @@ SCHEMES: Mapping[str, Scheme] = {
     "smpl": _sides("L", "R", "{}_Shoulder", "{}_Elbow", "{}_Wrist", "{}_Hip", "{}_Knee", "{}_Ankle", "{}_Toe"),
     "openpose": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}Wrist", "{}Hip", "{}Knee", "{}Ankle", "{}BigToe")
     | {"nose": ("Nose",), "left_ear": ("LEar",), "right_ear": ("REar",)},
+    # The positions beside the example clips (examples/videos/*.npz).
+    "mimic": _sides("L", "R", "shoulder{}", "elbow{}", "wrist{}", "hip{}", "knee{}", "ankle{}") | {"nose": ("nose",)},
     "opensim": _sides("L", "R", "{}.Shoulder", "{}.Elbow", "{}.Wrist", "{}.Hip", "{}.Knee", "{}.Ankle"),
     # Markers on the skin, each beside its joint; hips are the middle of the two markers of the pelvis on that side.
     "plug-in gait": _sides("L", "R", "{}SHO", "{}ELB", "{}WRA+{}WRB", "{}ASI+{}PSI", "{}KNE", "{}ANK", "{}TOE"),
@@ -52,13 +57,13 @@ SCHEMES: Mapping[str, Scheme] = {
 """Naming schemes that are recognised by themselves; the one that knows most of the file's landmarks wins."""
 
 _H36M = (
-    "mid_hip right_hip right_knee right_ankle left_hip left_knee left_ankle spine thorax neck head left_shoulder left_elbow "
-    "left_wrist right_shoulder right_elbow right_wrist"
+    "mid_hip right_hip right_knee right_ankle left_hip left_knee left_ankle spine thorax neck head left_shoulder "
+    "left_elbow left_wrist right_shoulder right_elbow right_wrist"
 )
 _SMPL = (
     "mid_hip left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot_index "
-    "right_foot_index neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist "
-    "right_wrist left_hand right_hand"
+    "right_foot_index neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow "
+    "left_wrist right_wrist left_hand right_hand"
 )
 _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
@@ -68,7 +73,8 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "blazepose33": LANDMARKS,
     "coco17": tuple(_COCO.split()),
     "halpe26": tuple(
-        f"{_COCO} head neck mid_hip left_foot_index right_foot_index left_small_toe right_small_toe left_heel right_heel".split()
+        f"{_COCO} head neck mid_hip left_foot_index right_foot_index "
+        "left_small_toe right_small_toe left_heel right_heel".split()
     ),
     "coco133": (
         *f"{_COCO} left_foot_index left_small_toe left_heel right_foot_index right_small_toe right_heel".split(),
@@ -91,7 +97,7 @@ def layout_of(points: int, asked: str | None) -> tuple[str, ...]:
     known = ", ".join(f"{name} ({len(names)} points)" for name, names in LAYOUTS.items())
     if asked is not None:
         if asked not in LAYOUTS:
-            raise ConfigError(f"there is no layout {asked!r}; there are {known}")
+            raise ConfigError(f"there is no layout {asked!r}; known are {known}")
         if len(LAYOUTS[asked]) != points:
             raise SourceError(f"the layout {asked} has {len(LAYOUTS[asked])} points, the file {points}")
         return LAYOUTS[asked]
@@ -100,7 +106,7 @@ def layout_of(points: int, asked: str | None) -> tuple[str, ...]:
         what = f"could be {' or '.join(fitting)}" if fitting else "fit no layout that is known"
         raise SourceError(
             f"the file has {points} points without names, which {what}; store an array 'names' or 'layout' with them, "
-            f"or say --layout; there are {known}"
+            f"or give --layout; known are {known}"
         )
     return LAYOUTS[fitting[0]]
 
@@ -154,8 +160,8 @@ def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, Scheme]:
     if not set(NEEDED) <= fits[best].keys():
         lacking = [name for name in NEEDED if name not in fits[best]]
         raise SourceError(
-            f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} are "
-            "known; map others with --names left_shoulder=… right_shoulder=… left_wrist=… right_wrist=…"
+            f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} "
+            "are known; map others with --names left_shoulder=… right_shoulder=… left_wrist=… right_wrist=…"
         )
     return best, fits[best]
 

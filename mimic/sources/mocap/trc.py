@@ -1,8 +1,5 @@
 """TRC: positions of markers over time, as OpenSim, Pose2Sim and OpenCap write them.
 
-A parser of our own: the format is a table with five lines before it, and of the readers that we looked for (pytrc,
-trc-data-reader) none could be installed.
-
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
 
@@ -12,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.settings import StoredSettings
-from mimic.sources.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, Points
 
 _HEADER = 5
 """Lines before the table; an empty one may follow them."""
 
 
-def read_trc(path: Path, settings: StoredSettings) -> Points:
+def read_trc(path: Path, settings: MocapSettings) -> Points:
     """Return the markers of a TRC file; empty cells and markers at exactly (0, 0, 0) were not seen.
 
     Raises:
@@ -28,7 +25,7 @@ def read_trc(path: Path, settings: StoredSettings) -> Points:
     """
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     if len(lines) < _HEADER + 1 or not lines[0].startswith("PathFileType"):
-        raise SourceError(f"{path.name} is no TRC file; its first line must begin with PathFileType")
+        raise SourceError(f"{path.name}, line 1: not a TRC file (it must start with PathFileType)")
     facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = facts.get("Units", "").lower()
     if unit not in UNITS:

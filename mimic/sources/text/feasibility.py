@@ -1,12 +1,12 @@
-"""Can this robot do these key frames? What it cannot is told in numbers, so that a person or a model can mend it."""
+"""Checks key frames against the limits of the robot; each error has numbers, so that a person or a model can fix it."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.keyframes import KeyFrames
+from mimic.io.keyframes import KeyFrames
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.reach import FRONT, Reach
-from mimic.types import JOINTS, FloatArray
 
 SHORTEST = 0.1
 """Least time between two key frames [s]."""
@@ -36,12 +36,13 @@ def complaints(motion: KeyFrames, reach: Reach, longest: float) -> list[str]:
             found.append(f"{where}: duration is {frame.duration:g} s; it must be at least {SHORTEST:g} s")
         found += [f"{where}: {text}" for text in _velocity(frame.velocity, reach)]
         rate = abs(frame.heading - heading) / max(frame.duration, SHORTEST)
-        most = float(reach.description.raw["commands"]["turn_rate_max"])
+        most = reach.description.commands.turn_rate
         if rate > most + ROUNDING:
             seconds = abs(frame.heading - heading) / most
             found.append(
-                f"{where}: heading_deg changes by {np.degrees(abs(frame.heading - heading)):.0f} in {frame.duration:g} s; "
-                f"the robot turns by at most {np.degrees(most):.0f} deg/s, so take at least {seconds:.1f} s"
+                f"{where}: heading_deg changes by {np.degrees(abs(frame.heading - heading)):.0f} "
+                f"in {frame.duration:g} s; the robot turns by at most {np.degrees(most):.0f} deg/s, "
+                f"so take at least {seconds:.1f} s"
             )
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]
         found += inside or [f"{where}: {text}" for text in _way(q, frame.q, frame.duration, reach)]
@@ -51,9 +52,7 @@ def complaints(motion: KeyFrames, reach: Reach, longest: float) -> list[str]:
 
 def _velocity(velocity: tuple[float, float], reach: Reach) -> list[str]:
     found = []
-    for name, value, most in zip(
-        ("forward", "left"), velocity, reach.description.raw["commands"]["velocity_max"], strict=True
-    ):
+    for name, value, most in zip(("forward", "left"), velocity, reach.description.commands.velocity, strict=True):
         if abs(value) > most + 1e-6:
             found.append(f"velocity {name} is {value:g} m/s; it must be within ±{most:g}")
     return found
@@ -65,7 +64,8 @@ def _angles(q: FloatArray, reach: Reach) -> list[str]:
     for name, value, low, high in zip(JOINTS, q, reach.q_min, reach.q_max, strict=False):
         if not low - ROUNDING <= value <= high + ROUNDING:
             found.append(
-                f"{name} is {np.degrees(value):.0f} deg; it must be from {np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
+                f"{name} is {np.degrees(value):.0f} deg; "
+                f"it must be from {np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
             )
     if not found and (gap := reach.gap(q)) < reach.clearance - ROUNDING:
         found.append(
@@ -81,8 +81,9 @@ def _way(before: FloatArray, after: FloatArray, duration: float, reach: Reach) -
     for name, turn in zip(JOINTS, np.abs(after - before), strict=False):
         if turn > reach.speed_max * max(duration, SHORTEST) + ROUNDING:
             found.append(
-                f"{name} turns by {np.degrees(turn):.0f} deg in {duration:g} s; at most {np.degrees(reach.speed_max):.0f} "
-                f"deg/s are possible, so take at least {turn / reach.speed_max:.2f} s"
+                f"{name} turns by {np.degrees(turn):.0f} deg in {duration:g} s; "
+                f"at most {np.degrees(reach.speed_max):.0f} deg/s are possible, "
+                f"so take at least {turn / reach.speed_max:.2f} s"
             )
     shares = np.linspace(0.0, 1.0, BETWEEN + 2)[1:-1]
     if not found and min(reach.gap(before + share * (after - before)) for share in shares) < 0.0:

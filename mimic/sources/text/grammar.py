@@ -1,4 +1,4 @@
-"""A small language for motions that needs no model: sentences become key frames by a grammar. docs/language.md has it.
+"""Sentences -> key frames by a small grammar, without a language model (docs/manual/text.md).
 
 sentence = clause { ("then" | "," | ";" | ".") clause }      one after the other
 clause   = action { ("while" | "and" | "as") action }        at the same time
@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
-from mimic.robot.arms import posture
+from mimic.io.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
+from mimic.records import SIDES, FloatArray
+from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
-from mimic.types import SIDES, FloatArray
 
 STEP_SECONDS, STEP_SPEED = 1.0, 0.25
 """Of one step [s], [m/s]."""
@@ -60,9 +60,9 @@ _HIGH = {"up": "up", "down": "down", "out": "open", "sideways": "open", "forward
 _THEN = {"then", ",", ";", "."}
 _WHILE = {"while", "and", "as"}
 _FILLERS = {
-    "a", "an", "the", "your", "its", "his", "her", "please", "robot", "to", "of", "with", "at", "in", "for", "by", "around",
-    "it", "you", "hand", "hands", "arm", "arms", "leg", "legs", "paw", "paws", "still", "again", "after", "afterwards",
-    "first", "finally", "take", "make", "do", "now", "m", "per", "side", "wide", "high",
+    "a", "an", "the", "your", "its", "his", "her", "please", "robot", "to", "of", "with", "at", "in", "for", "by",
+    "around", "it", "you", "hand", "hands", "arm", "arms", "leg", "legs", "paw", "paws", "still", "again", "after",
+    "afterwards", "first", "finally", "take", "make", "do", "now", "m", "per", "side", "wide", "high",
 }  # fmt: skip
 
 _WORDS = re.compile(r"\d+(?:\.\d+)?|m/s|[^\W\d_]+|[,;.°]")
@@ -100,7 +100,7 @@ class _Timeline:
         return max((sum(duration for duration, _ in moves) for moves in self.hands.values()), default=0.0)
 
 
-def plan_by_phrasebook(sentence: str, reach: Reach) -> KeyFrames:
+def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     """Return the key frames of a sentence.
 
     Raises:
@@ -118,7 +118,7 @@ def plan_by_phrasebook(sentence: str, reach: Reach) -> KeyFrames:
         frames += rows
         if len(frames) > MOST_FRAMES:
             raise SourceError(f"the sentence makes more than {MOST_FRAMES} key frames; say less, or fewer times")
-    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="phrasebook")
+    return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar")
 
 
 def known_words() -> list[str]:
@@ -140,8 +140,8 @@ def _words(sentence: str) -> list[str]:
             named.append(f"{word!r}" + (f" (near: {', '.join(near)})" if near else ""))
         verbs = ", ".join(_VERBS)
         raise SourceError(
-            f"the phrasebook does not know {', '.join(named)}; its verbs are {verbs}; docs/language.md has the grammar, or "
-            "ask a language model with --planner llm"
+            f"the grammar has no word {', '.join(named)}; its verbs are {verbs}; docs/manual/text.md has the grammar, "
+            "or ask a language model with --planner llm"
         )
     return words
 
@@ -216,7 +216,7 @@ def _move_base(action: _Action, timeline: _Timeline, hands: dict[str, FloatArray
         return
     if action.side is not None:
         raise SourceError(f"the robot does not {action.verb} sideways; turn {action.side} first")
-    most = float(reach.description.raw["commands"]["velocity_max"][0])
+    most = float(reach.description.commands.velocity[0])
     if action.verb == "stop":
         timeline.base.append((said.get("seconds", STOP_SECONDS), 0.0, 0.0))
         timeline.open_end = timeline.open_end and "seconds" not in said

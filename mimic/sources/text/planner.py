@@ -1,7 +1,7 @@
-"""A sentence becomes key frames that this robot can do: by the phrasebook, or by a language model whose answers are checked.
+"""A sentence -> key frames that this robot can do, by the grammar or by a language model whose answers are checked.
 
-Nothing that a model answers is executed or evaluated: of its second answer the first JSON object is read, its numbers are
-held against the robot, and what is wrong goes back to it, at most CORRECTIONS times.
+Nothing in an answer is executed. The first JSON object of the second answer is read and checked against the robot;
+errors go back to the model, at most CORRECTIONS times.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
-from mimic.keyframes import LARGEST, KeyFrames, frames_from, told
-from mimic.robot.feasible import complaints
+from mimic.io.keyframes import LARGEST, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
-from mimic.settings import LanguageSettings
-from mimic.sources import prompts
-from mimic.sources.phrasebook import plan_by_phrasebook
+from mimic.sources.text import prompts
+from mimic.sources.text.feasibility import complaints
+from mimic.sources.text.grammar import plan_by_grammar
 
 if TYPE_CHECKING:
     from openai import OpenAI
 
 CORRECTIONS = 3
-"""How often a model may mend its answer."""
+"""How often a model may correct its answer."""
 ANSWER_TOKENS = 8000
 """Longest answer that is asked for."""
 LONGEST_SENTENCE = 2000
 """Characters of a sentence at most."""
-TOLD = 12
-"""Complaints that go back at once."""
+REPORTED = 12
+"""At most this many errors go back at once."""
 
 Chat = Callable[[list[dict[str, str]]], str]
 
@@ -50,30 +50,31 @@ def plan(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     """
     if not sentence.strip() or len(sentence) > LONGEST_SENTENCE:
         raise SourceError(
-            f"the sentence has {len(sentence.strip())} characters; say in 1 to {LONGEST_SENTENCE} what the robot should do"
+            f"the sentence has {len(sentence.strip())} characters; "
+            f"say in 1 to {LONGEST_SENTENCE} what the robot should do"
         )
     if uses_model(settings):
         return _by_model(sentence, reach, settings)
-    motion = plan_by_phrasebook(sentence, reach)
+    motion = plan_by_grammar(sentence, reach)
     check(motion, reach, settings, "the sentence asks for what this robot cannot do")
     return motion
 
 
 def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, what: str) -> None:
-    """Hold key frames against the robot.
+    """Check key frames against the limits of the robot.
 
     Raises:
         SourceError: If it cannot do them; it begins with ``what``.
     """
     wrong = complaints(motion, reach, settings.longest)
     if wrong:
-        raise SourceError(f"{what}: {told(wrong)}")
+        raise SourceError(f"{what}: {one_line(wrong)}")
 
 
 def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     model = settings.llm_model
     if model is None:
-        raise ConfigError("name the model at the endpoint with --llm-model, or use --planner phrasebook")
+        raise ConfigError("name the model at the endpoint with --llm-model, or use --planner grammar")
     chat = _chat(settings, model)
     talk = [
         {"role": "system", "content": prompts.rules(reach, settings.longest)},
@@ -89,15 +90,15 @@ def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFra
             wrong = complaints(motion, reach, settings.longest)
             if not wrong:
                 return motion
-        more = [f"and {len(wrong) - TOLD} more like these"] if len(wrong) > TOLD else []
+        more = [f"and {len(wrong) - REPORTED} more like these"] if len(wrong) > REPORTED else []
         talk = [
             *talk[:4],  # only the last answer and its faults, so that the talk does not grow
             {"role": "assistant", "content": answer[:LARGEST]},
-            {"role": "user", "content": prompts.complain([*wrong[:TOLD], *more])},
+            {"role": "user", "content": prompts.complain([*wrong[:REPORTED], *more])},
         ]
     raise SourceError(
-        f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {told(wrong)}; say it more simply, try "
-        "another model, or use --planner phrasebook"
+        f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {one_line(wrong)}; "
+        "say it more simply, try another model, or use --planner grammar"
     )
 
 
@@ -113,7 +114,7 @@ def _read(answer: str, sentence: str, model: str) -> tuple[KeyFrames | None, lis
 
 
 def first_json(text: str) -> Any:
-    """Return the first JSON object in a text that has ``frames``, whatever prose is around it; None where there is none."""
+    """Return the first JSON object with ``frames`` in a text, ignoring the prose around it; None if there is none."""
     decoder = json.JSONDecoder()
     at, tries = text.find("{"), 0
     while at >= 0 and tries < 100:
@@ -153,10 +154,10 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
         except openai.APITimeoutError:
             raise SourceError(
                 f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout, or use "
-                "--planner phrasebook"
+                "--planner grammar"
             ) from None
         except openai.APIConnectionError as error:
-            raise SourceError(f"nobody answers at {where} ({error}); is the server running there?") from None
+            raise SourceError(f"no server answers at {where} ({error}); is the server running there?") from None
         except openai.RateLimitError as error:
             raise SourceError(
                 f"{where} refuses for now, too many requests or no credit (429): {_brief(error)}"
@@ -166,7 +167,7 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
         except openai.APIStatusError as error:
             raise SourceError(f"{where} answers with an error ({error.status_code}): {_brief(error)}") from None
         except (openai.OpenAIError, AttributeError, IndexError, TypeError, ValueError) as error:
-            raise SourceError(f"{where} does not speak chat completions: {_brief(error)}; check --llm-url") from None
+            raise SourceError(f"{where} has no chat completions API: {_brief(error)}; check --llm-url") from None
         return text or ""
 
     return chat

@@ -1,4 +1,4 @@
-"""What a language model is told: rules about this robot, made from its description, and the two questions of the paper.
+"""Prompts of the language model: rules about this robot, made from its description, and the two questions of the paper.
 
 Source: Li et al. 2024, section III-C: first a description of each key frame, then its exact targets.
 """
@@ -9,12 +9,12 @@ import json
 
 import numpy as np
 
-from mimic.frames import R_BT
-from mimic.keyframes import MOST_FRAMES, plain_frame
-from mimic.robot.arms import POSTURES, posture
+from mimic.geometry import R_BT
+from mimic.io.keyframes import MOST_FRAMES, plain_frame
+from mimic.records import JOINTS
+from mimic.robot.arm_mapping import POSTURES, posture
 from mimic.robot.reach import FRONT, Reach
-from mimic.sources.phrasebook import plan_by_phrasebook
-from mimic.types import JOINTS
+from mimic.sources.text.grammar import plan_by_grammar
 
 EXAMPLE = "step forward, then raise the left hand"
 
@@ -22,7 +22,7 @@ EXAMPLE = "step forward, then raise the left hand"
 def rules(reach: Reach, longest: float) -> str:
     """Return what there is to know about the robot, each number from its description or its kinematics."""
     description = reach.description
-    raw, leg = description.raw, reach.legs[0]
+    commands, leg = description.commands, reach.legs[0]
     limits = "\n".join(
         f"  {name}: {np.degrees(low):.0f} to {np.degrees(high):.0f}"
         for name, low, high in zip(JOINTS[:FRONT], reach.q_min, reach.q_max, strict=True)
@@ -39,15 +39,18 @@ def rules(reach: Reach, longest: float) -> str:
         f"{np.degrees(q[3:]).round().astype(int).tolist()} ({hand(q)})"
         for name, q in (("standing", description.poses["upright"][:FRONT]), *((n, posture(n, reach)) for n in POSTURES))
     )
-    v_x, v_y = raw["commands"]["velocity_max"]
+    v_x, v_y = commands.velocity
     sideways = "it cannot walk sideways: the second number is 0" if v_y == 0 else f"{-v_y:g} to {v_y:g} m/s to the left"
-    return f"""The robot is a {description.name} that stands upright on its two hind legs. Its front legs are its arms, its
+    return f"""The robot is a {description.name} that stands upright on its two hind legs. \
+Its front legs are its arms, its
 front toes its hands; "left" and "right" are the robot's own. You control:
 - velocity: [forward, left] in m/s on the way to the key frame; forward {-v_x:g} to {v_x:g}; {sideways}.
-- heading_deg: where it faces when the key frame is reached, relative to the start of the motion, positive to the left; it
-  turns by at most {np.degrees(raw["commands"]["turn_rate_max"]):.0f} deg/s.
+- heading_deg: where it faces when the key frame is reached, relative to the start of the motion, \
+positive to the left; it
+  turns by at most {np.degrees(commands.turn_rate):.0f} deg/s.
 - left_deg, right_deg: angles of abad, hip and knee of each front leg in DEGREES when the key frame is reached.
-- duration: seconds from the key frame before, at least 0.1. The whole motion takes at most {longest:g} s and {MOST_FRAMES} frames.
+- duration: seconds from the key frame before, at least 0.1. \
+The whole motion takes at most {longest:g} s and {MOST_FRAMES} frames.
 Each front leg: the upper arm is {100 * leg.thigh:.0f} cm long, the forearm {100 * shank:.0f} cm; so a hand is at most
 {100 * (leg.thigh + shank):.0f} cm from its shoulder. What 10 degrees more of a joint do to the hand, from "standing":
 {_effects(reach)}
@@ -74,22 +77,26 @@ def describe(sentence: str) -> str:
     """Return the question of the first round."""
     return f"""Plan this motion as key frames: {json.dumps(sentence)}
 
-Describe each key frame in words, one after the other, along these points: base velocity; height of each hand (against its
-shoulder); orientation of each hand (forward, up, down, outward); the joint between calf and thigh of each front leg (bent
-or nearly straight); and how the key frame relates to the one before. Numbers come later. The motion begins with the posture
+Describe each key frame in words, one after the other, along these points: base velocity; \
+height of each hand (against its
+shoulder); orientation of each hand (forward, up, down, outward); \
+the joint between calf and thigh of each front leg (bent
+or nearly straight); and how the key frame relates to the one before. Numbers come later. \
+The motion begins with the posture
 "standing" and no velocity. Waving, punching and the like need a key frame for each end of the movement."""
 
 
 def ask_targets(reach: Reach) -> str:
     """Return the question of the second round."""
-    example = plan_by_phrasebook(EXAMPLE, reach)
+    example = plan_by_grammar(EXAMPLE, reach)
     frames = json.dumps({"frames": [plain_frame(frame) for frame in example.frames]})
-    return f"""Now give the exact targets of these key frames as JSON and nothing else: an object with the list "frames"; each
+    return f"""Now give the exact targets of these key frames as JSON and nothing else: an object with the list \
+"frames"; each
 frame has exactly the fields of this example, which is "{EXAMPLE}":
 {frames}"""
 
 
 def complain(complaints: list[str]) -> str:
-    """Return the question of a round in which an answer is mended."""
+    """Return the question of a round in which an answer is corrected."""
     listed = "\n".join(f"- {text}" for text in complaints)
-    return f"This cannot be played:\n{listed}\nGive the whole JSON again with all of that mended, and nothing else."
+    return f"This cannot be played:\n{listed}\nGive the whole JSON again with all of that corrected, and nothing else."

@@ -1,4 +1,4 @@
-"""Upright RGB frames of a video file with their true times, decoded ahead of whoever reads them."""
+"""Upright RGB frames of a video file with corrected times, decoded in a background thread."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.sources.quiet import quiet_stderr
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.sources.video.quiet import quiet_stderr
 
 log = logging.getLogger(__name__)
 
 MAX_SIDE = 1280
-"""Longer sides are scaled down to this before the detector, which crops the person to 256 x 256 [px].
+"""Maximum side length of a frame for the detector, which crops the person to 256 x 256 [px].
 
-Source: four 1080 x 1920 views of a real person against triangulation: the shoulder -> wrist error is 152 mm on average as
-recorded, and 152 mm at this size; at 640 px sides are exchanged more often.
+Source: four 1080 x 1920 views of a real person against triangulation: the mean shoulder -> wrist error is 152 mm at
+full size and at this size; at 640 px the detector swaps left and right more often.
 """
 
-_AHEAD = 8
+_QUEUE_SIZE = 8
 _THUMBNAIL = (32, 24)
 
 
@@ -37,23 +37,23 @@ class Frame:
     """One decoded frame."""
 
     stamp_ms: float
-    """Presentation time that the file gives it [ms]."""
+    """Presentation time stamp in the file [ms]."""
     rgb: np.ndarray
-    """Upright picture (H, W, 3), at most MAX_SIDE long."""
+    """Upright picture (H, W, 3), no side longer than MAX_SIDE."""
     change: float
-    """Mean absolute difference from the frame before, over a thumbnail [grey levels of 255]; 0 for the first."""
+    """Mean absolute difference of the thumbnail from the previous frame [grey levels of 255]; 0 for the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Video:
-    """An opened video; iterate over it once."""
+    """An open video; iterate over it once."""
 
     size: tuple[int, int]
     """Width and height of the upright picture [px]."""
-    announced: int | None
-    """Number of frames that the header promises, None where it promises nothing. It may lie."""
+    frame_count: int | None
+    """Number of frames in the header, None if it has none. It may be wrong."""
     frames: Iterator[Frame]
-    """The frames in order, decoded in a thread of their own."""
+    """The frames in order, decoded in a background thread."""
 
     def __iter__(self) -> Iterator[Frame]:
         return self.frames
@@ -61,12 +61,12 @@ class Video:
 
 @contextmanager
 def open_video(path: Path) -> Iterator[Video]:
-    """Open a video file for reading its frames once.
+    """Open a video file to read its frames once.
 
     Raises:
         SourceError: If there is no file, or no frame can be decoded from it.
     """
-    # FFmpeg's messages from inside the file would reach the terminal beside ours; OpenCV reads this when first used.
+    # Silences FFmpeg's messages about the file; OpenCV reads the variable when it is first used.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     import cv2
 
@@ -77,22 +77,22 @@ def open_video(path: Path) -> Iterator[Video]:
     with quiet_stderr():
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     stop = threading.Event()
-    ahead: queue.Queue[Frame | Exception | None] = queue.Queue(_AHEAD)
+    decoded: queue.Queue[Frame | Exception | None] = queue.Queue(_QUEUE_SIZE)
     thread: threading.Thread | None = None
     try:
         ok, first = capture.read() if capture.isOpened() else (False, None)
         if not ok or first is None:
             raise SourceError(
-                f"no picture can be read from {path.name} ({path.stat().st_size} bytes); expected a video with a "
-                "picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
+                f"no picture can be read from {path.name} ({path.stat().st_size} bytes); expected a video "
+                "with a picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
             )
-        announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        frame_count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         frame, thumbnail = _frame(first, capture.get(cv2.CAP_PROP_POS_MSEC), None)
         thread = threading.Thread(
-            target=_decode_into, args=(capture, ahead, stop, thumbnail), name="decode", daemon=True
+            target=_decode_into, args=(capture, decoded, stop, thumbnail), name="decode", daemon=True
         )
         thread.start()
-        yield Video((first.shape[1], first.shape[0]), announced if announced > 0 else None, _drain(frame, ahead))
+        yield Video((first.shape[1], first.shape[0]), frame_count if frame_count > 0 else None, _drain(frame, decoded))
     finally:
         stop.set()
         if thread is not None:
@@ -100,27 +100,27 @@ def open_video(path: Path) -> Iterator[Video]:
         capture.release()
 
 
-def _frame(bgr: np.ndarray, stamp_ms: float, before: np.ndarray | None) -> tuple[Frame, np.ndarray]:
-    """Return the frame, and its thumbnail to compare the next one with."""
+def _frame(bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None) -> tuple[Frame, np.ndarray]:
+    """Return the frame, and its thumbnail for comparison with the next one."""
     import cv2
 
     height, width = bgr.shape[:2]
     stride = max(1, min(height, width) // 96)
     thumbnail = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
-    change = 0.0 if before is None else float(np.abs(thumbnail - before).mean())
+    change = 0.0 if previous is None else float(np.abs(thumbnail - previous).mean())
     shrink = MAX_SIDE / max(height, width)
     if shrink < 1:
         bgr = cv2.resize(bgr, (round(width * shrink), round(height * shrink)), interpolation=cv2.INTER_LINEAR)
     return Frame(stamp_ms, cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), change), thumbnail
 
 
-def _decode_into(capture: Any, ahead: queue.Queue[Any], stop: threading.Event, thumbnail: np.ndarray | None) -> None:
+def _decode_into(capture: Any, decoded: queue.Queue[Any], stop: threading.Event, thumbnail: np.ndarray | None) -> None:
     import cv2
 
     def put(item: Frame | Exception | None) -> None:
         while not stop.is_set():
             try:
-                return ahead.put(item, timeout=0.1)
+                return decoded.put(item, timeout=0.1)
             except queue.Full:
                 continue
 
@@ -129,7 +129,7 @@ def _decode_into(capture: Any, ahead: queue.Queue[Any], stop: threading.Event, t
             ok, bgr = capture.read()
             if not ok:
                 break
-            # Read after read(): the time of this frame, right for variable frame rates too.
+            # After read() this is the time of this frame, also with a variable frame rate.
             frame, thumbnail = _frame(bgr, capture.get(cv2.CAP_PROP_POS_MSEC), thumbnail)
             put(frame)
     except Exception as error:
@@ -138,9 +138,9 @@ def _decode_into(capture: Any, ahead: queue.Queue[Any], stop: threading.Event, t
         put(None)
 
 
-def _drain(first: Frame, ahead: queue.Queue[Any]) -> Iterator[Frame]:
+def _drain(first: Frame, decoded: queue.Queue[Any]) -> Iterator[Frame]:
     yield first
-    while (item := ahead.get()) is not None:
+    while (item := decoded.get()) is not None:
         if isinstance(item, Exception):
             raise item
         yield item
@@ -149,10 +149,10 @@ def _drain(first: Frame, ahead: queue.Queue[Any]) -> Iterator[Frame]:
 def true_times(stamps_ms: FloatArray) -> tuple[FloatArray, int]:
     """Return strictly increasing times since the first frame, and how many stamps had to be replaced.
 
-    The longest increasing run of stamps is believed; the others are placed evenly between their believed neighbours.
+    The longest increasing subsequence of stamps is kept; the others are spaced evenly between their kept neighbours.
 
     Args:
-        stamps_ms: Stamps as the file gives them (T,) [ms].
+        stamps_ms: Time stamps in the file (T,) [ms].
 
     Returns:
         Times (T,) [s], the first one 0, and the number of replaced stamps.
@@ -160,18 +160,18 @@ def true_times(stamps_ms: FloatArray) -> tuple[FloatArray, int]:
     stamps = np.asarray(stamps_ms, dtype=np.float64)
     tails: list[float] = []
     last: list[int] = []
-    before = np.full(len(stamps), -1)
+    predecessor = np.full(len(stamps), -1)
     for i, stamp in enumerate(stamps):
         k = bisect_left(tails, stamp)
         if k < len(tails) and tails[k] == stamp:
-            continue  # repeated: the first one is believed
-        before[i] = last[k - 1] if k else -1
+            continue  # repeated: the first one is kept
+        predecessor[i] = last[k - 1] if k else -1
         tails[k : k + 1], last[k : k + 1] = [stamp], [i]
     good: list[int] = []
     i = last[-1] if last else -1
     while i >= 0:
         good.append(i)
-        i = int(before[i])
+        i = int(predecessor[i])
     good.reverse()
     step = float(np.median(np.diff(stamps[good]) / np.diff(good))) if len(good) > 1 else 0.0
     rows = np.arange(len(stamps))

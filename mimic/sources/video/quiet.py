@@ -1,4 +1,4 @@
-"""Keeps the messages of C++ libraries from the terminal, where no log level of theirs does."""
+"""Hides messages that C++ libraries write to stderr regardless of their log level."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def quiet_stderr() -> Iterator[None]:
-    """Silence file descriptor 2 of the whole process for a moment; Python's own errors still rise through it."""
+    """Redirect file descriptor 2 of the whole process to nowhere; Python exceptions still propagate."""
     try:
         saved = os.dup(2)
-    except OSError:  # there is no stderr to silence
+    except OSError:  # no stderr to redirect
         yield
         return
     sys.stderr.flush()

@@ -1,17 +1,17 @@
-"""Is this one person, filmed in one go? Tests that refuse a clip or warn of it."""
+"""Checks that a clip shows one person in one shot."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.types import LANDMARKS, BoolArray, FloatArray, IntArray
+from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
 
 CUT_CHANGE = 8.0
-"""A cut changes the thumbnail by more than this [grey levels of 255]; a hard cut between similar rooms gives 22."""
+"""Minimum thumbnail change at a cut [grey levels of 255]; a hard cut between similar rooms gives 22."""
 CUT_RATIO = 4.0
-"""And by this many times more than the frames beside it: 12 at that cut, at most 2.1 in fourteen clips without one."""
+"""Minimum ratio to the change in neighbouring frames: 12 at that cut, at most 2.1 in fourteen clips without a cut."""
 FRAME = 1 / 30
-"""Frames further apart than this may move further before they count as jumping [s]."""
+"""Frame interval of ``max_jump``; longer intervals allow proportionally larger movements [s]."""
 
 _SHOULDERS, _WRISTS, _HIPS = (
     [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "wrist", "hip")
@@ -26,20 +26,20 @@ def person_rows(score: FloatArray, min_visibility: float) -> BoolArray:
 
     Args:
         score: Visibility (T, 33).
-        min_visibility: Least visibility that counts.
+        min_visibility: Minimum visibility of a detected landmark.
     """
     seen = score >= min_visibility
     return np.logical_and(seen[:, _SHOULDERS].all(axis=1), seen[:, _WRISTS].any(axis=1))
 
 
 def shot_starts(change: FloatArray) -> IntArray:
-    """Return the rows at which the picture is replaced by another one (a cut).
+    """Return the first row after each cut.
 
     Args:
-        change: Difference of each frame's thumbnail from the one before (T,) [grey levels].
+        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
     """
-    beside = [np.roll(np.pad(change, 3), k)[3:-3] for k in (-3, -2, -1, 1, 2, 3)]
-    return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(beside, axis=0) + 1.0)))
+    neighbours = [np.roll(np.pad(change, 3), k)[3:-3] for k in (-3, -2, -1, 1, 2, 3)]
+    return np.flatnonzero((change > CUT_CHANGE) & (change > CUT_RATIO * (np.max(neighbours, axis=0) + 1.0)))
 
 
 def jump_share(
@@ -50,27 +50,27 @@ def jump_share(
     size: tuple[int, int],
     max_jump: float,
 ) -> float:
-    """Return the share of frames in which a wrist or the whole person is suddenly elsewhere.
+    """Return the share of frames in which a wrist or the whole person jumps.
 
     Args:
         t: Times (T,) [s].
         landmarks: Mid-hip -> landmark (T, 33, 3) [m].
-        image: Place in the image (T, 33, 2), fraction of width and height.
-        valid: Which landmarks count (T, 33).
+        image: Image coordinates (T, 33, 2), fractions of width and height.
+        valid: Which landmarks are usable (T, 33).
         size: Width and height of the image [px].
-        max_jump: A longer way in one frame is a jump [m].
+        max_jump: A larger movement from one frame to the next is a jump [m].
     """
     rows = np.flatnonzero(valid[:, _SHOULDERS].all(axis=1))
     if len(rows) < 2:
         return 0.0
     limit = max_jump * np.maximum(1.0, np.diff(t[rows]) / FRAME)
     wrists = np.where(valid[rows][:, _WRISTS, None], landmarks[rows][:, _WRISTS], np.nan)
-    moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
+    wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
     pixels = image[rows][:, _TRUNK] * np.asarray(size, dtype=np.float64)
     metres = landmarks[rows][:, _TRUNK, :2]
     scale = np.median(_spread(metres) / np.maximum(_spread(pixels), 1e-9))
-    strayed = scale * np.linalg.norm(np.diff(pixels[:, :2].mean(axis=1), axis=0), axis=-1)
-    return float(((moved > limit[:, None]).any(axis=1) | (strayed > limit)).mean())
+    body_moved = scale * np.linalg.norm(np.diff(pixels[:, :2].mean(axis=1), axis=0), axis=-1)
+    return float(((wrists_moved > limit[:, None]).any(axis=1) | (body_moved > limit)).mean())
 
 
 def _spread(points: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The least-squares problem that a log and a model pose, and the fit of the declared numbers that it begins with."""
+"""The least-squares problem of a log and a model, and the fit of the baseline parameters."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.fit import Fit, fit
-from mimic.calibrate.point import Key, Point
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.replay import Replay, physics_step
-from mimic.calibrate.rounding import coarse_steps
-from mimic.calibrate.signals import noise_floor
-from mimic.calibrate.unread import read
+from mimic.config.sysid import CalibrateSettings
+from mimic.dynamics.machine import MachineModel
 from mimic.errors import MissingExtra
-from mimic.machine_log import MachineLog
-from mimic.robot.machine import MachineModel
-from mimic.settings import CalibrateSettings
-from mimic.types import BoolArray, FloatArray
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.point import Key, Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.log.missing import valid_samples
+from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.log.quantisation import coarse_steps
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.records import physics_step
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; only measured torque tells them from it."""
@@ -27,14 +28,18 @@ LEAST_NOISE = 1e-9
 """Noise floor where no reading shows any [rad or m]."""
 
 MOST_STEPS = 10
-"""Most steps of the declared fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends at 1."""
+"""Most steps of the baseline fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends
+at 1.
+"""
 
 BEGINNING, LEAST_BEGINNING, MOST_BEGINNING = 1 / 3, 15.0, 0.5
-"""Share of a log that the first steps are fitted to, the least of it [s], and its greatest share, from which on that saves nothing."""
+"""Share of a log that the first steps are fitted to, the least of it [s], and its greatest share, from which on that
+saves nothing.
+"""
 
 
-def problem_of(log: MachineLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
-    """Return the problem of a log and a model, as the log says (:func:`~mimic.robot.machine.as_logged`).
+def problem_of(log: JointLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
+    """Return the problem of a log and a model, as the log says (`mimic.dynamics.machine.as_logged`).
 
     Raises:
         CalibrationError: If the log cannot be replayed.
@@ -42,31 +47,31 @@ def problem_of(log: MachineLog, machine: MachineModel, settings: CalibrateSettin
     """
     step = settings.timestep or physics_step(log.rate)
     replay = _replay(log, machine, settings, step)
-    noise = _of_moving(log.q[read(log)], noise_floor(log.q, log.rate, read(log)))
+    noise = _of_moving(log.q[valid_samples(log)], noise_floor(log.q, log.rate, valid_samples(log)))
     steps = np.zeros_like(noise)
     if not settings.effects or "encoder_step" in settings.effects:
-        steps, noise = coarse_steps(log.q[read(log)], noise)
+        steps, noise = coarse_steps(log.q[valid_samples(log)], noise)
     torque = None
     if log.tau is not None and replay.torque:
         torque = _of_moving(log.tau, noise_floor(log.tau, log.rate))
-    problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & read(log)))
+    problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & valid_samples(log)))
     problem.encoder_steps = steps
-    if torque is None and "viscous" in settings.declared:
+    if torque is None and "viscous" in settings.baseline:
         problem.pinned = frozenset(SAME_AS_VISCOUS)
     return problem
 
 
 def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return noise floors (J,) in which a channel that never changes (T, J), and shows no noise, has the greatest of the others'."""
+    """Return noise floors (J,); a constant channel (T, J) gets the largest floor of the others."""
     moves = (np.ptp(readings, axis=0) > 0) & (noise > 0)
     return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
 
 
-def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
+def _replay(log: JointLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
     if settings.device == "cpu":
         return Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
     try:
-        from mimic.calibrate.worlds import WorldReplay
+        from mimic.sysid.replay.gpu import WorldReplay
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
     return WorldReplay(
@@ -74,15 +79,15 @@ def _replay(log: MachineLog, machine: MachineModel, settings: CalibrateSettings,
     )
 
 
-def fit_declared(problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:
-    """Return the fit of the declared numbers.
+def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:
+    """Return the fit of the baseline parameters.
 
     The first steps, which only have to lead near, are taken with the beginning of a long log, at a third of the price.
 
     Args:
         problem: Log and model.
         start: Where to begin.
-        names: The declared effects.
+        names: The baseline effects.
         joints: Which joints have an effect.
     """
     log = problem.replay.log

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.blocks import Sums
-from mimic.calibrate.point import Key, Knob, Point
-from mimic.calibrate.problem import Problem
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.fit.point import FreeParameter, Key, Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import Sums
 
 DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""
@@ -24,7 +24,7 @@ LARGEST = 1e12
 DOUBTFUL = 1.5
 """Growth of a block's sum of squares when it is left out, from which on the linear model is not believed."""
 
-SHARES = (1.0, 0.3, 0.1)
+MOVE_SHARES = (1.0, 0.3, 0.1)
 """Shares of a move that are replayed then."""
 
 CONVERGED = 2e-3
@@ -36,7 +36,7 @@ class Fit:
     """A point that was fitted, with what is known about it."""
 
     point: Point
-    knobs: tuple[Knob, ...]
+    free_parameters: tuple[FreeParameter, ...]
     residual: FloatArray
     """Whitened residuals (T, C)."""
     columns: tuple[FloatArray, ...]
@@ -44,35 +44,37 @@ class Fit:
     sums: Sums
 
 
-def prior(knobs: Sequence[Knob]) -> FloatArray:
-    """Return the weight of each knob's prior (P,)."""
-    return np.array([1.0 / k.spread**2 for k in knobs])
+def prior(free_parameters: Sequence[FreeParameter]) -> FloatArray:
+    """Return the weight of each free parameter's prior (P,)."""
+    return np.array([1.0 / k.spread**2 for k in free_parameters])
 
 
-def solve(sums: Sums, blocks: IntArray, knobs: Sequence[Knob], at: FloatArray, damping: float) -> FloatArray:
+def solve(
+    sums: Sums, blocks: IntArray, free_parameters: Sequence[FreeParameter], at: FloatArray, damping: float
+) -> FloatArray:
     """Return a damped step toward the best weighed sum of squares over some blocks, and priors, inside the bounds.
 
-    Knobs that would leave their bounds stop there, and the rest solve again.
+    free parameters that would leave their bounds stop there, and the rest solve again.
     """
     hessian, gradient = sums.weighed_over(blocks)
-    low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
-    weight = prior(knobs) * sums.weight
-    gradient = gradient - weight * (at - np.array([k.centre for k in knobs]))
-    free = np.ones(len(knobs), dtype=bool)
-    step = np.zeros(len(knobs))
+    low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
+    weight = prior(free_parameters) * sums.weight
+    gradient = gradient - weight * (at - np.array([k.centre for k in free_parameters]))
+    inside_bounds = np.ones(len(free_parameters), dtype=bool)
+    step = np.zeros(len(free_parameters))
     scale = np.diag(hessian) * damping + weight
     for _ in range(4):
-        if not free.any():
+        if not inside_bounds.any():
             break
-        index = np.flatnonzero(free)
+        index = np.flatnonzero(inside_bounds)
         h = hessian[np.ix_(index, index)] + np.diag(scale[index])
-        g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~free))] @ step[~free]
+        g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~inside_bounds))] @ step[~inside_bounds]
         step[index] = scaled_solution(h, g, 1e-12)
-        out = free & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
+        out = inside_bounds & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
         if not out.any():
             break
         step[out] = np.clip(at[out] + step[out], low[out], high[out]) - at[out]
-        free &= ~out
+        inside_bounds &= ~out
     return np.clip(at + step, low, high) - at
 
 
@@ -87,11 +89,17 @@ def linear_step(
     point: Point,
     residual: FloatArray,
     columns: Sequence[FloatArray],
-    knobs: Sequence[Knob],
+    free_parameters: Sequence[FreeParameter],
     damping: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a step of the knobs (P,), and the residual (T, C) that it would leave were the model linear."""
-    step = solve(problem.sums(residual, columns, knobs), problem.blocks.train, knobs, point.read(knobs), damping)
+    """Return a step of the free parameters (P,), and the residual (T, C) that it would leave were the model linear."""
+    step = solve(
+        problem.sums(residual, columns, free_parameters),
+        problem.blocks.train,
+        free_parameters,
+        point.read(free_parameters),
+        damping,
+    )
     left = residual.copy()
     for size, column in zip(step, columns, strict=True):
         left -= np.float32(size) * column
@@ -119,7 +127,7 @@ def fit(
         names: Effects that are fitted.
         joints: Which joints have an effect.
         most: Most iterations.
-        frozen: Keep this fit's derivatives for the knobs it has, instead of new ones.
+        frozen: Keep this fit's derivatives for the free parameters it has, instead of new ones.
     """
     return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen)])[0]
 
@@ -154,15 +162,15 @@ def fitting(
     most: int = 6,
     frozen: Fit | None = None,
 ) -> Asking:
-    """Ask for the replays of a fit, step by step; see :func:`fit` and :func:`fit_all`."""
-    knobs = problem.knobs(start, joints, names)
+    """Ask for the replays of a fit, step by step; see `fit` and `fit_all`."""
+    free_parameters = problem.free_parameters(start, joints, names)
     point = start
     residual = (yield [point])[0]
-    best = chain_costs(problem, point, residual, knobs)
+    best = chain_costs(problem, point, residual, free_parameters)
     known: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
-        known = {(k.key, k.joint): c for k, c in zip(frozen.knobs, frozen.columns, strict=True)}
-    fresh = [k for k in knobs if (k.key, k.joint) not in known]
+        known = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
+    fresh = [k for k in free_parameters if (k.key, k.joint) not in known]
     stacked: list[FloatArray] = []
     for _ in range(most):
         columns = dict(known)
@@ -170,45 +178,53 @@ def fitting(
             points, groups, sizes = problem.difference_points(point, fresh)
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
-        stacked = [columns[k.key, k.joint] for k in knobs]
-        sums = problem.sums(residual, stacked, knobs)
+        stacked = [columns[k.key, k.joint] for k in free_parameters]
+        sums = problem.sums(residual, stacked, free_parameters)
         _, gradient = sums.over(problem.blocks.train)
-        at, before = point.read(knobs), best
-        steps: list[FloatArray] = [np.zeros(len(knobs))]
+        at, before = point.read(free_parameters), best
+        steps: list[FloatArray] = [np.zeros(len(free_parameters))]
         costs, replayed = [best], [residual]
         for dampings in (DAMPINGS, STIFFER):
-            if dampings is STIFFER and not _promised(problem, knobs, gradient * steps[-1], best, costs):
+            if dampings is STIFFER and not _promised(problem, free_parameters, gradient * steps[-1], best, costs):
                 break
-            tried = [solve(sums, problem.blocks.train, knobs, at, damping) for damping in dampings]
-            trials = [point.moved(knobs, step) for step in tried]
+            tried = [solve(sums, problem.blocks.train, free_parameters, at, damping) for damping in dampings]
+            trials = [point.moved(free_parameters, step) for step in tried]
             answers = yield trials
             steps += tried
             replayed += list(answers)
-            costs += [chain_costs(problem, p, r, knobs) for p, r in zip(trials, answers, strict=True)]
-        if (mixed := best_of_chains(problem, knobs, steps, costs)) is not None:  # no one step suits all chains
+            costs += [chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, answers, strict=True)]
+        if (
+            mixed := best_of_chains(problem, free_parameters, steps, costs)
+        ) is not None:  # no one step suits all chains
             steps.append(mixed)
-            replayed.append((yield [point.moved(knobs, mixed)])[0])
-            costs.append(chain_costs(problem, point.moved(knobs, mixed), replayed[-1], knobs))
+            replayed.append((yield [point.moved(free_parameters, mixed)])[0])
+            costs.append(chain_costs(problem, point.moved(free_parameters, mixed), replayed[-1], free_parameters))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
-        point, residual, best = point.moved(knobs, steps[winner]), replayed[winner], costs[winner]
+        point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         if not winner or (1 - best / before < CONVERGED).all():
             break
-    sums = problem.sums(residual, stacked, knobs)  # derivatives of the last step's start: near enough once it is small
-    return Fit(point=point, knobs=tuple(knobs), residual=residual, columns=tuple(stacked), sums=sums)
+    sums = problem.sums(
+        residual, stacked, free_parameters
+    )  # derivatives of the last step's start: near enough once it is small
+    return Fit(
+        point=point, free_parameters=tuple(free_parameters), residual=residual, columns=tuple(stacked), sums=sums
+    )
 
 
-def chain_costs(problem: Problem, point: Point, residual: FloatArray, knobs: Sequence[Knob]) -> FloatArray:
-    """Return what a fit minimises, the sum of squares of each chain (K,) with its priors; those of the whole machine go to the first."""
+def chain_costs(
+    problem: Problem, point: Point, residual: FloatArray, free_parameters: Sequence[FreeParameter]
+) -> FloatArray:
+    """Return the cost that a fit minimises, for each chain (K,): squares and priors."""
     cost = np.zeros(int(problem.machine.chain.max()) + 1)
     np.add.at(cost, problem.channel_chain, problem.block_squares(residual)[problem.blocks.train].sum(0))
-    chains = [0 if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in knobs]
-    away = point.read(knobs) - np.array([k.centre for k in knobs])
-    np.add.at(cost, np.array(chains, dtype=int), prior(knobs) * away**2)
+    chains = [0 if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in free_parameters]
+    away = point.read(free_parameters) - np.array([k.centre for k in free_parameters])
+    np.add.at(cost, np.array(chains, dtype=int), prior(free_parameters) * away**2)
     return np.minimum(cost, LARGEST)
 
 
 def best_of_chains(
-    problem: Problem, knobs: Sequence[Knob], steps: Sequence[FloatArray], costs: Sequence[FloatArray]
+    problem: Problem, free_parameters: Sequence[FreeParameter], steps: Sequence[FloatArray], costs: Sequence[FloatArray]
 ) -> FloatArray | None:
     """Return the step (P,) that takes for each chain the one of steps (P,) with the least of costs (K,).
 
@@ -217,47 +233,51 @@ def best_of_chains(
     choice, overall = np.argmin(costs, axis=0), int(np.argmin([problem.weight @ cost for cost in costs]))
     if (choice == choice[0]).all():
         return None
-    of = [overall if k.joint < 0 else int(choice[problem.machine.chain[k.joint]]) for k in knobs]
-    return np.stack(steps)[of, np.arange(len(knobs))]
+    of = [overall if k.joint < 0 else int(choice[problem.machine.chain[k.joint]]) for k in free_parameters]
+    return np.stack(steps)[of, np.arange(len(free_parameters))]
 
 
 def _promised(
-    problem: Problem, knobs: Sequence[Knob], fall: FloatArray, best: FloatArray, costs: Sequence[FloatArray]
+    problem: Problem,
+    free_parameters: Sequence[FreeParameter],
+    fall: FloatArray,
+    best: FloatArray,
+    costs: Sequence[FloatArray],
 ) -> bool:
     """Return whether some chain has not come down though a linear model says that it should by a twentieth.
 
     Args:
         problem: Log and model.
-        knobs: Fitted numbers (P,).
+        free_parameters: Fitted numbers (P,).
         fall: What the linear model promises of a step, by number (P,).
         best: Cost of each chain before (K,).
         costs: Those of the steps that were tried.
     """
     promised = np.zeros(len(best))
-    for knob, by in zip(knobs, fall, strict=True):
-        if knob.joint >= 0:
-            promised[problem.machine.chain[knob.joint]] += by
+    for free, by in zip(free_parameters, fall, strict=True):
+        if free.joint >= 0:
+            promised[problem.machine.chain[free.joint]] += by
     return bool(((promised > 0.05 * best) & (np.min(costs, axis=0) > 0.98 * best)).any())
 
 
 def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return each fitted block's sum of squares when it is judged by a fit without it, and the values of those fits.
+    """Return the squares of each fitted block under a fit without that block, and how the fit moves.
 
     Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
     Where that changes a block much, the linear model is not believed, and the fit without the block is replayed.
 
     Returns:
-        Squares of each channel (B_train, C), and changes of the knobs (B_train, P).
+        Squares of each channel (B_train, C), and changes of the free parameters (B_train, P).
     """
     train, s = problem.blocks.train, fitted.sums
     squares = problem.block_squares(fitted.residual)[train]
-    if not fitted.knobs:
+    if not fitted.free_parameters:
         return squares, np.zeros((len(train), 0))
-    total = s.weighed_over(train)[0] + np.diag(prior(fitted.knobs) * s.weight)
-    low_high = np.array([k.bounds for k in fitted.knobs]).reshape(-1, 2)
-    at = fitted.point.read(fitted.knobs)
-    free = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
-    index = np.flatnonzero(free)
+    total = s.weighed_over(train)[0] + np.diag(prior(fitted.free_parameters) * s.weight)
+    low_high = np.array([k.bounds for k in fitted.free_parameters]).reshape(-1, 2)
+    at = fitted.point.read(fitted.free_parameters)
+    inside_bounds = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
+    index = np.flatnonzero(inside_bounds)
     moves = np.zeros((len(train), len(at)))
     stacked = np.stack([fitted.columns[i] for i in index]) if len(index) else None
     for row, b in enumerate(train):
@@ -273,7 +293,7 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
 
 
 def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return squares and moves as :func:`left_out` does, replayed for blocks and chains that a linear model makes far worse.
+    """Return squares and moves as `left_out` does, replayed where the linear model fails.
 
     There each chain takes the share of its move that suits the other blocks best.
     """
@@ -284,61 +304,27 @@ def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatAr
     rows = np.flatnonzero(doubt.any(1))
     if not len(rows):
         return squares, moves
-    trials = [fitted.point.moved(fitted.knobs, share * moves[row]) for row in rows for share in SHARES]
+    trials = [fitted.point.moved(fitted.free_parameters, share * moves[row]) for row in rows for share in MOVE_SHARES]
     replayed = problem.residuals([fitted.point, *trials])
     replayed += fitted.residual - replayed[0]  # what a finer replay knows better
     made = np.stack([problem.block_squares(r)[train] for r in replayed])
     costs = np.stack(
-        [chain_costs(problem, p, r, fitted.knobs) for p, r in zip([fitted.point, *trials], replayed, strict=True)]
+        [
+            chain_costs(problem, p, r, fitted.free_parameters)
+            for p, r in zip([fitted.point, *trials], replayed, strict=True)
+        ]
     )
-    chain_of = np.array([k.joint if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in fitted.knobs])
+    chain_of = np.array(
+        [k.joint if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in fitted.free_parameters]
+    )
     squares, moves = squares.copy(), moves.copy()
     for i, row in enumerate(rows):
-        mine = [0, *range(1 + i * len(SHARES), 1 + (i + 1) * len(SHARES))]
+        mine = [0, *range(1 + i * len(MOVE_SHARES), 1 + (i + 1) * len(MOVE_SHARES))]
         rest = costs[mine] - made[mine, row] @ own
         choice = np.argmin(np.nan_to_num(rest, nan=np.inf), axis=0)
-        shares = np.where(doubt[row], np.array([0.0, *SHARES])[choice], 1.0)
+        shares = np.where(doubt[row], np.array([0.0, *MOVE_SHARES])[choice], 1.0)
         moves[row] *= np.where(chain_of < 0, shares.min(), shares[chain_of])
         for chain in np.flatnonzero(doubt[row]):
             channels = own[:, chain]
             squares[row, channels] = np.minimum(made[mine[choice[chain]], row, channels], LARGEST)
     return squares, moves
-
-
-def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:
-    """Return the standard deviation of each knob by the jackknife over blocks (P,), robust to coloured residuals.
-
-    Args:
-        fitted: The fit.
-        problem: Log and model.
-        moves: Changes of the knobs without each block, from :func:`left_out` (B_train, P).
-    """
-    count = len(moves)
-    if count < 2 or not fitted.knobs:
-        return np.full(len(fitted.knobs), np.inf)
-    jackknife = np.sqrt((count - 1) / count * ((moves - moves.mean(0)) ** 2).sum(0))
-    return np.maximum(jackknife, of_white_noise(fitted, problem))
-
-
-def of_white_noise(fitted: Fit, problem: Problem) -> FloatArray:
-    """Return the standard deviation of each knob (P,) were nothing left but white noise."""
-    hessian = fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.knobs))
-    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0))
-
-
-def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> list[dict[Key, list[int]]]:
-    """Return directions in the knobs that the log does not determine, as the knobs that make them up."""
-    if not fitted.knobs:
-        return []
-    hessian, _ = fitted.sums.over(problem.blocks.train)
-    scale = np.array([k.step for k in fitted.knobs])
-    values, vectors = np.linalg.eigh(hessian * scale[:, None] * scale[None])
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value * condition > values[-1]:
-            break
-        heavy: dict[Key, list[int]] = {}
-        for i in np.flatnonzero(np.abs(vector) > 0.3):
-            heavy.setdefault(fitted.knobs[i].key, []).append(fitted.knobs[i].joint)
-        found.append(heavy)
-    return found

@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.machine import MachineModel
-from mimic.robot.servo import neutral
-from mimic.types import FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.servo import neutral
+from mimic.records import FloatArray
 
 Key = tuple[str, str]
 """(effect, parameter)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Knob:
+class FreeParameter:
     """One fitted number."""
 
     key: Key
@@ -67,12 +67,12 @@ class Point:
         """Return the point without an effect."""
         return Point({k: v for k, v in self.values.items() if k[0] != name})
 
-    def moved(self, knobs: Sequence[Knob], by: FloatArray) -> Point:
-        """Return the point with each knob changed, inside its bounds."""
+    def moved(self, free_parameters: Sequence[FreeParameter], by: FloatArray) -> Point:
+        """Return the point with each free parameter changed, inside its bounds."""
         values = {k: v.copy() for k, v in self.values.items()}
-        for knob, delta in zip(knobs, by, strict=True):
-            at = max(knob.joint, 0)
-            values[knob.key][at] = np.clip(values[knob.key][at] + delta, *knob.bounds)
+        for free, delta in zip(free_parameters, by, strict=True):
+            at = max(free.joint, 0)
+            values[free.key][at] = np.clip(values[free.key][at] + delta, *free.bounds)
         return Point(values)
 
     def is_at(self, other: Point) -> bool:
@@ -81,9 +81,9 @@ class Point:
             return False
         return all(np.array_equal(row, other.values[key]) for key, row in self.values.items())
 
-    def read(self, knobs: Sequence[Knob]) -> FloatArray:
-        """Return the values of the knobs."""
-        return np.array([self.values[k.key][max(k.joint, 0)] for k in knobs])
+    def read(self, free_parameters: Sequence[FreeParameter]) -> FloatArray:
+        """Return the values of the free parameters."""
+        return np.array([self.values[k.key][max(k.joint, 0)] for k in free_parameters])
 
 
 def stack(points: Sequence[Point], machine: MachineModel) -> dict[Key, FloatArray]:

@@ -1,4 +1,4 @@
-"""The paper's way, for comparison: random samples of the declared numbers, the one with the least error wins.
+"""The paper's way, for comparison: random samples of the baseline parameters, the one with the least error wins.
 
 Source: Li et al. 2024, section IV: 8192 samples, friction 0-0.3 N m, damping 0-0.1 N m s/rad; c2_systemid_config.py.
 """
@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
+from mimic.sysid.fit.least_squares import Fit
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
 
 RANGES = {
     ("coulomb", "level"): (0.0, 0.3),
@@ -26,15 +26,15 @@ def random_search(problem: Problem, start: Point, samples: int, seed: int, repor
     """Return the best of so many samples over the fitted blocks, each joint with numbers of its own."""
     rng = np.random.default_rng(seed)
     best, winner = problem.squares([start])[0], start
-    for begin in range(0, samples, problem.replay.together):
-        points = [_drawn(start, rng) for _ in range(min(problem.replay.together, samples - begin))]
+    for begin in range(0, samples, problem.replay.sets_per_batch):
+        points = [_drawn(start, rng) for _ in range(min(problem.replay.sets_per_batch, samples - begin))]
         squares = problem.squares(points)
         i = int(np.argmin(squares))
         if squares[i] < best:
             best, winner = squares[i], points[i]
         report("random samples", problem.replay.replays)
     residual = problem.residuals([winner])[0]
-    return Fit(point=winner, knobs=(), residual=residual, columns=(), sums=problem.sums(residual, [], []))
+    return Fit(point=winner, free_parameters=(), residual=residual, columns=(), sums=problem.sums(residual, [], []))
 
 
 def _drawn(start: Point, rng: np.random.Generator) -> Point:

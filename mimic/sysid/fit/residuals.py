@@ -2,6 +2,8 @@
 
 While the base is held, the legs (chains) do not influence each other. So the same parameter of all first joints is
 changed in one replay, and the column of each leg is read from that leg's own joints.
+
+Longer than 350 lines: one class, whose methods share the replays that it remembers.
 """
 
 from __future__ import annotations
@@ -12,15 +14,16 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy import signal
 
-from mimic.calibrate.blocks import Blocks, Sums
-from mimic.calibrate.point import Key, Knob, Point, stack
-from mimic.calibrate.replay import Job, Replay
-from mimic.calibrate.signals import period
-from mimic.robot.effects import CATALOGUE, Parameter, scale_of
-from mimic.robot.servo import neutral
-from mimic.types import BoolArray, FloatArray
+from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
+from mimic.dynamics.servo import neutral
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.normal_equations import normal_equations, scales
+from mimic.sysid.fit.point import FreeParameter, Key, Point, stack
+from mimic.sysid.log.blocks import Blocks, Sums
+from mimic.sysid.log.noise import period
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.records import Job
 
 REMEMBERED = 4
 """Replays in fine steps that are kept: they are dear, and some points are asked for again."""
@@ -31,28 +34,11 @@ EQUAL = 0.25
 
 
 WIDE, NARROW = 0.25, 0.0625
-"""Shares of a knob's step over which one-sided and central differences are taken."""
+"""Shares of a free parameter's step over which one-sided and central differences are taken."""
 
 
 LEAST_WEIGHT = 1e-4
 """Of a chain of which very much is left."""
-
-
-def _scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
-    log, drives = replay.log, replay.machine.drives
-    t = log.t - log.t[0]
-    q = signal.sosfiltfilt(signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos"), log.q, axis=0)
-    dq = np.gradient(q, t, axis=0)
-    ddq = np.gradient(dq, t, axis=0)
-    tau = log.tau
-    if tau is None:
-        tau = np.asarray(drives.kp) * ((q if log.q_des is None else log.q_des) - q) - np.asarray(drives.kd) * dq
-        tau = tau + (0.0 if log.force is None else log.force)
-    limit = np.asarray(drives.torque)
-    rows = (q - q.mean(0), dq, ddq, np.clip(tau, -limit, limit))
-    position, speed, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), 1e-9) for r in rows)
-    return position, speed, acceleration, torque
 
 
 class Problem:
@@ -77,18 +63,18 @@ class Problem:
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
         self.weight = np.ones(int(self.machine.chain.max()) + 1)
-        """Of each chain (K,), see :meth:`weigh`."""
+        """Of each chain (K,), see `weigh`."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps = np.zeros(joints)
         """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""
-        self._scales = _scales(replay)
+        self._scales = scales(replay)
         self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
     def of_beginning(self, rows: int) -> Problem:
-        """Return the problem of so many of the first readings, with the noise floors, scales and blocks of this one: some joints may rest in them."""
+        """Return the problem of the first readings, with this one's noise floors, scales and blocks."""
         joints = len(self.machine.joints)
         replay = self.replay.of_beginning(rows)
         index = np.where(replay.counts, self.blocks.index[:rows], -1)
@@ -116,11 +102,11 @@ class Problem:
         return joined if self.correction is None else joined + self.correction
 
     def uncorrected(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
-        """Return the residuals of these steps as they are, see :meth:`residuals`."""
+        """Return the residuals of these steps as they are, see `residuals`."""
         return self._whitened(self._replayed(self.replay, points, pushed))
 
     def in_fine_steps(self, point: Point, times: int, segment: float) -> FloatArray:
-        """Return whitened residuals (T, C) as steps without length would leave them.
+        """Return whitened residuals (T, C), extrapolated to steps of length zero.
 
         From replays with so many and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
@@ -134,14 +120,14 @@ class Problem:
         return 2.0 * twice - once
 
     def in_steps_of_columns(self, point: Point, times: int, segment: float) -> FloatArray:
-        """Return whitened residuals (T, C) of so many times more steps as they are: a third of what :meth:`in_fine_steps` takes."""
+        """Return whitened residuals (T, C) in finer steps, without extrapolation: a third of the cost."""
         made = self._known_pair(point, times, segment)
         if made is None:
             return self._whitened(self._replayed(self.replay.finer(times, segment), [point])[0])
         return self._whitened(made[0].copy())
 
     def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
-        """Return the residuals of a point with so many and twice as many times more steps, in units of the log (2, T, C)."""
+        """Return residuals (2, T, C) in finer steps and in steps half as long, in the units of the log."""
         made = self._known_pair(point, times, segment)
         if made is None:
             both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
@@ -150,7 +136,7 @@ class Problem:
         return made
 
     def _known_pair(self, point: Point, times: int, segment: float) -> FloatArray | None:
-        """Return what :meth:`_fine_pair` has made of a point, with the targets and the heat that the replay has now."""
+        """Return a remembered result of `_fine_pair` for the present targets and heat, or None."""
         for known, (late, heat, steps), made in self._fine:
             same = late is self.replay.late and heat is self.replay.heat and steps == (times, segment)
             if same and known.is_at(point):
@@ -158,34 +144,40 @@ class Problem:
         return None
 
     def columns_in_fine_steps(
-        self, point: Point, knobs: Sequence[Knob], times: int, segment: float, both_sides: bool = False
+        self,
+        point: Point,
+        free_parameters: Sequence[FreeParameter],
+        times: int,
+        segment: float,
+        both_sides: bool = False,
     ) -> list[FloatArray]:
-        """Return the derivatives (T, C) of each knob by replays with so many times more steps, see :meth:`columns`.
+        """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.
 
-        With ``both_sides`` they are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
-        derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
+        With ``both_sides`` they are central differences, where the bounds leave room. What one-sided ones are wrong by
+        is small beside each derivative, but not beside their sum along a direction that the log hardly determines: it
+        seems determined then.
         """
-        points, groups, sizes = self.difference_points(point, knobs, NARROW if both_sides else WIDE)
+        points, groups, sizes = self.difference_points(point, free_parameters, NARROW if both_sides else WIDE)
         if not points:
             return []
         finer = self.replay.finer(times, segment, len(points))
         if not both_sides:
             moved = self._whitened(self._replayed(finer, points))
             base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
-            return self.columns(base, moved, groups, knobs, sizes)
-        low, high = (np.array([k.bounds[i] for k in knobs]) for i in (0, 1))
-        at = point.read(knobs)
+            return self.columns(base, moved, groups, free_parameters, sizes)
+        low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
+        at = point.read(free_parameters)
         back = np.clip(at - sizes, low, high) - at
         opposite = []
         for group in groups:
-            by = np.zeros(len(knobs))
+            by = np.zeros(len(free_parameters))
             by[group] = back[group]
-            opposite.append(point.moved(knobs, by))
+            opposite.append(point.moved(free_parameters, by))
         made = self._whitened(self._replayed(finer, [*points, *opposite]))
-        return self.columns(made[len(points) :], made[: len(points)], groups, knobs, sizes - back)
+        return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
     def warm_up(self, point: Point, times: int, segment: float) -> None:
-        """Let segments begin with motors as warm as a replay in so many times more steps says; see :meth:`in_fine_steps`."""
+        """Start each segment with motors as warm as a finer replay says; see `in_fine_steps`."""
         fine = self.replay.finer(times, segment)
         self.replay.set_heat(np.sqrt(fine.mean_square_torque(stack([point], self.machine))))
 
@@ -246,14 +238,14 @@ class Problem:
         return np.mean(residual[rows].astype(np.float64) ** 2, axis=0)
 
     def leave_out(self, rows: BoolArray) -> None:
-        """Let these readings (T,) not count."""
+        """Mask these readings (T,)."""
         self.blocks = replace(self.blocks, index=np.where(rows, -1, self.blocks.index))
 
     def weigh(self, residual: FloatArray) -> bool:
-        """Let chains of which a residual (T, C) leaves more say less about the numbers that all share, from here on.
+        """Reduce the weight of poorly explained chains (residual (T, C)) in parameters that all chains share.
 
-        Otherwise a leg that lacks an effect bends the delay of the machine to make up for it, and the other legs then seem to lack
-        something too. A chain's own numbers are what they were: its weight is on its priors as well.
+        Otherwise a leg that lacks an effect bends the delay of the machine to make up for it, and the other legs then
+        seem to lack something too. A chain's own numbers are what they were: its weight is on its priors as well.
 
         Returns:
             Whether some chain's weight has changed by more than half.
@@ -265,13 +257,15 @@ class Problem:
         return bool((np.abs(np.log(self.weight / before)) > np.log(1.5)).any())
 
     def coarsen_torque(self, least: FloatArray) -> None:
-        """Raise the noise floor of the torque channels to this (J,): what coarse steps are unsure of."""
+        """Raise the noise floor of the torque channels to this (J,): the uncertainty of coarse steps."""
         joints = len(self.machine.joints)
         self.noise = np.concatenate([self.noise[:joints], np.maximum(self.noise[joints:], least)])
 
     # ------------------------------------------------------------------ derivatives
 
-    def knobs(self, point: Point, joints: Mapping[str, BoolArray], names: Sequence[str]) -> list[Knob]:
+    def free_parameters(
+        self, point: Point, joints: Mapping[str, BoolArray], names: Sequence[str]
+    ) -> list[FreeParameter]:
         """Return the fitted numbers of the named effects at a point.
 
         Args:
@@ -286,53 +280,53 @@ class Problem:
                 if p.fixed or spec.random or (name, p.name) in self.pinned:
                     continue
                 if spec.scope == "machine":
-                    found.append(self._knob(point, name, p, -1))
+                    found.append(self._free_parameter(point, name, p, -1))
                     continue
                 mask = joints.get(name, np.ones(len(self.machine.joints), dtype=bool))
                 mask = mask & self.machine.last if spec.tip else mask
-                found += [self._knob(point, name, p, int(j)) for j in np.flatnonzero(mask)]
+                found += [self._free_parameter(point, name, p, int(j)) for j in np.flatnonzero(mask)]
         return found
 
-    def _knob(self, point: Point, name: str, p: Parameter, joint: int) -> Knob:
+    def _free_parameter(self, point: Point, name: str, p: Parameter, joint: int) -> FreeParameter:
         step = p.step * self.scale(p.unit, joint)
         at = max(joint, 0)
         # where an effect is, or where a limit is, has no neutral value to be near: it begins where it starts
-        free = p.shape or name == "torque_speed"
-        centre = float(point.values[name, p.name][at] if free else neutral(name, p.name, self.machine)[at])
+        unanchored = p.shape or name == "torque_speed"
+        centre = float(point.values[name, p.name][at] if unanchored else neutral(name, p.name, self.machine)[at])
         spread = p.spread * step
         if name in ("coulomb", "viscous", "armature"):
             spread = max(spread, centre)
-        return Knob(key=(name, p.name), joint=joint, step=step, centre=centre, spread=spread)
+        return FreeParameter(key=(name, p.name), joint=joint, step=step, centre=centre, spread=spread)
 
     def scale(self, unit: str, joint: int) -> float:
         """Return the machine's own scale of a unit at a joint; the mean over the joints for the whole machine."""
         values = [scale_of(unit, *(float(row[j]) for row in self._scales)) for j in range(len(self.machine.joints))]
         return float(np.mean(values)) if joint < 0 else values[joint]
 
-    def groups(self, knobs: Sequence[Knob]) -> list[list[int]]:
-        """Return indices of knobs that one replay can change together."""
+    def groups(self, free_parameters: Sequence[FreeParameter]) -> list[list[int]]:
+        """Return indices of free parameters that one replay can change together."""
         found: dict[tuple[Key, int], list[int]] = {}
-        for i, knob in enumerate(knobs):
-            place = -1 if knob.joint < 0 else int(self.machine.place[knob.joint])
-            found.setdefault((knob.key, place), []).append(i)
+        for i, free in enumerate(free_parameters):
+            place = -1 if free.joint < 0 else int(self.machine.place[free.joint])
+            found.setdefault((free.key, place), []).append(i)
         return list(found.values())
 
     def difference_points(
-        self, point: Point, knobs: Sequence[Knob], share: float = WIDE
+        self, point: Point, free_parameters: Sequence[FreeParameter], share: float = WIDE
     ) -> tuple[list[Point], list[list[int]], FloatArray]:
-        """Return the points of one-sided differences, a share of each knob's step away, the knobs of each, and how far."""
-        groups = self.groups(knobs)
-        sizes = np.zeros(len(knobs))
+        """Return the points for one-sided differences, the free parameters moved in each, and the moves."""
+        groups = self.groups(free_parameters)
+        sizes = np.zeros(len(free_parameters))
         points = []
         for group in groups:
-            by = np.zeros(len(knobs))
+            by = np.zeros(len(free_parameters))
             for i in group:
-                high = knobs[i].bounds[1]
-                value = point.values[knobs[i].key][max(knobs[i].joint, 0)]
-                size = share * knobs[i].step
+                high = free_parameters[i].bounds[1]
+                value = point.values[free_parameters[i].key][max(free_parameters[i].joint, 0)]
+                size = share * free_parameters[i].step
                 by[i] = size if value + size <= high else -size
                 sizes[i] = by[i]
-            points.append(point.moved(knobs, by))
+            points.append(point.moved(free_parameters, by))
         return points, groups, sizes
 
     def columns(
@@ -340,56 +334,29 @@ class Problem:
         base: FloatArray,
         moved: FloatArray,
         groups: Sequence[Sequence[int]],
-        knobs: Sequence[Knob],
+        free_parameters: Sequence[FreeParameter],
         sizes: FloatArray,
     ) -> list[FloatArray]:
-        """Return d(prediction)/d(knob) (T, C) of each knob, whitened, zero outside its chain.
+        """Return d(prediction)/d(free) (T, C) of each free parameter, whitened, zero outside its chain.
 
-        From residuals at one point (T, C) or at one for each group (N, T, C), and at points where knobs are larger by sizes.
+        From residuals at one point (T, C) or at one for each group (N, T, C), and at points where free parameters are
+        larger by sizes.
         """
-        found: list[FloatArray | None] = [None] * len(knobs)
+        found: list[FloatArray | None] = [None] * len(free_parameters)
         for number, (replayed, group) in enumerate(zip(moved, groups, strict=True)):
             change = (base if base.ndim == moved.ndim - 1 else base[number]) - replayed
             for i in group:
                 column = change / np.float32(sizes[i])
-                if knobs[i].joint >= 0:
-                    mine = self.channel_chain == self.machine.chain[knobs[i].joint]
+                if free_parameters[i].joint >= 0:
+                    mine = self.channel_chain == self.machine.chain[free_parameters[i].joint]
                     column = np.where(mine, column, np.float32(0.0))
                 found[i] = column
         return [c for c in found if c is not None]
 
-    def sums(self, residual: FloatArray, columns: Sequence[FloatArray], knobs: Sequence[Knob]) -> Sums:
+    def sums(
+        self, residual: FloatArray, columns: Sequence[FloatArray], free_parameters: Sequence[FreeParameter]
+    ) -> Sums:
         """Return the normal equations of each block."""
-        count, blocks = len(knobs), len(self.blocks.held_out)
-        hessian, gradient = np.zeros((blocks, count, count)), np.zeros((blocks, count))
-        weighed = hessian.copy(), gradient.copy()
-        square = np.zeros(blocks)
-        chains = np.unique(self.channel_chain)
-        of = np.array([-1 if k.joint < 0 else self.machine.chain[k.joint] for k in knobs])
-        members = {c: np.flatnonzero((of == c) | (of < 0)) for c in chains}
-        rows_of = [np.flatnonzero(self.blocks.index == b) for b in range(blocks)]
-        for c in chains:
-            mine = np.flatnonzero(self.channel_chain == c)
-            index = members[c]
-            stacked = (
-                np.stack([columns[int(i)][:, mine] for i in index.tolist()])
-                if len(index)
-                else np.zeros((0, len(residual), len(mine)))
-            )
-            own = residual[:, mine]
-            for b, rows in enumerate(rows_of):
-                if not len(rows):
-                    continue
-                a = stacked[:, rows].reshape(len(index), len(rows) * len(mine)).astype(np.float64)
-                r = own[rows].reshape(-1).astype(np.float64)
-                good = np.isfinite(r)
-                if not good.all() or not np.isfinite(a).all():
-                    a, r = np.nan_to_num(a), np.where(good, r, 0.0)
-                outer, along = a @ a.T, a @ r
-                hessian[b][np.ix_(index, index)] += outer
-                gradient[b][index] += along
-                weighed[0][b][np.ix_(index, index)] += self.weight[c] * outer
-                weighed[1][b][index] += self.weight[c] * along
-                square[b] += r @ r
-        weight = np.where(of < 0, 1.0, self.weight[of]) if count else np.zeros(0)
-        return Sums(hessian=hessian, gradient=gradient, square=square, weighed=weighed, weight=weight)
+        return normal_equations(
+            residual, columns, free_parameters, self.blocks, self.channel_chain, self.machine.chain, self.weight
+        )

@@ -1,4 +1,4 @@
-"""Fits that settle on replays in fine steps, which correct all coarse ones from there on."""
+"""Step-size refinement: fits that converge on fine steps and correct all coarse ones."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, best_of_chains, chain_costs, fit, solve
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.robot.effects import CATALOGUE
-from mimic.types import BoolArray, FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, best_of_chains, chain_costs, fit, solve
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
 
 FINE = 5
 """A fine replay has this many times more steps."""
@@ -25,10 +25,10 @@ MANY_SEGMENT = 3.0
 MOST_CORRECTIONS = 8
 """Most steps of a fit from fine replays."""
 
-ROUNDS = 3
+MOST_EXTRAPOLATIONS = 3
 """Most times that it finds anew what steps without length would change."""
 
-SETTLED = 1.0
+ENOUGH = 1.0
 """Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
 
 LEAST_FALL = 5e-5
@@ -41,12 +41,12 @@ def in_fine_steps(problem: Problem, point: Point) -> FloatArray:
 
 
 def correct(problem: Problem, point: Point) -> None:
-    """Correct all residuals from here on by what coarse steps are wrong by at this point."""
+    """Correct all residuals from now on by the error of coarse steps at this point."""
     problem.correction = in_fine_steps(problem, point) - problem.uncorrected([point])[0]
 
 
 def compared(problem: Problem, fitted: Fit, names: list[str], where: dict[str, BoolArray]) -> Fit:
-    """Return the declared fit again, its coarse steps corrected by fine ones."""
+    """Return the baseline fit again, with coarse steps corrected by fine ones."""
     joints = len(problem.machine.joints)
     for _ in range(2):
         if not problem.weigh(fitted.residual):
@@ -59,20 +59,20 @@ def compared(problem: Problem, fitted: Fit, names: list[str], where: dict[str, B
         problem.coarsen_torque(unsure)
         correct(problem, fitted.point)
         fitted = fit(problem, fitted.point, names, where, most=3)
-    return settle(problem, fitted)
+    return refine_steps(problem, fitted)
 
 
-def settle(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
-    """Return the fit at which fine replays settle, and correct all coarse ones from here on by what they are wrong by there.
+def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
+    """Return the fit converged in fine steps; coarse replays are corrected by the difference from then on.
 
     Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
-    timed = [k for k in fitted.knobs if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
+    timed = [k for k in fitted.free_parameters if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
     segment = MANY_SEGMENT if every else FINE_SEGMENT
     fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, segment, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
-    columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.knobs, fitted.columns, strict=True)]
+    columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.free_parameters, fitted.columns, strict=True)]
     settled = _converged(problem, replace(fitted, columns=tuple(columns)))
     problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
     return settled
@@ -85,12 +85,13 @@ def refined(problem: Problem, fitted: Fit) -> Fit:
 
 
 def _converged(problem: Problem, fitted: Fit) -> Fit:
-    """Return the fit where steps from the residuals of fine replays settle.
+    """Return the fit converged on the residuals of fine replays.
 
-    What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they settle.
+    What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they
+    settle.
     """
     fitted = replace(fitted, residual=in_fine_steps(problem, fitted.point))
-    for again in range(ROUNDS):
+    for again in range(MOST_EXTRAPOLATIONS):
         beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
         there = _stepped(
             problem,
@@ -109,7 +110,7 @@ def _converged(problem: Problem, fitted: Fit) -> Fit:
 
 
 def _summed(problem: Problem, fitted: Fit) -> Fit:
-    return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.knobs))
+    return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.free_parameters))
 
 
 def _stepped(
@@ -126,24 +127,24 @@ def _stepped(
     """
     train = problem.blocks.train
     point, residual = fitted.point, fitted.residual
-    costs = chain_costs(problem, point, residual, fitted.knobs)
+    costs = chain_costs(problem, point, residual, fitted.free_parameters)
     cost = float(problem.weight @ costs)
     enough = _enough(problem, fitted)
     for _ in range(most):
-        sums = problem.sums(residual, fitted.columns, fitted.knobs)
+        sums = problem.sums(residual, fitted.columns, fitted.free_parameters)
         hessian, gradient = sums.weighed_over(train)
-        step = solve(sums, train, fitted.knobs, point.read(fitted.knobs), 0.0)
+        step = solve(sums, train, fitted.free_parameters, point.read(fitted.free_parameters), 0.0)
         promised = float(step @ (2.0 * gradient - hessian @ step))
         if promised < worth:
             break
-        moved = point.moved(fitted.knobs, step)
+        moved = point.moved(fitted.free_parameters, step)
         after = replayed(moved)
-        now = chain_costs(problem, moved, after, fitted.knobs)
-        part = best_of_chains(problem, fitted.knobs, [np.zeros_like(step), step], [costs, now])
+        now = chain_costs(problem, moved, after, fitted.free_parameters)
+        part = best_of_chains(problem, fitted.free_parameters, [np.zeros_like(step), step], [costs, now])
         if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
-            moved = point.moved(fitted.knobs, part)
+            moved = point.moved(fitted.free_parameters, part)
             after = replayed(moved)
-            now = chain_costs(problem, moved, after, fitted.knobs)
+            now = chain_costs(problem, moved, after, fitted.free_parameters)
         before, least = cost, float(problem.weight @ now)
         if not least < cost:
             break
@@ -154,11 +155,11 @@ def _stepped(
 
 
 def _cost(problem: Problem, fitted: Fit) -> float:
-    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.knobs))
+    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.free_parameters))
 
 
 def _enough(problem: Problem, fitted: Fit) -> float:
     """Return the fall of the sum of squares in a step that is worth another."""
     readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()) * problem.channels, 1)
     cost = _cost(problem, fitted)
-    return max(SETTLED**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
+    return max(ENOUGH**2 * max(cost / readings, 1.0), LEAST_FALL * cost)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.records import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,9 +52,9 @@ class Sums:
     square: FloatArray
     """Sum of squares (B,)."""
     weighed: tuple[FloatArray, FloatArray]
-    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see :meth:`Problem.weigh`."""
+    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see `Problem.weigh`."""
     weight: FloatArray
-    """Weight of the chain of each knob, 1 for those of the whole machine (P,)."""
+    """Weight of the chain of each free parameter, 1 for those of the whole machine (P,)."""
 
     def over(self, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return Hessian (P, P) and gradient (P,) over some blocks."""

@@ -1,4 +1,4 @@
-"""Is a log fit to be calibrated from? Every problem in one line, before anything is fitted."""
+"""Checks of a log before anything is fitted."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mimic.calibrate import problems, unread
-from mimic.calibrate.problems import FOLLOWS
-from mimic.calibrate.signals import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 from mimic.errors import CalibrationError
-from mimic.machine_log import CHANNELS, MachineLog
-from mimic.types import BoolArray, FloatArray
+from mimic.io.joint_log import CHANNELS, JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.log import faults, missing
+from mimic.sysid.log.faults import FOLLOWS
+from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 
 MOST_LOST = 0.2
 """Greatest share of rows that may be left out."""
@@ -21,10 +21,10 @@ SHORTEST = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LogFacts:
+class LogCheck:
     """What a usable log holds; arrays are (J,) in the order of its joints."""
 
-    log: MachineLog
+    log: JointLog
     """The log without repeated and unreadable rows: the one to fit."""
     noise: FloatArray
     """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
@@ -45,9 +45,9 @@ class LogFacts:
 
 
 def check_log(
-    log: MachineLog, limits: FloatArray | None = None, torque: FloatArray | None = None, unit: str = "rad"
-) -> LogFacts:
-    """Return the facts of a log that can be used, with warnings.
+    log: JointLog, limits: FloatArray | None = None, torque: FloatArray | None = None, unit: str = "rad"
+) -> LogCheck:
+    """Return the properties of a usable log, with warnings.
 
     Args:
         log: Readings of a machine.
@@ -59,18 +59,18 @@ def check_log(
         CalibrationError: If nothing can be fitted to it; a line for each reason.
     """
     log, warnings = _readable(log)
-    warnings += problems.gaps(log)
-    wrong = [*problems.units(log, limits, unit)] or [*problems.turns(log, unit)]
+    warnings += faults.gaps(log)
+    wrong = [*faults.units(log, limits, unit)] or [*faults.turns(log, unit)]
     if wrong:
         raise CalibrationError("\n".join(wrong))
     target = log.q_des
     found = None if target is None else following(log.t, log.q, target)
     if found is not None:
-        wrong = list(problems.misassigned(log, found.correlation, found.moves))
+        wrong = list(faults.misassigned(log, found.correlation, found.moves))
         if wrong:
             raise CalibrationError("\n".join(wrong))
-        warnings += problems.weak_following(log, found.correlation, found.lag, found.moves)
-    known = unread.read(log)
+        warnings += faults.weak_following(log, found.correlation, found.lag, found.moves)
+    known = missing.valid_samples(log)
     noise = noise_floor(log.q, log.rate, known)
     step = np.array([resolution(c) for c in log.q[known].T])
     asked = target if target is not None else log.force
@@ -79,13 +79,13 @@ def check_log(
         asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
     moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
     warnings += [
-        *problems.stuck(log),
-        *problems.excitation(log, moves, noise, unit),
-        *problems.beyond(log, limits),
-        *problems.full(log, torque),
+        *faults.stuck(log),
+        *faults.excitation(log, moves, noise, unit),
+        *faults.beyond(log, limits),
+        *faults.full(log, torque),
     ]
     repeat = find_repeat(log.t, asked)
-    return LogFacts(
+    return LogCheck(
         log=log,
         noise=noise,
         step=step,
@@ -98,8 +98,8 @@ def check_log(
     )
 
 
-def belongs(log: MachineLog) -> tuple[bool, str]:
-    """Return whether the targets of a log can be those of its positions, and why not.
+def targets_match_log(log: JointLog) -> tuple[bool, str]:
+    """Return whether the targets can belong to the positions, and why not.
 
     Only what is certain is refused: targets that nothing follows, that a position precedes, or that fit far better
     reversed or shifted in time. Whether log and model belong together is for the fit to say.
@@ -131,7 +131,7 @@ def belongs(log: MachineLog) -> tuple[bool, str]:
     return True, ""
 
 
-def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
+def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
     """Return the log without rows that cannot be used, and what was wrong with them.
 
     Raises:
@@ -168,22 +168,22 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
             raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
         warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
         log = log.part(ok)
-    if (spiked := unread.spikes(log)).any():
+    if (spiked := missing.spikes(log)).any():
         i, j = (int(x[0]) for x in np.nonzero(spiked))
         rows = spiked.any(axis=1)
         warnings.append(
-            f"{int(rows.sum())} rows ({rows.mean():.1%}) have a reading far off those around it, as corrupt frames have, such as"
-            f" q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
+            f"{int(rows.sum())} rows ({rows.mean():.1%}) have a reading far off those around it, as in corrupt frames,"
+            f" such as q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
         )
         log = replace(log, q=np.where(spiked, np.nan, log.q))
-    gone = unread.missing(log)
-    odd = unread.at_odd_times(log, MOST_LOST) & ~gone
+    gone = missing.missing(log)
+    odd = missing.at_odd_times(log, MOST_LOST) & ~gone
     if odd.any():
         warnings.append(
             f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
         )
     if (unseen := gone | odd).any():
-        log = unread.filled(log, unseen)
+        log = missing.filled(log, unseen)
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])
@@ -203,12 +203,13 @@ def _readable(log: MachineLog) -> tuple[MachineLog, list[str]]:
         )
     if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 10 s ends a target before
         raise CalibrationError(
-            f"the log lasts {log.duration:.2f} s by its column t (in seconds); {SHORTEST:g} s are needed, 120 s are good"
+            f"the log lasts {log.duration:.2f} s by its column t (in seconds);"
+            f" {SHORTEST:g} s are needed, 120 s are good"
         )
     return log, warnings
 
 
-def _first_gap(log: MachineLog) -> str:
+def _first_gap(log: JointLog) -> str:
     """Return column and time of the first value that is not a number."""
     for name in ("q", "tau", "q_des", "force"):
         value = getattr(log, name)

@@ -1,4 +1,4 @@
-"""What can be wrong with a log: each function yields a line for each problem that it sees."""
+"""Faults of a log: each function yields a line for each problem it finds."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mimic.calibrate.signals import noise_floor, reversals, speed
 from mimic.errors import CalibrationError
-from mimic.machine_log import UNITS, MachineLog
-from mimic.types import BoolArray, FloatArray
+from mimic.io.joint_log import UNITS, JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.log.noise import noise_floor, reversals, speed
 
 GAP = 1.5
 """Two readings further apart than this many usual distances have others missing between them."""
 ANSWERED = 0.1
 """A joint that does not read otherwise so long after its target moved does not answer [s]."""
-STILL = 3.0
+LEAST_MOTION = 3.0
 """A joint whose positions spread by no more than so many noise floors does not move."""
 FOLLOWS, STRANGER = 0.9, 0.5
 """Correlation of a joint with a target that it certainly follows, and certainly does not."""
 
 
-def gaps(log: MachineLog) -> Iterator[str]:
+def gaps(log: JointLog) -> Iterator[str]:
     """Readings that are missing, too few, or read more slowly than logged."""
     steps = np.diff(log.t)
     usual = float(np.median(steps))
@@ -48,7 +48,7 @@ def gaps(log: MachineLog) -> Iterator[str]:
         )
 
 
-def units(log: MachineLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
+def units(log: JointLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
     """Degrees for radians, thousandths for units."""
     for name in ("q", "q_des"):
         value = getattr(log, name)
@@ -74,19 +74,19 @@ def units(log: MachineLog, limits: FloatArray | None, unit: str) -> Iterator[str
     if log.q_des is None:
         return
     spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
-    moves = (spread > STILL * noise_floor(log.q, log.rate)) & (wanted > 0)
+    moves = (spread > LEAST_MOTION * noise_floor(log.q, log.rate)) & (wanted > 0)
     ratio = np.where(moves, spread / np.maximum(wanted, 1e-300), 1.0)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
             found = [joint for joint, r in zip(log.joints, of, strict=True) if abs(r / factor - 1.0) < 0.3]
             if found:
                 yield (
-                    f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des: {what};"
-                    f" divide {larger} by {factor:.6g}"
+                    f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des:"
+                    f" {what}; divide {larger} by {factor:.6g}"
                 )
 
 
-def turns(log: MachineLog, unit: str) -> Iterator[str]:
+def turns(log: JointLog, unit: str) -> Iterator[str]:
     """An encoder that wraps around."""
     if unit != "rad":
         return
@@ -103,7 +103,7 @@ def turns(log: MachineLog, unit: str) -> Iterator[str]:
             )
 
 
-def misassigned(log: MachineLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
+def misassigned(log: JointLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
     """Joints that follow another's target, or their own backwards."""
     from scipy.optimize import linear_sum_assignment
 
@@ -121,7 +121,10 @@ def misassigned(log: MachineLog, correlation: FloatArray, moves: BoolArray) -> I
         if j == i or i in done:
             continue
         sign = "" if correlation[i, j] > 0 else ", with the other sign"
-        follows = f"{log.joints[i]} follows the target of {log.joints[j]}{sign} (correlation {correlation[i, j]:+.2f}, with its own {own[i]:+.2f})"
+        follows = (
+            f"{log.joints[i]} follows the target of {log.joints[j]}{sign}"
+            f" (correlation {correlation[i, j]:+.2f}, with its own {own[i]:+.2f})"
+        )
         if match[j] == i:
             done.add(j)
             yield f"{follows} and the other way round: exchange q.{log.joints[i]} and q.{log.joints[j]}"
@@ -129,7 +132,7 @@ def misassigned(log: MachineLog, correlation: FloatArray, moves: BoolArray) -> I
             yield f"{follows}: name q.{log.joints[i]} q.{log.joints[j]}"
 
 
-def weak_following(log: MachineLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
+def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
     """Joints that follow their target badly, or before it comes."""
     own = np.diag(correlation)
     weak = np.flatnonzero(moves & (own < 0.7))
@@ -143,12 +146,12 @@ def weak_following(log: MachineLog, correlation: FloatArray, lag: FloatArray, mo
     if len(early):
         i = int(early[0])
         yield (
-            f"{log.joints[i]} moves {-1e3 * lag[i]:.0f} ms before its target: the clocks of targets and readings differ;"
-            " give the target in effect when the row was read"
+            f"{log.joints[i]} moves {-1e3 * lag[i]:.0f} ms before its target: the clocks of targets and readings"
+            " differ; give the target in effect when the row was read"
         )
 
 
-def stuck(log: MachineLog) -> Iterator[str]:
+def stuck(log: JointLog) -> Iterator[str]:
     """Readings that are frozen or clipped."""
     asked = log.q_des if log.q_des is not None else log.force
     assert asked is not None
@@ -157,7 +160,9 @@ def stuck(log: MachineLog) -> Iterator[str]:
         if np.ptp(wanted) <= 1e-9:
             continue
         if np.ptp(x) == 0:
-            yield f"q.{joint} reads {x[0]:g} for the whole log while it is asked to move: a dead encoder or a blocked joint"
+            yield (
+                f"q.{joint} reads {x[0]:g} for the whole log while its target moves: a dead encoder or a blocked joint"
+            )
             continue
         still = np.diff(x) == 0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
@@ -169,8 +174,8 @@ def stuck(log: MachineLog) -> Iterator[str]:
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where:
                 yield (
-                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from t = {log.t[start]:.2f} s while"
-                    " its target moves: clipped, or at a stop"
+                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from"
+                    f" t = {log.t[start]:.2f} s while its target moves: clipped, or at a stop"
                 )
             else:
                 yield (
@@ -180,7 +185,7 @@ def stuck(log: MachineLog) -> Iterator[str]:
             break
 
 
-def excitation(log: MachineLog, moves: BoolArray, noise: FloatArray, unit: str) -> Iterator[str]:
+def excitation(log: JointLog, moves: BoolArray, noise: FloatArray, unit: str) -> Iterator[str]:
     """Parameters that this motion cannot show.
 
     Raises:
@@ -205,7 +210,7 @@ def excitation(log: MachineLog, moves: BoolArray, noise: FloatArray, unit: str) 
         if unit == "rad" and span < 0.1:
             narrow.append(log.joints[i])
     if few:
-        yield f"{_list(few)}: fewer than four reversals, so that dry friction cannot be told from an offset"
+        yield f"{_list(few)}: fewer than four reversals, so dry friction cannot be separated from an offset"
     if slow:
         yield (
             f"{_list(slow)}: no fast motion, so that viscous friction, rotor inertia and delay cannot be fitted;"
@@ -218,7 +223,7 @@ def excitation(log: MachineLog, moves: BoolArray, noise: FloatArray, unit: str) 
         )
 
 
-def beyond(log: MachineLog, limits: FloatArray | None) -> Iterator[str]:
+def beyond(log: JointLog, limits: FloatArray | None) -> Iterator[str]:
     """Targets outside the joint limits."""
     if limits is None or log.q_des is None:
         return
@@ -233,7 +238,7 @@ def beyond(log: MachineLog, limits: FloatArray | None) -> Iterator[str]:
             )
 
 
-def full(log: MachineLog, torque: FloatArray | None) -> Iterator[str]:
+def full(log: JointLog, torque: FloatArray | None) -> Iterator[str]:
     """Motors at their limit: a share of the readings of torque within 1 % of the largest."""
     if log.tau is None:
         return

@@ -1,4 +1,4 @@
-"""Rows of a log whose reading is missing or of an unknown time, while what was asked in them acted all the same."""
+"""Masked samples: rows whose reading is missing or of an unknown time, while their target still acts."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.machine_log import MachineLog
-from mimic.types import BoolArray, FloatArray
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
@@ -26,8 +26,8 @@ SPIKE = 100.0
 """Speed to a single reading and back from it, from which on no machine moved so [rad/s or m/s]."""
 
 
-def spikes(log: MachineLog) -> BoolArray:
-    """Return the readings of positions (T, J) that are far off those before and after, which agree: frames that were corrupted."""
+def spikes(log: JointLog) -> BoolArray:
+    """Return the position readings (T, J) that are far from neighbours which agree: corrupt frames."""
     t, q = log.t, log.q
     found = np.zeros(q.shape, dtype=bool)
     if len(t) < 3:
@@ -39,16 +39,16 @@ def spikes(log: MachineLog) -> BoolArray:
     return found
 
 
-def missing(log: MachineLog) -> BoolArray:
-    """Return the rows (T,) in which some reading is not a number."""
+def missing(log: JointLog) -> BoolArray:
+    """Return the rows (T,) with a reading that is not a number."""
     rows = np.asarray(~np.isfinite(log.q).all(axis=1))
     if log.tau is not None and np.isfinite(log.tau).any():
         rows |= ~np.isfinite(log.tau).all(axis=1)
     return rows
 
 
-def at_odd_times(log: MachineLog, most: float) -> BoolArray:
-    """Return the rows (T,) in which some joint answered much earlier or later than it usually does.
+def at_odd_times(log: JointLog, most: float) -> BoolArray:
+    """Return the rows (T,) in which a joint answered much earlier or later than usual.
 
     Early ones are the answers to the row before.
 
@@ -66,8 +66,8 @@ def at_odd_times(log: MachineLog, most: float) -> BoolArray:
     return np.asarray(odd > max(1.0, float(np.quantile(odd, 1.0 - most))))
 
 
-def filled(log: MachineLog, rows: BoolArray) -> MachineLog:
-    """Return the log with the readings of some rows (T,) interpolated and marked as unread."""
+def filled(log: JointLog, rows: BoolArray) -> JointLog:
+    """Return the log with the readings of some rows (T,) interpolated and masked."""
     values = {}
     for name in ("q", "dq", "tau"):
         channel = getattr(log, name)
@@ -82,6 +82,6 @@ def _interpolated(t: FloatArray, x: FloatArray, rows: BoolArray) -> FloatArray:
     return np.where(known, x, np.interp(t, t[known], x[known]) if known.any() else 0.0)
 
 
-def read(log: MachineLog) -> BoolArray:
-    """Return the rows (T,) whose readings count."""
+def valid_samples(log: JointLog) -> BoolArray:
+    """Return the rows (T,) whose readings are not masked."""
     return np.asarray(np.nan_to_num(log.extra.get(UNREAD, np.zeros(len(log.t)))) == 0)

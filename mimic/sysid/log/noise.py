@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.types import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray
 
 _DIFFERENCE = 20.0
 """Variance of the third difference of white noise, over that of the noise: 1 + 9 + 9 + 1."""

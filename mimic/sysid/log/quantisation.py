@@ -1,17 +1,19 @@
-"""Steps of a coarse encoder, read off a log: its readings are multiples of them."""
+"""The step of a coarse encoder, estimated from its readings."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 AGREEMENT = 0.5
 """Mean of the unit vectors of the readings from which on they are multiples of a step."""
 
 FINEST_STEP = 2.5
-"""Least step of a coarse encoder that is looked for, in noise floors. Rounding is a 3.5th of a step and in the floor too: where readings
-agree by a half, a step is 2.9 floors."""
+"""Least step of a coarse encoder that is looked for, in noise floors.
+
+Rounding is a 3.5th of a step and in the floor too: where readings agree by a half, a step is 2.9 floors.
+"""
 
 COARSEST_STEP = 0.1
 """Greatest step that is looked for [rad]."""
@@ -19,9 +21,10 @@ COARSEST_STEP = 0.1
 WINDS = 8.0
 """Bins in the finest step."""
 
-MOVING = 4.0
-"""Change between the readings before and after, in noise floors, from which on a joint moves: where it rests, readings agree with each
-other whatever the encoder."""
+LEAST_CHANGE = 4.0
+"""Change between the readings before and after, in noise floors, from which on a joint moves: where it rests, readings
+agree with each other whatever the encoder.
+"""
 
 MOST_BINS = 1 << 24
 """Steps are not looked for in a motion over more bins: it turns a hundred times and more."""
@@ -31,11 +34,12 @@ LEAST_LEVELS = 6
 
 
 def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the step of each encoder [rad], 0 where none is seen, and its noise floor with all that the step rounds off (J,).
+    """Return the encoder steps (J,), 0 where none is found, and noise floors that include the rounding (J,) [rad].
 
     Args:
         q: Readings (T, J) [rad].
-        noise: Noise floors (J,) [rad]; they have a part of the rounding, as far as joints move in the time that they are taken from.
+        noise: Noise floors (J,) [rad]; they have a part of the rounding, as far as joints move in the time that they
+            are taken from.
     """
     found = [_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)]
     step, agreement = (np.array(row) for row in zip(*found, strict=True))
@@ -44,13 +48,13 @@ def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
-    """Return the step of a coarse encoder whose readings q (T,) have noise added, 0 where no step is seen, and how they agree.
+    """Return the step of a coarse encoder with readings q (T,), 0 if none, and how well they agree with it.
 
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
     every = max(1, len(q) // 3000)
     there = np.zeros(len(q), dtype=bool)
-    there[1:-1] = np.abs(q[2:] - q[:-2]) > MOVING * noise
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > LEAST_CHANGE * noise
     moving, q = (q - q.mean())[there], (q - q.mean())[::every]
     most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
     if most <= 1.0 / COARSEST_STEP or not len(moving):

@@ -2,6 +2,8 @@
 
 The log is cut into segments that run side by side, each from its measured position after a time of settling: a joint
 under a position servo forgets its start in that time. So one replay of a long log is many short ones in one batch.
+
+Longer than 350 lines: one class, whose methods share the segments.
 """
 
 from __future__ import annotations
@@ -9,19 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from mimic.calibrate.targets import Targets, acting, on_grid
-from mimic.machine_log import MachineLog
-from mimic.robot.law import Law, Parameters
-from mimic.robot.machine import SOLREF_STEPS, MachineModel
-from mimic.robot.servo import Servo, static_fields, target_shift
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.dynamics.law import Law, Parameters
+from mimic.dynamics.machine import SOLREF_STEPS, MachineModel
+from mimic.dynamics.servo import Servo, static_fields, target_shift
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.replay.records import Job, Prediction, Readings, stretch_starts
+from mimic.sysid.replay.targets import Targets, acting, on_grid
 
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
@@ -31,74 +34,16 @@ FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
 
 
-LONGEST_STEP = 0.0025
-"""[s]"""
-
-
-def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
-    """Return the longest step up to ``longest`` [s] that divides the time between readings at ``rate`` [Hz]."""
-    between = 1.0 / rate
-    return between / max(1, int(np.ceil(between / longest - 1e-6)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
-    """Readings that the segments predict, in order of the step of its segment that each falls into; arrays (R,)."""
-
-    row: IntArray
-    """Of the log."""
-    segment: IntArray
-    step: IntArray
-    """-1 for a reading at the very start of a segment."""
-    part: FloatArray
-    """How far into the step, up to 1 for its end."""
-    since: IntArray
-    """Steps of the segment that were over at the reading before; 0 for its first."""
-
-    def at(self, steps: int) -> IntArray:
-        """Return where the readings of each step begin (steps + 1,)."""
-        return np.searchsorted(self.step, np.arange(steps + 1))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
-    """What the model did; arrays (N, T, J), NaN where a segment was still settling."""
-
-    residual: FloatArray
-    """Measured - predicted position, single precision."""
-    torque_residual: FloatArray | None
-    """Measured - predicted torque of the motor, its mean since the reading before, where the log has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """What :meth:`Replay.run` is asked for."""
-
-    replay: Replay
-    parameters: Parameters
-    """Values (count, J) or (count, 1)."""
-    count: int
-    pushed: FloatArray | None = None
-    """Torques on the joints from outside (count, steps, J) [N m]."""
-
-
-UNSEEN, UNUSUAL = 0.05, 2.5
-"""Readings further apart than this [s] and than so many usual distances: targets may have come and gone between them."""
-
 AROUND = 0.01
 """The velocity that a segment begins with is that between readings so long before and after [s]."""
 
 
-def _begun(t: FloatArray) -> FloatArray:
-    """Return when the stretch without gaps began that each reading is in (T,), from their times (T,)."""
-    between = np.diff(t)
-    gap = between > max(UNSEEN, UNUSUAL * float(np.median(between)))
-    return np.maximum.accumulate(np.where(np.concatenate([[True], gap]), t, -np.inf))
-
-
 @contextmanager
 def _unheard() -> Iterator[None]:
-    """Keep MuJoCo from telling of simulations that blow up: numbers are tried that are far off. They begin again at zero."""
+    """Silence MuJoCo's warnings about diverging simulations: extreme parameters are tried on purpose.
+
+    They begin again at zero.
+    """
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: None)
     try:
@@ -119,11 +64,11 @@ class Replay:
     def __init__(
         self,
         machine: MachineModel,
-        log: MachineLog,
+        log: JointLog,
         *,
         timestep: float = 0.001,
         segment: float = 6.0,
-        settle: float = 0.8,
+        lead_in: float = 0.8,
         threads: int = 0,
         torque: bool = False,
     ) -> None:
@@ -134,7 +79,7 @@ class Replay:
             log: Readings of the machine's joints, in its order.
             timestep: Physics step [s].
             segment: Length of a segment [s].
-            settle: Time that a segment runs before its readings count [s].
+            lead_in: Time that a segment runs before its readings count [s].
             threads: Of MuJoCo; 0 takes one for each core.
             torque: Also predict the torque.
         """
@@ -144,13 +89,13 @@ class Replay:
         self.total = math.floor(t[-1] / timestep + 1e-6)
         count = max(1, round(t[-1] / segment))
         edges = np.linspace(0, self.total, count + 1).round().astype(int)
-        self._lead = round(settle / timestep)
+        self._lead = round(lead_in / timestep)
         self._begin = np.maximum(edges[:-1] - self._lead, 0)
         self._edges = edges
         self.length = int((edges[1:] - self._begin).max())
         self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
         self._part = t / timestep - self._rows
-        self.counts = t - _begun(t) >= settle
+        self.counts = t - stretch_starts(t) >= lead_in
         """Readings that count: all but those of the settling at the beginning and after each gap (T,)."""
         asked = log.q_des if log.q_des is not None else log.q * 0.0
         self.sent = np.flatnonzero(np.concatenate([[True], (np.diff(asked, axis=0) != 0).any(1)]))
@@ -168,7 +113,7 @@ class Replay:
         self._finer: dict[tuple[int, float], Replay] = {}
 
     def finer(self, times: int, segment: float, count: int = 1) -> Replay:
-        """Return this replay in so many times more steps and segments of another length [s]; ``count`` are counted here."""
+        """Return this replay in finer steps and segments of another length [s]; counts ``count`` replays."""
         self.replays += times * count
         segment = min(segment, self.longest_fine)
         if (times, segment) not in self._finer:
@@ -239,7 +184,7 @@ class Replay:
         self, parameters: Parameters, count: int, targets: Targets | None, pushed: FloatArray | None
     ) -> Iterator[tuple[dict[tuple[str, str], FloatArray], Targets, FloatArray | None]]:
         """Yield parameters, targets and torques from outside of as many parameter sets as are best replayed at once."""
-        size = self.together
+        size = self.sets_per_batch
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
             values: dict[tuple[str, str], FloatArray] = {
@@ -261,7 +206,7 @@ class Replay:
         return [job.replay.run(job.parameters, job.count, pushed=job.pushed) for job in jobs]
 
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
-        """Return the mean square torque of the motors since the reading before (T, J), with one set of parameters (1, ...)."""
+        """Return the mean square motor torque since the reading before (T, J), for one parameter set."""
         values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
         made = self._run(values, self._grid, None, square=True).torque_residual
         self.replays += 1
@@ -275,7 +220,7 @@ class Replay:
 
         Infinite where a simulation blew up.
         """
-        size, found = self.together, []
+        size, found = self.sets_per_batch, []
         for begin in range(0, count, size):
             some = slice(begin, min(begin + size, count))
             values: dict[tuple[str, str], FloatArray] = {
@@ -286,8 +231,8 @@ class Replay:
         return np.concatenate(found)
 
     @property
-    def together(self) -> int:
-        """How many parameter sets are best replayed at once."""
+    def sets_per_batch(self) -> int:
+        """How many parameter sets to replay in one batch."""
         return max(1, MOST_SIMULATIONS // self.segments)
 
     def _squares(self, parameters: dict[tuple[str, str], FloatArray], rows: BoolArray, noise: FloatArray) -> FloatArray:
@@ -317,7 +262,7 @@ class Replay:
         pushed: FloatArray | None,
         square: bool = False,
     ) -> Prediction:
-        """Return predictions; with ``square`` minus the mean square torque of the motors in place of a residual of it."""
+        """Return predictions; with ``square`` minus the mean square torque instead of a torque residual."""
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
@@ -396,7 +341,13 @@ class Replay:
                 known[:] = known[1], over[i]
             since[i] = known[0]
         order = np.argsort(step, kind="stable")
-        return Readings(row=row[order], segment=segment[order], step=step[order], part=part[order], since=since[order])
+        return Readings(
+            row=row[order],
+            segment=segment[order],
+            step=step[order],
+            part=np.asarray(part[order], dtype=np.float64),
+            since=since[order],
+        )
 
     def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
         t = self.log.t - self.log.t[0]
@@ -427,7 +378,7 @@ class Replay:
     def _target(
         self, now: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
     ) -> tuple[FloatArray, list[tuple[Any, Any]]]:
-        """Return what acts at steps now (n,), that much shifted: the mean, and each of the targets with its share if they are several.
+        """Return the mean target in steps now (n,), and the targets with their shares if several act.
 
         Of several targets (V, ...), those of ``which`` (n,).
         """

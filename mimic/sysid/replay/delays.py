@@ -1,8 +1,8 @@
 """Replays in which single targets arrive at other times, and how far to follow a linear model of them.
 
-Where targets come so late that the next ones overtake them, what one of them does depends on the others, and a step of all
-at once that a linear model finds overshoots in some places. So it is replayed in parts, and each target takes the part
-that suits what follows it.
+Where targets come so late that the next ones overtake them, what one of them does depends on the others, and a step of
+all at once that a linear model finds overshoots in some places. So it is replayed in parts, and each target takes the
+part that suits what follows it.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mimic.calibrate.point import Point, stack
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.targets import Targets
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.sysid.fit.point import Point, stack
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.replay.targets import Targets
 
-SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
+STEP_SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
 """Parts of a step that are replayed."""
 
 FOLLOWING = 0.25
@@ -24,7 +24,7 @@ FOLLOWING = 0.25
 
 
 def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -> FloatArray:
-    """Return whitened residuals (N, T, C), 0 where readings do not count, with each target so late (K,) [s] in each replay."""
+    """Return whitened residuals (N, T, C), 0 where masked, with each target delayed (K,) [s] in each replay."""
     replay, joints = problem.replay, len(problem.machine.joints)
     made = replay.run(
         stack([point] * len(lates), problem.machine), len(lates), Targets.stacked([replay.delayed(x) for x in lates])
@@ -40,7 +40,7 @@ def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -
 
 
 def eased(problem: Problem, point: Point, had: FloatArray, late: FloatArray) -> FloatArray:
-    """Return the lateness (K,) [s] between two in which each target is as late as suits the readings after it.
+    """Return delays (K,) [s] between two sets, each target taking the share that suits the readings after it.
 
     Args:
         problem: Log and model.
@@ -48,7 +48,7 @@ def eased(problem: Problem, point: Point, had: FloatArray, late: FloatArray) -> 
         had: Lateness before a step.
         late: After it.
     """
-    lates = [had + share * (late - had) for share in SHARES]
+    lates = [had + share * (late - had) for share in STEP_SHARES]
     residual = with_lateness(problem, point, lates)
     squares = np.cumsum((residual.astype(np.float64) ** 2).sum(-1), axis=1)
     replay = problem.replay

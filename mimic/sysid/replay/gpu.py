@@ -1,7 +1,8 @@
 """Replays in MuJoCo Warp: every segment of every parameter set is a world, all stepped together on a GPU.
 
 The law of the drives is that of the other replays, in PyTorch and in double precision; the physics is in single
-precision, which moves a position by less than a microradian. Nothing leaves the device between the first step and the last.
+precision, which moves a position by less than a microradian. Nothing leaves the device between the first step and the
+last. Longer than 350 lines: one class, whose methods share what is on the device.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ import torch
 import warp as wp
 from mujoco.batch import Batch
 
-from mimic.calibrate.replay import Job, Prediction, Replay
-from mimic.calibrate.targets import Targets, acting
-from mimic.calibrate.world_batch import STATIC, WorldBatch
+from mimic.dynamics.cuda_graphs import Replayed
+from mimic.dynamics.law import Drives, Law, Parameters
+from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.servo import static_fields, target_shift
 from mimic.errors import ConfigError
-from mimic.machine_log import MachineLog
-from mimic.robot.graphs import Replayed
-from mimic.robot.law import Drives, Law, Parameters
-from mimic.robot.machine import MachineModel
-from mimic.robot.servo import static_fields, target_shift
-from mimic.types import BoolArray, FloatArray
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.gpu_batch import STATIC, WorldBatch
+from mimic.sysid.replay.records import Job, Prediction
+from mimic.sysid.replay.targets import Targets, acting
 
 T = TypeVar("T")
 Values = dict[tuple[str, str], FloatArray]
@@ -39,7 +41,9 @@ MEMORY = 0.25
 """Share of the free memory of a GPU that the positions of a replay may take."""
 
 SEGMENT, FINE_SEGMENT = 0.8, 0.2
-"""Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with its worlds."""
+"""Length of a segment [s], and that of a replay in fine steps: the time of a replay goes with its steps, hardly with
+its worlds.
+"""
 
 TURN = 8
 """Steps that are begun before another replay that runs side by side has its turn."""
@@ -76,7 +80,7 @@ class WorldReplay(Replay):
     def __init__(
         self,
         machine: MachineModel,
-        log: MachineLog,
+        log: JointLog,
         *,
         device: str = "cuda",
         timestep: float = 0.001,
@@ -84,7 +88,7 @@ class WorldReplay(Replay):
         threads: int = 0,
         torque: bool = False,
     ) -> None:
-        """Cut the log into segments (see :class:`~mimic.calibrate.replay.Replay`).
+        """Cut the log into segments (see `mimic.sysid.replay.cpu.Replay`).
 
         Args:
             machine: The model, with the gains of the log.
@@ -135,7 +139,7 @@ class WorldReplay(Replay):
         return torch.as_tensor(np.asarray(values), dtype=dtype, device=self._device)
 
     @property
-    def together(self) -> int:
+    def sets_per_batch(self) -> int:
         """How many parameter sets are best replayed at once: a power of two."""
         return self._together
 
@@ -217,7 +221,7 @@ class WorldReplay(Replay):
         out[:, self.readings.row] = np.where(np.isfinite(values), values, np.nan)
 
     def _residual(self, path: torch.Tensor) -> torch.Tensor:
-        """Return measured - predicted position of each reading (R, N, J), from positions (steps + 1, N, segments, J)."""
+        """Return the position residuals (R, N, J) of positions (steps + 1, N, segments, J)."""
         segment, step, _ = self._at
         before, after = path[step.clamp(min=0), :, segment], path[step + 1, :, segment]
         return self._measured - (before * (1 - self._share) + after * self._share)

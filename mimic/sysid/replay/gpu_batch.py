@@ -10,9 +10,9 @@ import mujoco_warp as mjw
 import torch
 import warp as wp
 
-from mimic.robot.graphs import ReplayedWarp
-from mimic.robot.servo import Servo
-from mimic.types import FloatArray
+from mimic.dynamics.cuda_graphs import ReplayedWarp
+from mimic.dynamics.servo import Servo
+from mimic.records import FloatArray
 
 STATIC = (
     "dof_damping",

@@ -1,4 +1,4 @@
-"""What a model foretells of a log that it was not fitted to."""
+"""What a model predicts of a log, without fitting anything."""
 
 from __future__ import annotations
 
@@ -7,29 +7,31 @@ from typing import Any
 
 import numpy as np
 
-from mimic.calibrate.replay import Replay, physics_step
-from mimic.calibrate.settle import FINE
-from mimic.calibrate.unread import read
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.machine import MachineModel
-from mimic.robot.servo import parameters_of
-from mimic.types import FloatArray
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.servo import parameters_of
+from mimic.io.joint_log import JointLog
+from mimic.records import FloatArray
+from mimic.sysid.fit.step_refinement import FINE
+from mimic.sysid.log.missing import valid_samples
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.records import physics_step
 
 
-def foretell(
-    log: MachineLog, machine: MachineModel, effects: EffectSet, *, whole: bool = False, threads: int = 0
+def predict(
+    log: JointLog, machine: MachineModel, effects: EffectSet, *, whole: bool = False, threads: int = 0
 ) -> FloatArray:
-    """Return measured - predicted positions (T, J) [rad or m], NaN where nothing is foretold or was read.
+    """Return measured - predicted positions (T, J) [rad or m], NaN where nothing is predicted or the sample is masked.
 
-    They are those that steps without length would leave, from replays in two lengths of steps. Targets of a jittering delay act as late
-    as they do on the average; lost commands are single events, which nothing foretells.
+    They are extrapolated to steps of length zero, from replays in two step sizes. Targets of a jittering
+    delay act as late as they do on the average; lost commands are single events, which cannot be predicted.
 
     Args:
         log: Readings of the machine's joints, in its order.
-        machine: The model, as the log says (:func:`~mimic.robot.machine.as_logged`).
+        machine: The model, as the log says (`mimic.dynamics.machine.as_logged`).
         effects: What it has.
-        whole: Replay the log in one piece from its first reading; else in pieces that each begin with a measured position.
+        whole: Replay the log in one piece from its first reading; else in pieces that each begin with a measured
+            position.
         threads: Of MuJoCo; 0 takes one for each core.
 
     Raises:
@@ -39,7 +41,7 @@ def foretell(
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     p.pop(("lost_commands", "share"), None)
     p = p or {("delay", "time"): np.zeros((1, 1))}
-    pieces: dict[str, Any] = {"segment": math.inf, "settle": 0.0} if whole else {}
+    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {}
     made = []
     for times in (FINE, 2 * FINE):
         replay = Replay(machine, log, timestep=physics_step(log.rate) / times, threads=threads, **pieces)
@@ -49,4 +51,4 @@ def foretell(
             replay.set_heat(np.sqrt(replay.mean_square_torque(p)))
         made.append(replay.run(p, 1).residual[0].astype(np.float64))
     residual = 2.0 * made[1] - made[0]
-    return np.where(read(log)[:, None], residual, np.nan)
+    return np.where(valid_samples(log)[:, None], residual, np.nan)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.calibrate.replay import Replay
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet
-from mimic.robot.machine import MachineModel
-from mimic.robot.servo import parameters_of
-from mimic.settings import LogSettings
-from mimic.types import BoolArray, FloatArray
+from mimic.config.sysid import LogSettings
+from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.servo import parameters_of
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.replay.cpu import Replay
 
 
 def simulate_log(
     machine: MachineModel, t: FloatArray, q_des: FloatArray, effects: EffectSet, settings: LogSettings
-) -> MachineLog:
+) -> JointLog:
     """Return what a machine with these effects would log.
 
     Args:
@@ -32,7 +32,7 @@ def simulate_log(
     p = parameters_of(effects, machine)
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     share = float(p.pop(("lost_commands", "share"), np.zeros((1, 1)))[0, 0])
-    times = np.arange(0.0, t[-1] + 1e-9, 1.0 / settings.rate)
+    times = np.arange(0.0, t[-1] + 1e-9, 1.0 / settings.rate_hz)
     rows = np.clip(np.searchsorted(t, times + 1e-9, side="right") - 1, 0, len(t) - 1)
     kept = rng.random(len(t)) >= share
     kept[0] = True
@@ -40,15 +40,15 @@ def simulate_log(
     late[0] = t[0]
     fine = np.arange(0.0, t[-1] + 1e-9, settings.timestep)
     nothing = np.zeros((len(fine), len(machine.joints)))
-    command = MachineLog(joints=machine.joints, t=fine, q=nothing, tau=nothing, q_des=_arrived(fine, late, q_des, kept))
-    replay = Replay(machine, command, timestep=settings.timestep, segment=1e9, settle=0.0, threads=1, torque=True)
+    command = JointLog(joints=machine.joints, t=fine, q=nothing, tau=nothing, q_des=_arrived(fine, late, q_des, kept))
+    replay = Replay(machine, command, timestep=settings.timestep, segment=1e9, lead_in=0.0, threads=1, torque=True)
     made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
     q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]
     read = times + settings.jitter * rng.standard_normal(len(times))
     read = np.clip(read, 0.0, fine[-1])
     q = np.stack([np.interp(read, fine, column) for column in q.T], -1)
     total = np.concatenate([np.zeros((1, tau.shape[1])), np.cumsum(tau[1:], axis=0)]) * settings.timestep
-    before = np.maximum(read - 1.0 / settings.rate, 0.0)
+    before = np.maximum(read - 1.0 / settings.rate_hz, 0.0)
     between = np.maximum(read - before, settings.timestep)[:, None]
     tau = np.stack([np.interp(read, fine, c) - np.interp(before, fine, c) for c in total.T], -1) / between
     tau = tau + settings.torque_noise * rng.standard_normal(tau.shape)
@@ -58,7 +58,7 @@ def simulate_log(
     there = rng.random(len(times)) >= settings.lost_samples
     there[0] = True
     drives = machine.drives
-    return MachineLog(
+    return JointLog(
         joints=machine.joints,
         t=times[there],
         q=q[there],

@@ -1,4 +1,4 @@
-"""When the targets of a log act, on the grid of a replay's physics steps: which ones share a step, and for how long each."""
+"""The targets of a log on the grid of a replay: which share a step, and for how long."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 ON_EDGE = 1e-6
 """Share of a step within which a target begins to act at its edge."""
@@ -36,7 +36,8 @@ class Targets:
 def on_grid(arrival: FloatArray, values: FloatArray, step: float, steps: int) -> Targets:
     """Return targets as physics steps see them.
 
-    Several that come in effect within one step are taken as one, at their mean time weighted by the size of their jumps.
+    Several that come in effect within one step are taken as one, at their mean time weighted by the size of their
+    jumps.
 
     Args:
         arrival: When each comes in effect, growing, the first at 0 (K,) [s].

@@ -1,25 +1,27 @@
-"""Coarse encoders are named last, and a replay rounds as they do."""
+"""Coarse encoders: reported last, with a replay that rounds as they do."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.calibrate.evidence import paired
-from mimic.calibrate.fit import Fit
-from mimic.calibrate.settle import FINE, FINE_SEGMENT
-from mimic.calibrate.state import Search, errors_of
-from mimic.calibration import Candidate, Stage
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.sysid.fit.least_squares import Fit
+from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT
+from mimic.sysid.result import Candidate, Stage
+from mimic.sysid.selection.evidence import paired
+from mimic.sysid.state import CalibrationState, errors_of
 
 LEAST_ROUNDING = 0.25
-"""What a coarse encoder rounds off, over what is left of its joint; less may be in the encoder, but is not what is missing."""
+"""What a coarse encoder rounds off, over what is left of its joint; less may be in the encoder, but is not what is
+missing.
+"""
 
 
-def _as_read(state: Search, fitted: Fit) -> FloatArray:
-    """Return the residual of a fit (T, C) with the coarse encoders that were found, in chains where a replay with them leaves less.
+def _as_read(state: CalibrationState, fitted: Fit) -> FloatArray:
+    """Return a fit's residual (T, C) with encoder rounding, in chains where rounding lowers it.
 
-    Numbers are fitted without them, and what they round off is noise: a servo hunts between two steps, in an order that no replay
-    foretells for long, and derivatives of a replay that hunts are those of its steps.
+    Numbers are fitted without them, and what they round off is noise: a servo hunts between two steps, in an order that
+    no replay foretells for long, and derivatives of a replay that hunts are those of its steps.
     """
     problem = state.problem
     angle = np.where(state.joints["encoder_step"], problem.encoder_steps, 0.0)
@@ -33,16 +35,15 @@ def _as_read(state: Search, fitted: Fit) -> FloatArray:
     return np.where(np.isin(problem.channel_chain, less), rounded, fitted.residual)
 
 
-def with_encoders(state: Search, stages: list[Stage], final: Fit) -> tuple[list[Stage], FloatArray]:
-    """Return the stages with one more, where readings are multiples of a step whose rounding is a good part of what is left, and
-    the residual with that (T, C)."""
+def with_encoders(state: CalibrationState, stages: list[Stage], final: Fit) -> tuple[list[Stage], FloatArray]:
+    """Return the stages and residual (T, C) with coarse encoders added, where rounding matters."""
     problem, machine = state.problem, state.problem.machine
     count, train = len(machine.joints), problem.blocks.train
     left = np.sqrt(problem.mean_squares(final.residual, False)[:count]) * problem.noise[:count]
     has = problem.encoder_steps / np.sqrt(12.0) > LEAST_ROUNDING * left
     if not has.any():
         return stages, final.residual
-    state.tick("rounding as the encoders do")
+    state.tick("adding encoder rounding")
     state.joints["encoder_step"] = has
     residual = _as_read(state, final)
     before, after = (problem.block_squares(r)[train] for r in (final.residual, residual))

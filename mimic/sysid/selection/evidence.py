@@ -1,4 +1,4 @@
-"""What is in favour of an effect: blocks of time judged without themselves, in pairs."""
+"""Evidence for an effect: paired comparisons on blocks that each fit has not seen."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibrate.events import Timing
-from mimic.calibrate.fit import Fit, deviations, left_out, prior
-from mimic.calibrate.point import Knob
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.screen import least_order, on_harmonic
-from mimic.calibration import Candidate
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.servo import neutral
-from mimic.types import BoolArray, FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.servo import neutral
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, left_out, prior
+from mimic.sysid.fit.point import FreeParameter
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.fit.uncertainty import deviations
+from mimic.sysid.result import Candidate
+from mimic.sysid.selection.jitter import Timing
+from mimic.sysid.selection.screening import least_order, on_harmonic
 
 LEAST_GAIN = 0.01
 """Share by which the error of a block judged without itself must fall."""
@@ -23,7 +24,7 @@ LEAST_Z = 3.0
 """Gain over its standard error; about Holm's correction over 25 candidates at 5 %."""
 
 LEAST_IMPROVEMENT = 0.35
-"""What leaves the error of some joint, over its noise floor. Smaller crumbs are differences between integrators."""
+"""What leaves the error of some joint, over its noise floor. Smaller negligible are differences between integrators."""
 
 LEAST_SHARE = 0.15
 """Share that it takes of what noise does not explain, on the joints where it acts; less is the nearest wrong name."""
@@ -37,18 +38,20 @@ LEAST_MISSED = 0.1
 LEAST_BESIDE = 0.1
 """The same as a share of what it takes at the joint of the chain where it takes most."""
 
-RIVAL_Z = 2.0
+ALTERNATIVE_Z = 2.0
 """A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
 
 FAR_BEYOND = 2.0
-"""Steps by which a number would cross its bound, from which on an effect that pushes it there, or stands in its chain, is not named."""
+"""Steps by which a number would cross its bound, from which on an effect that pushes it there, or stands in its chain,
+is not named.
+"""
 
 MATERIAL = 0.025
 """Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tried:
+class TriedEffect:
     """An effect that was refitted, with its evidence."""
 
     name: str
@@ -68,7 +71,7 @@ class Tried:
     timing: Timing | None = None
     """Which targets were late, where that is the effect."""
 
-    def candidate(self, problem: Problem, best: Tried | None) -> Candidate:
+    def candidate(self, problem: Problem, best: TriedEffect | None) -> Candidate:
         """Return the record of it."""
         machine, spec = problem.machine, CATALOGUE[self.name]
         names = tuple(np.array(machine.joints)[self.joints]) if spec.scope == "joint" else ()
@@ -82,12 +85,12 @@ class Tried:
             joints=names,
             accepted=best is self,
             why="" if best is self else self.why or "another effect explains more",
-            rival_z=0.0 if best is None or best is self else _apart(problem, best, self)[1],
+            alternative_z=0.0 if best is None or best is self else _apart(problem, best, self)[1],
         )
 
 
 def paired(better: FloatArray, worse: FloatArray, channels: BoolArray | None = None) -> tuple[float, float]:
-    """Return the gain of one fit over another and how sure it is, from blocks judged without themselves (B, C).
+    """Return the gain of one fit over another and its significance, from left-out blocks (B, C).
 
     The gain is half the log of the ratio of the sums. How sure is the larger of two: its mean over the blocks over its
     standard error, and the normal score of Wilcoxon's signed-rank test over those blocks of single channels where the
@@ -112,8 +115,10 @@ def _rank_score(d: FloatArray) -> float:
     return float((ranks[d > 0].sum() - n * (n + 1) / 4) / np.sqrt(n * (n + 1) * (2 * n + 1) / 24))
 
 
-def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitted: Fit, joints: BoolArray) -> Tried:
-    """Compare a fit that has one more effect with the one that lacks it, on the joints where it acts.
+def evaluate(
+    problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitted: Fit, joints: BoolArray
+) -> TriedEffect:
+    """Compare a fit with one more effect to the fit without it, on the joints where it acts.
 
     Args:
         problem: Log and model.
@@ -136,17 +141,17 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
     gain, z = paired(after, before, channels) if there.any() else paired(after, before)
     why = ""
     if not there.any():
-        why = f"no joint gains by a number that differs from none by {LEAST_PARAMETER:.0f} deviations"
+        why = f"no joint has a parameter {LEAST_PARAMETER:.0f} standard deviations from neutral"
     elif little := too_little(gain, z, LEAST_Z):
         why = little
     elif improvement < LEAST_IMPROVEMENT:
         why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
     elif (share := share_taken(problem, incumbent, fitted, channels)) < LEAST_SHARE:
-        why = f"it takes {100 * share:.0f} % of what is unexplained on its joints, below {100 * LEAST_SHARE:.0f} %"
+        why = f"it removes {100 * share:.0f} % of the unexplained error on its joints, below {100 * LEAST_SHARE:.0f} %"
     else:
         why = _pushed(problem, incumbent, fitted, there)
     overall, _ = paired(after, before)
-    return Tried(
+    return TriedEffect(
         name=name,
         fitted=fitted,
         squares=after,
@@ -160,27 +165,27 @@ def judge(problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitte
 
 
 def too_little(gain: float, z: float, least: float) -> str:
-    """Return why a gain is no evidence, with how sure it must be in standard errors, or nothing."""
+    """Return why a gain is too small or not significant, or an empty string."""
     if gain < LEAST_GAIN:
         return f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
     return f"gain is {z:.1f} standard errors, below {least:.0f}" if z < least else ""
 
 
 def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:
-    """Return the joints where an effect's main number differs from none by more than LEAST_PARAMETER deviations (P,)."""
+    """Return the joints (J,) where an effect's main parameter is significantly different from neutral."""
     spec = CATALOGUE[name]
     there = np.zeros(len(problem.machine.joints), dtype=bool)
     sized = [p for p in spec.parameters if not p.fixed and not p.shape]
     if not sized:  # read off the log, not fitted
         values = [fitted.point.values[name, p.name] != neutral(name, p.name, problem.machine) for p in spec.parameters]
         return np.any(values, axis=0) & joints
-    for i, knob in enumerate(fitted.knobs):
-        if knob.key[0] != name or knob.key[1] not in [p.name for p in sized]:
+    for i, free in enumerate(fitted.free_parameters):
+        if free.key[0] != name or free.key[1] not in [p.name for p in sized]:
             continue
-        value = fitted.point.values[knob.key][max(knob.joint, 0)]
-        none = float(neutral(*knob.key, problem.machine)[max(knob.joint, 0)])
+        value = fitted.point.values[free.key][max(free.joint, 0)]
+        none = float(neutral(*free.key, problem.machine)[max(free.joint, 0)])
         if abs(value - none) > LEAST_PARAMETER * deviation[i]:
-            there[slice(None) if knob.joint < 0 else knob.joint] = True
+            there[slice(None) if free.joint < 0 else free.joint] = True
     if spec.scope != "joint":
         return there
     missed, chain = _missed(fitted, problem, name), problem.machine.chain
@@ -189,21 +194,25 @@ def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviati
 
 
 def _missed(fitted: Fit, problem: Problem, name: str) -> FloatArray:
-    """Return what is left more of a chain without an effect at one of its joints (J,), in noise floors, for a linear model.
+    """Return what each joint's effect removes from its chain (J,) [noise floors], in a linear model.
 
     The other numbers make up for it as they can.
     """
     train = problem.blocks.train
-    hessian = fitted.sums.over(train)[0] + np.diag(prior(fitted.knobs))
+    hessian = fitted.sums.over(train)[0] + np.diag(prior(fitted.free_parameters))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     inverse = np.linalg.pinv(hessian * scale[:, None] * scale, 1e-12) * scale[:, None] * scale
     readings = max(int(np.isin(problem.blocks.index, train).sum()), 1)
     rows = np.zeros(len(problem.machine.joints))
     sized = [p.name for p in CATALOGUE[name].parameters if not p.fixed and not p.shape]
     for joint in range(len(rows)):
-        own = [i for i, k in enumerate(fitted.knobs) if k.key[0] == name and k.joint == joint and k.key[1] in sized]
+        own = [
+            i
+            for i, k in enumerate(fitted.free_parameters)
+            if k.key[0] == name and k.joint == joint and k.key[1] in sized
+        ]
         if own:
-            keys = [fitted.knobs[i].key for i in own]
+            keys = [fitted.free_parameters[i].key for i in own]
             away = np.array([fitted.point.values[k][joint] - neutral(*k, problem.machine)[joint] for k in keys])
             more = float(away @ np.linalg.lstsq(inverse[np.ix_(own, own)], away, rcond=None)[0])
             rows[joint] = np.sqrt(max(more, 0.0) / readings)
@@ -211,13 +220,13 @@ def _missed(fitted: Fit, problem: Problem, name: str) -> FloatArray:
 
 
 def share_taken(problem: Problem, incumbent: Fit, fitted: Fit, channels: BoolArray) -> float:
-    """Return the share of what noise does not explain, on these channels (C,), that a fit takes beside the incumbent."""
+    """Return the share of the unexplained error on these channels (C,) that a fit removes."""
     before, after = (problem.mean_squares(f.residual, False)[channels].sum() for f in (incumbent, fitted))
     return float((before - after) / max(before - channels.sum(), 1e-9))
 
 
 def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArray:
-    """Joints whose blocks are better off without having been used."""
+    """Return the joints (J,) whose left-out blocks improve."""
     joints = len(problem.machine.joints)
     gain = np.log(np.maximum(before.sum(0), 1e-12) / np.maximum(after.sum(0), 1e-12))
     better = np.zeros(joints, dtype=bool)
@@ -226,51 +235,52 @@ def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArra
 
 
 def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, there: BoolArray) -> str:
-    """Return why declared numbers of the joints where an effect acts forbid it, or nothing.
+    """Return why baseline parameters of the affected joints forbid an effect, or an empty string.
 
-    A number that the log hardly determines stays near its prior and says nothing, and one that was at its bound without the
-    effect was not pushed there.
+    A number that the log hardly determines stays near its prior and says nothing, and one that was at its bound without
+    the effect was not pushed there.
     """
-    for knob, bound in stopped(fitted, problem, FAR_BEYOND):
-        if not CATALOGUE[knob.key[0]].declared or (knob.joint >= 0 and not there[knob.joint]):
+    for free, bound in stopped(fitted, problem, FAR_BEYOND):
+        if not CATALOGUE[free.key[0]].baseline or (free.joint >= 0 and not there[free.joint]):
             continue
-        if abs(incumbent.point.values[knob.key][max(knob.joint, 0)] - bound) > 1e-9:
-            label = f"{knob.key[0]}.{knob.key[1]}"
-            label += "" if knob.joint < 0 else f" of {problem.machine.joints[knob.joint]}"
+        if abs(incumbent.point.values[free.key][max(free.joint, 0)] - bound) > 1e-9:
+            label = f"{free.key[0]}.{free.key[1]}"
+            label += "" if free.joint < 0 else f" of {problem.machine.joints[free.joint]}"
             return f"it pushes {label} onto its bound {bound:g}"
     return ""
 
 
-def stopped(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Knob, float]]:
-    """Return numbers at a bound, and the bound, that the log would have cross it by so many steps.
+def stopped(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[FreeParameter, float]]:
+    """Return the parameters at a bound that the log would push across it by so many steps.
 
-    An effect's bound at which it is none is not one of them: there it ends. The other says how much of it a machine can have.
+    An effect's bound at which it is none is not one of them: there it ends. The other says how much of it a machine can
+    have.
     """
     hessian, gradient = fitted.sums.over(problem.blocks.train)
     found = []
-    for i, knob in enumerate(fitted.knobs):
-        joint = max(knob.joint, 0)
-        value, none = fitted.point.values[knob.key][joint], neutral(*knob.key, problem.machine)[joint]
-        beyond = gradient[i] / (hessian[i, i] + 1.0 / knob.spread**2) / knob.step
-        for bound, sign in zip(knob.bounds, (-1.0, 1.0), strict=True):
-            counts = CATALOGUE[knob.key[0]].declared or abs(none - bound) > 1e-9
+    for i, free in enumerate(fitted.free_parameters):
+        joint = max(free.joint, 0)
+        value, none = fitted.point.values[free.key][joint], neutral(*free.key, problem.machine)[joint]
+        beyond = gradient[i] / (hessian[i, i] + 1.0 / free.spread**2) / free.step
+        for bound, sign in zip(free.bounds, (-1.0, 1.0), strict=True):
+            counts = CATALOGUE[free.key[0]].baseline or abs(none - bound) > 1e-9
             if counts and abs(value - bound) < 1e-9 and sign * beyond > least:
-                found.append((knob, bound))
+                found.append((free, bound))
     return found
 
 
-def hard_to_tell_apart(problem: Problem, best: Tried, other: Tried) -> bool:
+def hard_to_tell_apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> bool:
     """Return whether the log leaves it open which of two effects it is."""
     gain, z = _apart(problem, best, other)
-    return z < RIVAL_Z or gain < LEAST_GAIN
+    return z < ALTERNATIVE_Z or gain < LEAST_GAIN
 
 
-def _apart(problem: Problem, best: Tried, other: Tried) -> tuple[float, float]:
+def _apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> tuple[float, float]:
     """Return gain and z of one effect over another, where either acts."""
     return paired(best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
 
 
-def lasts(problem: Problem, before: Fit, after: Fit, tried: Tried) -> bool:
+def lasts(problem: Problem, before: Fit, after: Fit, tried: TriedEffect) -> bool:
     """Return whether an effect, fitted to the end, leaves less of the blocks held out from all fits, where it acts.
 
     What is read off the log is not asked.

@@ -1,4 +1,4 @@
-"""The model grows by one effect at a time, as long as that pays."""
+"""Forward selection: one effect at a time, while it pays."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.diagnose import SHARED, Found, further, pruned, search, whole_chains, wider
-from mimic.calibrate.events import Timing
-from mimic.calibrate.evidence import LEAST_IMPROVEMENT, Tried, earns_its_keep, lasts, present
-from mimic.calibrate.fit import Fit, deviations, fit_all, fitting, left_out
-from mimic.calibrate.late import arrivals
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.screen import predicted
-from mimic.calibrate.settle import FINE, FINE_SEGMENT, correct, refined, settle
-from mimic.calibrate.state import Search, errors_of
-from mimic.calibrate.withdraw import on_a_bound, only_what_is_sure, take_back
-from mimic.calibration import Stage
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.law import STIFFEST
-from mimic.types import BoolArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.law import STIFFEST
+from mimic.records import BoolArray
+from mimic.sysid.fit.least_squares import Fit, fit_all, fitting, left_out
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, correct, refine_steps, refined
+from mimic.sysid.fit.uncertainty import deviations
+from mimic.sysid.result import Stage
+from mimic.sysid.selection.evidence import LEAST_IMPROVEMENT, TriedEffect, earns_its_keep, lasts, present
+from mimic.sysid.selection.jitter import Timing
+from mimic.sysid.selection.late_targets import fit_delay_per_command
+from mimic.sysid.selection.pruning import on_a_bound, reject_doubtful, without_effects
+from mimic.sysid.selection.screening import predicted
+from mimic.sysid.selection.search import SHARED, StageResult, further, on_its_joints, search, whole_chains, wider
+from mimic.sysid.state import CalibrationState, errors_of
 
 MOST_FITTED = 3
 """Effects that are fitted to the end at a stage before nothing is named."""
@@ -28,14 +29,16 @@ MOST_FITTED = 3
 AGAIN = 3
 """Rounds of finding when each target acted, once fine steps correct the coarse ones."""
 
-AS_WITHOUT = "fitted to the end its numbers are those of a machine without it"
+AS_WITHOUT = "in the final fit its parameters are those of a machine without it"
 
 SOFT = 0.1
-"""Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an elasticity of its own."""
+"""Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an
+elasticity of its own.
+"""
 
 
-def grow(state: Search) -> list[Stage]:
-    """Add the effects that pay, and return a stage for each; one without a name where none does."""
+def forward_selection(state: CalibrationState) -> list[Stage]:
+    """Add effects while they pay; return a stage for each, or one unnamed stage if none does."""
     stages: list[Stage] = []
     for _ in range(state.settings.most_effects):
         if _explained(state):
@@ -72,13 +75,13 @@ def grow(state: Search) -> list[Stage]:
                 added=best.name,
                 errors=errors_of(state.problem, state.current.residual),
                 candidates=tuple(t.candidate(state.problem, found.best) for t in found.tried),
-                rivals=tuple(n for n in found.rivals if n != best.name),
+                alternatives=tuple(n for n in found.alternatives if n != best.name),
             )
         )
-    return only_what_is_sure(state, _kept(state, stages))
+    return reject_doubtful(state, _kept(state, stages))
 
 
-def _candidates(state: Search) -> list[str]:
+def _candidates(state: CalibrationState) -> list[str]:
     allowed = state.settings.effects or tuple(CATALOGUE)
     machine = state.problem.machine
     out = set(state.names)
@@ -90,18 +93,19 @@ def _candidates(state: Search) -> list[str]:
         out.add("joint_delay")  # the delay of the machine
     if np.max(machine.drives.kp) * STIFFEST > SOFT:
         out |= {"backlash", "compliance"}
-    return [n for n in allowed if n not in out and not CATALOGUE[n].declared]
+    return [n for n in allowed if n not in out and not CATALOGUE[n].baseline]
 
 
-def _explained(state: Search) -> bool:
-    """Nothing that could still be found would be large enough to count."""
+def _explained(state: CalibrationState) -> bool:
+    """Return whether no remaining error is large enough to count."""
     squares = state.problem.mean_squares(state.current.residual, False)
     return bool(np.all(squares < 1.0 + LEAST_IMPROVEMENT**2))
 
 
-def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] | None, tuple[Tried, ...]]:
-    """Return the first of the effects found that pays when it is fitted to the end, as it was found and as it is then, with
-    the search at that fit; and all that were tried, those that did not with the reason."""
+def _first_that_lasts(
+    state: CalibrationState, found: StageResult
+) -> tuple[tuple[TriedEffect, TriedEffect] | None, tuple[TriedEffect, ...]]:
+    """Return the first candidate that survives its final fit (as found, as fitted), and all tried."""
     problem, before, tried = state.problem, state.current, found.tried
     correction, weight = problem.correction, problem.weight
     for candidate in (found.best, *found.others)[:MOST_FITTED]:
@@ -112,7 +116,7 @@ def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] 
         problem.weigh(best.fitted.residual)
         best, state.current = _where_it_is(state, best)
         best, state.current = _elsewhere_too(state, best)
-        why = "fitted to the end it leaves no less on blocks that were held out"
+        why = "in the final fit it does not lower the held-out error"
         bare = None
         if lasts(problem, before, state.current, best):
             bare = _as_good_without(state, best.name, best.joints)
@@ -123,7 +127,7 @@ def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] 
         state.current, problem.correction, problem.weight = before, correction, weight
         if bare is not None:  # what it found was a better fit of the others
             problem.weigh(bare.residual)
-            settled = settle(problem, bare)
+            settled = refine_steps(problem, bare)
             if _squares(problem, settled) < _squares(problem, before):
                 state.current = before = settled
                 correction, weight = problem.correction, problem.weight
@@ -132,8 +136,8 @@ def _first_that_lasts(state: Search, found: Found) -> tuple[tuple[Tried, Tried] 
     return None, tried
 
 
-def _as_good_without(state: Search, name: str, joints: BoolArray) -> Fit | None:
-    """Return the fit without an effect of these joints (J,) that is nowhere sure to be there, if that is as good; else None."""
+def _as_good_without(state: CalibrationState, name: str, joints: BoolArray) -> Fit | None:
+    """Return a fit without an effect that is significant on no joint, if it is as good; else None."""
     problem, current = state.problem, state.current
     if CATALOGUE[name].random:
         return None
@@ -144,72 +148,71 @@ def _as_good_without(state: Search, name: str, joints: BoolArray) -> Fit | None:
     return None if earns_its_keep(problem, current, rest) else rest
 
 
-def taken_back(state: Search, final: Fit, stages: list[Stage]) -> list[Stage] | None:
-    """Return the stages without names that the last fit puts in doubt, and leave the state at a fit without them; None, and the
-    state at the last fit, if it does none.
+def prune(state: CalibrationState, final: Fit, stages: list[Stage]) -> list[Stage] | None:
+    """Return the stages without effects that the last fit makes doubtful; None if there are none.
 
     It may have moved a number onto a bound, or have found what an effect had made up for.
     """
     state.current = final
     if on_a_bound(state, final, stages):
-        return only_what_is_sure(state, stages)
+        return reject_doubtful(state, stages)
     for name in [s.added for s in stages if s.added and not CATALOGUE[s.added].read_off]:
         bare = _as_good_without(state, name, state.joints[name])
         if bare is not None:
-            state.withdrawn.append(f"{CATALOGUE[name].title} explains something, but is not named: {AS_WITHOUT}")
-            return take_back(state, stages, [name], bare, state.withdrawn[-1])
+            state.rejections.append(f"{CATALOGUE[name].title} was rejected: {AS_WITHOUT}")
+            return without_effects(state, stages, [name], bare, state.rejections[-1])
     return None
 
 
-def _where_it_is(state: Search, best: Tried) -> tuple[Tried, Fit]:
-    """Return the accepted effect on the joints where fine steps still show it, and the fit with it there."""
+def _where_it_is(state: CalibrationState, best: TriedEffect) -> tuple[TriedEffect, Fit]:
+    """Return the accepted effect on the joints where fine steps still show it, and that fit."""
     problem = state.problem
     best = replace(best, joints=whole_chains(problem, best.name, best.joints))
-    settled = settle(problem, pruned(problem, best, state.names, state.joints))
+    settled = refine_steps(problem, on_its_joints(problem, best, state.names, state.joints))
     if (best.allowed & ~best.joints).any() and earns_its_keep(problem, best.fitted, settled):
         best = replace(best, joints=best.allowed)  # its numbers were not sure yet, but it is missed where they were not
-        settled = settle(problem, pruned(problem, best, state.names, state.joints))
+        settled = refine_steps(problem, on_its_joints(problem, best, state.names, state.joints))
     deviation = deviations(settled, problem, left_out(settled, problem)[1])
     there = whole_chains(problem, best.name, present(problem, settled, best.name, best.joints, deviation))
     if not there.any() or (there == best.joints).all():
         return best, settled
     fewer = replace(best, fitted=settled, joints=there)
     correction = problem.correction
-    narrow = settle(problem, pruned(problem, fewer, state.names, state.joints))
+    narrow = refine_steps(problem, on_its_joints(problem, fewer, state.names, state.joints))
     if earns_its_keep(problem, settled, narrow):  # not sure of any one of these joints, but missed without all of them
         problem.correction = correction
         return best, settled
     return fewer, narrow
 
 
-def _elsewhere_too(state: Search, best: Tried) -> tuple[Tried, Fit]:
-    """Return the accepted effect on further joints, if it explains what is left there, and the fit with it there."""
+def _elsewhere_too(state: CalibrationState, best: TriedEffect) -> tuple[TriedEffect, Fit]:
+    """Return the accepted effect on further joints if it explains their residual, and that fit."""
     problem, joints = state.problem, {**state.joints, best.name: best.joints}
     more = further(problem, state.current, best.name, best.joints)
     if not more.any():
         return best, state.current
-    state.tick(f"{CATALOGUE[best.name].title} elsewhere too")
+    state.tick(f"trying {CATALOGUE[best.name].title} on other joints")
     found = wider(problem, state.current, best.name, [*state.names, best.name], joints, more)
     if found is None:
         return best, state.current
     best = replace(best, fitted=found[0], joints=whole_chains(problem, best.name, found[1]))
     correct(problem, best.fitted.point)
-    return best, settle(problem, pruned(problem, best, state.names, state.joints))
+    return best, refine_steps(problem, on_its_joints(problem, best, state.names, state.joints))
 
 
-def _on_time(state: Search, best: Tried, timing: Timing) -> Tried:
-    """Let each target act when it did, as fine steps show it, and return the effect with the numbers that go with that."""
+def _on_time(state: CalibrationState, best: TriedEffect, timing: Timing) -> TriedEffect:
+    """Fit the delay of each command in fine steps; return the effect with the parameters that go with it."""
     state.problem.replay.set_late(timing.late)
     correct(state.problem, best.fitted.point)
-    state.tick("when each target acted")
+    state.tick("fitting the delay of each command")
     timing = replace(timing, point=best.fitted.point)
-    timing, fitted = arrivals(state.problem, timing, state.names, state.joints, AGAIN)
+    timing, fitted = fit_delay_per_command(state.problem, timing, state.names, state.joints, AGAIN)
     state.intervals[timing.name] = timing.interval
     state.unsure["delay", "time"] = timing.unsure
     return replace(best, fitted=fitted, timing=timing)
 
 
-def _nothing(state: Search, found: Found) -> Stage:
+def _nothing(state: CalibrationState, found: StageResult) -> Stage:
     return Stage(
         added="",
         errors=errors_of(state.problem, state.current.residual),
@@ -217,11 +220,11 @@ def _nothing(state: Search, found: Found) -> Stage:
     )
 
 
-def _kept(state: Search, stages: list[Stage]) -> list[Stage]:
-    """Drop effects that no longer pay beside those found after them."""
+def _kept(state: CalibrationState, stages: list[Stage]) -> list[Stage]:
+    """Drop effects that no longer pay beside later ones."""
     added = [s.added for s in stages if s.added]
     for name in [n for n in added[:-1] if not CATALOGUE[n].read_off]:
-        state.tick(f"is {CATALOGUE[name].title} still needed")
+        state.tick(f"checking that {CATALOGUE[name].title} is still needed")
         rest = [n for n in state.names if n != name]
         without = _best_without(state, name, rest)
         if not earns_its_keep(state.problem, state.current, without):
@@ -230,7 +233,7 @@ def _kept(state: Search, stages: list[Stage]) -> list[Stage]:
     return stages
 
 
-def _best_without(state: Search, name: str, rest: list[str]) -> Fit:
+def _best_without(state: CalibrationState, name: str, rest: list[str]) -> Fit:
     """Return the fit of the rest of the effects, from what they are now."""
     starts = _without(state.current.point, name)
     fits = fit_all(state.problem, [fitting(state.problem, p, rest, state.joints, most=3) for p in starts])
@@ -243,8 +246,7 @@ def _squares(problem: Problem, fitted: Fit) -> float:
 
 
 def _without(point: Point, name: str) -> list[Point]:
-    """Return where fits without an effect begin: at what the others are, and with what it was alike in all joints put
-    into the declared number that all joints share.
+    """Return the starts of fits without an effect.
 
     That number may be far off by now: while something large was not in the model yet, it was bent to make up for that,
     and the effect set it right.

@@ -14,11 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from mimic.calibrate.arrival import with_lateness
-from mimic.calibrate.fit import Fit, prior
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.types import BoolArray, FloatArray, IntArray
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.fit.least_squares import Fit, prior
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.replay.delays import with_lateness
+from mimic.sysid.selection.delay_models import (
+    CERTAIN,
+    MODELS,
+    Lateness,
+    in_order,
+    likelihood,
+    spread_of_means,
+    until_next,
+)
 
 FORGOTTEN = 0.5
 """Time after which a joint under a servo no longer knows that a target was late [s]."""
@@ -29,29 +38,11 @@ MOST_OFFSETS = 64
 LEAST_ROWS = 3
 """Readings for each target below which its own time is not seen."""
 
-NEAR = 0.25
+DERIVATIVE_STEP = 0.25
 """Periods of lateness by which derivatives are taken."""
-
-CERTAIN = 0.25
-"""Standard deviation of a lateness, in periods, up to which it says something of its own."""
 
 SHARED_Z = 3.0
 """Standard errors by which what the chains share of the lateness of single targets must differ from nothing."""
-
-ALIKE = 0.5
-"""Correlation of the lateness of neighbouring targets from which on it is no jitter: something slow."""
-
-SEEN = 0.1
-"""Share of a period for which a target must act to be seen."""
-
-WIDEST = 5.0
-"""Most periods by which targets are taken to be late."""
-
-BLURS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)
-"""Standard deviations in periods that a linear model may be wrong by about the lateness of a target."""
-
-STRAY = 0.05
-"""Share of targets whose lateness may be anything: what several losses in a row do is not the sum of what each does."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,24 +62,18 @@ class Timing:
     unsure: float
     """Half of the 95 % interval of the delay that follows from the interval of the value [s]."""
     agreement: float
-    """Share of what single chains show of the lateness of single targets that the others show too; 1 where all is true."""
+    """Share of what single chains show of the lateness of single targets that the others show too; 1 where all is true.
+    """
     squares: FloatArray
-    """Sum of squares of each fitted block and channel that a linear model leaves with the lateness that the other chains
-    show (B_train, C)."""
+    """Sum of squares of each fitted block and channel that a linear model leaves with the lateness that the other
+    chains show (B_train, C).
+    """
     likelihood: float
     """Logarithm of the probability of the lateness of all targets under the law."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Lateness:
-    """Of each target, in its periods (K,): estimate of the log alone, and its standard deviation."""
-
-    value: FloatArray
-    deviation: FloatArray
-
-
 def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_commands", "delay_jitter")) -> list[Timing]:
-    """Return lost and jittering targets as the residual of a fit shows them; none where the log cannot show them.
+    """Return models of lost and jittering targets that a residual supports; empty if it shows none.
 
     Lateness that the replay already has is found again, from the derivatives there where it is no loss.
     """
@@ -113,7 +98,7 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
     agreement = _agreement(normal, seen)
     found = []
     for name in names:
-        parameter, law = _LAWS[name]
+        parameter, law = MODELS[name]
         value, interval, late = law(whole, gaps)
         if not value > 0.0:
             continue
@@ -122,7 +107,7 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
             after[:, channels] -= _applied(problem, responses, law(lateness, gaps)[2], channels)
         jitter = name == "delay_jitter"
         size = value * period if jitter else value
-        shift = float(np.mean(_in_order(value)) - np.mean(late)) if jitter else -float(np.median(late))
+        shift = float(np.mean(in_order(value)) - np.mean(late)) if jitter else -float(np.median(late))
         point = incumbent.point.with_effect(name, problem.machine, {parameter: size})
         if ("delay", "time") in point.values:
             values = dict(point.values)
@@ -134,26 +119,26 @@ def timings(problem: Problem, incumbent: Fit, names: Sequence[str] = ("lost_comm
                 name=name,
                 value=size,
                 interval=(interval[0] * period, interval[1] * period) if jitter else interval,
-                late=period * (np.clip(late + shift, 0.0, interval[1]) if jitter else _until_next(late + shift, gaps)),
+                late=period * (np.clip(late + shift, 0.0, interval[1]) if jitter else until_next(late + shift, gaps)),
                 point=point,
-                unsure=period * _spread_of_means(*interval) if jitter else 0.0,
+                unsure=period * spread_of_means(*interval) if jitter else 0.0,
                 agreement=agreement,
                 squares=problem.block_squares(residual)[problem.blocks.train],
-                likelihood=_likelihood(whole, _in_order(value) if jitter else np.array([0.0, 1.0]), value, jitter),
+                likelihood=likelihood(whole, in_order(value) if jitter else np.array([0.0, 1.0]), value, jitter),
             )
         )
     return found
 
 
 def widening(problem: Problem, fitted: Fit, variance: float) -> FloatArray:
-    """Return by what factor numbers are less sure than a fit with known times of the targets says (P,).
+    """Return the factor by which unknown delays widen the uncertainty of each parameter (P,).
 
     Args:
         problem: Log and model; the replay has the targets late.
         fitted: The fit.
         variance: Of the lateness of single targets [s^2].
     """
-    count = len(fitted.knobs)
+    count = len(fitted.free_parameters)
     responses = _responses(problem, fitted, True)
     if responses is None or not count:
         return np.ones(count)
@@ -166,18 +151,18 @@ def widening(problem: Problem, fitted: Fit, variance: float) -> FloatArray:
         a = responses[of, rows].astype(np.float64).reshape(len(targets), -1)
         shared[:, targets] += columns[:, rows].reshape(count, -1) @ a.T
     flat = columns.reshape(count, -1).astype(np.float64)
-    known = flat @ flat.T + np.diag(prior(fitted.knobs))
+    known = flat @ flat.T + np.diag(prior(fitted.free_parameters))
     unknown = known - shared @ linalg.solveh_banded(bands, shared.T)
     scale = 1.0 / np.sqrt(np.diag(known))
     ones = [np.diag(np.linalg.pinv(h * scale[:, None] * scale, 1e-10)) for h in (known, unknown)]
     return np.sqrt(np.maximum(ones[1] / np.maximum(ones[0], 1e-12), 1.0))
 
 
-def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence[_Lateness]) -> float:
+def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence[Lateness]) -> float:
     """Return the covariance of what each group shows with what the others show, over the variance of its own.
 
-    How much of that variance is noise is not sure, since what a linear model leaves counts as noise: it is all the deviations say
-    or less, and the answer is the one nearest to 1 that this allows.
+    How much of that variance is noise is not sure, since what a linear model leaves counts as noise: it is all the
+    deviations say or less, and the answer is the one nearest to 1 that this allows.
     """
     products, own, all_of_it = [], 0.0, 0.0
     for one, rest in zip(normal, others, strict=True):
@@ -208,7 +193,7 @@ def _weights(
     groups: Sequence[BoolArray],
     normal: Sequence[tuple[FloatArray, FloatArray]],
 ) -> FloatArray:
-    """Return how far each group is believed: one over the mean square that lateness leaves of it, no more than 1."""
+    """Return the weight of each group: one over the mean square left, at most 1."""
     weights = np.ones(len(groups))
     rows = problem.blocks.index >= 0
     for _ in range(3):
@@ -248,7 +233,7 @@ def _responses(problem: Problem, incumbent: Fit, near: bool) -> FloatArray | Non
     if rows < LEAST_ROWS or offsets > MOST_OFFSETS:
         return None
     own = replay.late if near and replay.late is not None else np.full(len(replay.sent), _usual_late(problem))
-    share = NEAR if near else 1.0
+    share = DERIVATIVE_STEP if near else 1.0
     lates = [own]
     for offset in range(offsets):
         late = own.copy()
@@ -283,7 +268,7 @@ def _normal(
     return bands, right
 
 
-def _lateness(normal: Sequence[tuple[FloatArray, FloatArray]]) -> _Lateness:
+def _lateness(normal: Sequence[tuple[FloatArray, FloatArray]]) -> Lateness:
     """Return what some of the channels say of each target."""
     bands, right = sum(n[0] for n in normal), sum(n[1] for n in normal)
     bands, right = np.asarray(bands), np.asarray(right)
@@ -293,7 +278,7 @@ def _lateness(normal: Sequence[tuple[FloatArray, FloatArray]]) -> _Lateness:
     value = linalg.solveh_banded(bands, right)
     variance = np.minimum(_diagonal(bands), 0.999 / weight)
     data = 1.0 - weight * variance
-    return _Lateness(value=value / data, deviation=np.sqrt(variance / data))
+    return Lateness(value=value / data, deviation=np.sqrt(variance / data))
 
 
 def _diagonal(bands: FloatArray) -> FloatArray:
@@ -330,129 +315,3 @@ def _applied(problem: Problem, responses: FloatArray, late: FloatArray, channels
     for rows, targets, of in _spans(problem, len(responses)):
         out[rows] = np.tensordot(late[targets], own[of, rows], 1)
     return out
-
-
-def _usual(x: _Lateness) -> float:
-    """Return the lateness that most targets have: the delay that they share."""
-    known = x.deviation < CERTAIN
-    return float(np.median(x.value[known])) if known.any() else 0.0
-
-
-def _lost(x: _Lateness, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
-    """Return the share of lost targets, its interval, and the lateness of each in periods (K,): one or none.
-
-    One that is sent again until another follows (K,) may be lost each time.
-    """
-    known = x.deviation < CERTAIN
-    usual = _usual(x)
-    value, variance = x.value - usual, x.deviation**2
-    share = 0.02
-    gone = np.zeros(len(value))
-    for _ in range(20):
-        odds = np.log(share / (1 - share)) + (value**2 - (value - 1.0) ** 2) / (2 * variance)
-        gone = 1.0 / (1.0 + np.exp(-np.clip(odds, -50, 50)))
-        if not known.any():
-            break
-        share = float(np.clip(gone[known].mean(), 1e-4, 0.9))
-    count = int(known.sum())
-    lost = int((gone[known] > 0.5).sum())
-    if count < 20 or lost < 3:
-        return 0.0, (0.0, 0.0), np.zeros(len(value))
-    share = lost / count
-    z = 1.96
-    centre = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * np.sqrt(share * (1 - share) / count + z * z / (4 * count**2)) / (1 + z * z / count)
-    times = np.clip(np.round(value), 1.0, gaps)
-    return share, (centre - half, centre + half), np.where(gone > 0.5, times, 0.0) + usual
-
-
-def _jitter(x: _Lateness, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
-    """Return the width of a uniform lateness, its interval, and the lateness expected of each target (K,), in periods."""
-    known = x.deviation < CERTAIN
-    count = int(known.sum())
-    if count < 20:
-        return 0.0, (0.0, 0.0), np.zeros(len(x.value))
-    usual = float(np.mean(x.value[known]))
-    value = x.value - usual
-    weight = 1.0 / (x.deviation[known] ** 2 + 0.05**2) ** 2
-    squared = value[known] ** 2 - x.deviation[known] ** 2
-    variance = float(np.sum(weight * squared) / weight.sum())
-    if variance <= 0.0:
-        return 0.0, (0.0, 0.0), np.zeros(len(value))
-    both = known[1:] & known[:-1]
-    if both.any() and np.mean(value[1:][both] * value[:-1][both]) > ALIKE * variance:
-        return 0.0, (0.0, 0.0), np.zeros(len(value))
-    error = np.sqrt(np.sum((weight * (squared - variance)) ** 2)) / weight.sum()
-    low, width, high = (_width(max(variance + s * 1.96 * error, 0.0)) for s in (-1.0, 0.0, 1.0))
-    expected = value * variance / (variance + x.deviation**2) + usual
-    return width, (low, high), expected
-
-
-def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:
-    """Return after how many periods each target acts (K,); 0 where it is not lost.
-
-    Args:
-        lost: How often each is lost (K,).
-        gaps: How often it is sent before the next one is (K,), which takes its place if it is lost each time.
-    """
-    wait = np.zeros(len(lost))
-    for k in reversed(np.flatnonzero(lost > 0.5)):
-        wait[k] = np.round(lost[k])
-        if wait[k] >= gaps[k] and k + 1 < len(lost):
-            wait[k] += wait[k + 1]
-    return wait
-
-
-def _likelihood(x: _Lateness, places: FloatArray, value: float, jitter: bool) -> float:
-    """Return the logarithm of the probability of the lateness of targets, in periods, under a law.
-
-    Args:
-        x: What is known of each target.
-        places: Latenesses that the law has: equally likely ones of jitter, or none and a whole period.
-        value: Width of jitter, or share of the lost.
-        jitter: Which of the two.
-    """
-    known = x.deviation < CERTAIN
-    v, deviation = x.value[known], x.deviation[known]
-    if jitter:
-        places = np.quantile(places, (np.arange(64) + 0.5) / 64)
-        weights, centre = np.full(64, 1 / 64), float(np.mean(v) - np.mean(places))
-    else:
-        weights, centre = np.array([1.0 - value, value]), float(np.median(v))
-    away = v[:, None] - centre - places
-    found = []
-    for blur in BLURS:
-        s = np.hypot(deviation, blur)[:, None]
-        density = (weights * np.exp(-0.5 * (away / s) ** 2) / s).sum(1) / np.sqrt(2 * np.pi)
-        found.append(float(np.sum(np.log((1.0 - STRAY) * density + STRAY / WIDEST))))
-    return max(found)
-
-
-def _in_order(width: float) -> FloatArray:
-    """Return latenesses, in periods, of targets that are late by a uniform time and wait for those before them.
-
-    Of those that the next leaves some time to act: the others are not seen.
-    """
-    drawn = np.random.default_rng(0).uniform(0.0, width, 4000)
-    sent = np.arange(4000.0)
-    arrival = np.maximum.accumulate(sent + drawn)
-    return (arrival - sent)[np.append(np.diff(arrival), np.inf) > SEEN]
-
-
-def _spread_of_means(low: float, high: float) -> float:
-    return float(np.mean(_in_order(high)) - np.mean(_in_order(low))) / 2
-
-
-def _width(variance: float) -> float:
-    """Return the width of a uniform lateness of which, in order, this variance is left."""
-    if variance <= 1.0 / 12.0:
-        return float(np.sqrt(12.0 * variance))
-    low, high = 1.0, WIDEST
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if _in_order(middle).var() < variance else (low, middle)
-    return (low + high) / 2
-
-
-_LAWS = {"lost_commands": ("share", _lost), "delay_jitter": ("spread", _jitter)}
-"""Parameter of each effect, and what finds it from the lateness of the targets."""

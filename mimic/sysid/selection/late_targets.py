@@ -1,4 +1,4 @@
-"""Single late targets: which law they follow, and which targets they are."""
+"""Delayed commands: which model of delay they follow, and which commands they are."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from mimic.calibrate.arrival import eased
-from mimic.calibrate.events import Timing, timings
-from mimic.calibrate.evidence import LEAST_SHARE, RIVAL_Z, Tried, paired, too_little
-from mimic.calibrate.fit import Fit, fit
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.types import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.replay.delays import eased
+from mimic.sysid.selection.evidence import ALTERNATIVE_Z, LEAST_SHARE, TriedEffect, paired, too_little
+from mimic.sysid.selection.jitter import Timing, timings
 
 LATE_Z = 2.0
-"""Gain of single late targets over its standard error, for which :data:`~mimic.calibrate.evidence.LEAST_Z` is too much: that the chains agree on them is tested target by target, and a short log has few blocks."""
+"""Gain of single late targets over its standard error, for which `mimic.sysid.selection.evidence.LEAST_Z` is too
+much: that the chains agree on them is tested target by target, and a short log has few blocks.
+"""
 
 AGREEMENT = (0.75, 1.35)
 """What the chains must share of the lateness that each shows of single targets, when targets are late."""
@@ -25,7 +27,8 @@ PASSES = 12
 """Most rounds of finding which targets were late, and fitting all numbers."""
 
 TOLD_APART = 10.0
-"""Difference of the logarithms of the probabilities of all latenesses from which on one law of them is not the other."""
+"""Difference of the logarithms of the probabilities of all latenesses from which on one law of them is not the other.
+"""
 
 
 def late_targets(
@@ -35,8 +38,8 @@ def late_targets(
     names: Sequence[str],
     joints: dict[str, BoolArray],
     candidates: Sequence[str],
-) -> tuple[Tried, ...]:
-    """Return laws of single late targets, the better first; it is fitted to the end if the chains agree on it."""
+) -> tuple[TriedEffect, ...]:
+    """Return models of delayed commands, best first; the first is fully fitted if the chains agree."""
     replay, found = problem.replay, []
     had = replay.late
     readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
@@ -46,22 +49,22 @@ def late_targets(
         share = (before.sum() - timing.squares.sum()) / max(unexplained, 1e-9)
         why = ""
         if not AGREEMENT[0] < timing.agreement < AGREEMENT[1]:
-            why = f"the chains share {100 * timing.agreement:.0f} % of the lateness that each shows"
+            why = f"the chains agree on {100 * timing.agreement:.0f} % of the delays"
         elif little := too_little(gain, z, LATE_Z):
             why = little
         elif share < LEAST_SHARE:
-            why = f"it takes {100 * share:.0f} % of what is unexplained, below {100 * LEAST_SHARE:.0f} %"
+            why = f"it removes {100 * share:.0f} % of the unexplained error, below {100 * LEAST_SHARE:.0f} %"
         why = why or _holds_none(timing)
         fitted = replace(incumbent, point=timing.point)
         improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
         if not why and not found:
-            timing, fitted = arrivals(problem, timing, names, joints)
+            timing, fitted = fit_delay_per_command(problem, timing, names, joints)
             replay.set_late(had)
             fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
             improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
             why = _holds_none(timing)
         found.append(
-            Tried(
+            TriedEffect(
                 name=timing.name,
                 fitted=fitted,
                 squares=timing.squares,
@@ -78,32 +81,33 @@ def late_targets(
 
 
 def _holds_none(timing: Timing) -> str:
-    """Return why a law of lateness is refused whose number is not sure to differ from none, or nothing.
+    """Return why a delay model whose interval includes zero is rejected, or an empty string.
 
-    Where joints are late together for another reason, such as a supply that sags, the mean lateness is one of few targets.
+    Where joints are late together for another reason, such as a supply that sags, the mean lateness is one of few
+    targets.
     """
-    return "" if timing.interval[0] > 0.0 else "the interval of its number holds none"
+    return "" if timing.interval[0] > 0.0 else "the interval of its parameter includes zero"
 
 
 def _likelier(laws: Sequence[Timing]) -> list[Timing]:
-    """Return laws of lateness, first the one that its distribution shows; where it does not, the one that leaves less."""
+    """Return the delay models, most likely first; ties go to the smaller residual."""
     best = max((t.likelihood for t in laws), default=0.0)
     return sorted(laws, key=lambda t: (t.likelihood < best - TOLD_APART, t.squares.sum()))
 
 
-def told_apart(one: Tried, other: Tried) -> bool:
-    """Return whether the log tells the first of two laws of lateness from the other."""
+def distinguishable(one: TriedEffect, other: TriedEffect) -> bool:
+    """Return whether the log separates the first of two delay models from the other."""
     if one.timing is None or other.timing is None:
         return False
     if one.timing.likelihood - other.timing.likelihood > TOLD_APART:
         return True
-    return paired(one.squares, other.squares)[1] >= RIVAL_Z
+    return paired(one.squares, other.squares)[1] >= ALTERNATIVE_Z
 
 
-def arrivals(
+def fit_delay_per_command(
     problem: Problem, timing: Timing, names: Sequence[str], joints: dict[str, BoolArray], most: int = PASSES
 ) -> tuple[Timing, Fit]:
-    """Return which targets were late, and the numbers, improved in turn as long as that pays; the replay has them then."""
+    """Fit the delay of each command and all parameters in turn; the replay then has the delays."""
     replay, found = problem.replay, []
     for _ in range(most):
         replay.set_late(timing.late)

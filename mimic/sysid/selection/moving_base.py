@@ -1,9 +1,9 @@
 """Is it the base that moves? One motion of the base against a force of its own in each joint.
 
-A base that swings shakes all joints at its few frequencies, each as strongly as the masses behind it and its pose demand.
-That pattern has six numbers for each phase of a frequency, however many joints there are; forces in the joints have as
-many as they like. No effect of the catalogue moves the base: where its motion explains no less than forces do, the rest
-is not explained, and the report says so.
+A base that swings shakes all joints at its few frequencies, each as strongly as the masses behind it and its pose
+demand. That pattern has six numbers for each phase of a frequency, however many joints there are; forces in the joints
+have as many as they like. No effect of the catalogue moves the base: where its motion explains no less than forces do,
+the rest is not explained, and the report says so.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mimic.calibrate.fit import Fit, prior, scaled_solution
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.robot.machine import MachineModel
-from mimic.types import BoolArray, FloatArray
+from mimic.dynamics.machine import MachineModel
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, prior, scaled_solution
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
 
 AXES = 6
 """Accelerations along x, y, z and about x, y, z of the base."""
@@ -149,7 +149,7 @@ def moving_base(
         return None
     factor = incumbent.point.values.get(("link_mass", "factor"), np.ones(len(problem.machine.joints)))
     pattern = _Pattern(problem, factor)
-    fitted = _Fitted(problem, incumbent, pattern, shared, float(np.sqrt(np.mean(size[there] ** 2))))
+    fitted = _FittedMotion(problem, incumbent, pattern, shared, float(np.sqrt(np.mean(size[there] ** 2))))
     for _ in range(STEPS):
         if not fitted.step():
             break
@@ -161,7 +161,7 @@ def moving_base(
     )
 
 
-class _Fitted:
+class _FittedMotion:
     """A motion of the base and the numbers of a fit, improved together."""
 
     def __init__(
@@ -172,25 +172,25 @@ class _Fitted:
         self.frequencies, self.amplitude = frequencies, np.zeros((len(frequencies), 2, AXES))
         self._point = incumbent.point
         self._unit = torque / np.maximum(pattern.strongest, 1e-12)
-        low, high = (np.array([k.bounds[i] for k in incumbent.knobs]) for i in (0, 1))
-        at = incumbent.point.read(incumbent.knobs)
+        low, high = (np.array([k.bounds[i] for k in incumbent.free_parameters]) for i in (0, 1))
+        at = incumbent.point.read(incumbent.free_parameters)
         self._free = np.flatnonzero((at > low + 1e-12) & (at < high - 1e-12))
-        self._knobs = [incumbent.knobs[i] for i in self._free]
+        self._free_parameters = [incumbent.free_parameters[i] for i in self._free]
         self._own = [incumbent.columns[i] for i in self._free]
         self.residual = incumbent.residual
         self._columns = np.zeros((0, *self.residual.shape))
         self._cost = self._cost_of(self._point, self.residual)
 
     def _cost_of(self, point: Point, residual: FloatArray) -> float:
-        away = point.read(self._knobs) - np.array([k.centre for k in self._knobs])
+        away = point.read(self._free_parameters) - np.array([k.centre for k in self._free_parameters])
         squares = self._problem.block_squares(residual)[self._problem.blocks.train].sum()
-        return float(squares + np.sum(prior(self._knobs) * away**2))
+        return float(squares + np.sum(prior(self._free_parameters) * away**2))
 
     def _moved(self, by: FloatArray) -> tuple[Point, FloatArray, FloatArray]:
         """Return point, frequencies and amplitudes after a step of all numbers."""
-        count, waves = len(self._knobs), self.amplitude.size
+        count, waves = len(self._free_parameters), self.amplitude.size
         amplitude = self.amplitude + by[count : count + waves].reshape(self.amplitude.shape)
-        return self._point.moved(self._knobs, by[:count]), self.frequencies + by[count + waves :], amplitude
+        return self._point.moved(self._free_parameters, by[:count]), self.frequencies + by[count + waves :], amplitude
 
     def _replayed(self, states: Sequence[tuple[Point, FloatArray, FloatArray]]) -> FloatArray:
         pushed = np.stack([self._pattern.torques(f, a) for _, f, a in states])
@@ -198,7 +198,7 @@ class _Fitted:
 
     def step(self) -> bool:
         """Improve all numbers once and return whether that helped."""
-        count, waves = len(self._knobs), self.amplitude.size
+        count, waves = len(self._free_parameters), self.amplitude.size
         sizes = np.concatenate(
             [np.tile(self._unit, waves // AXES), np.full(len(self.frequencies), self._pattern.shift)]
         )
@@ -211,8 +211,8 @@ class _Fitted:
         made = [(base - r) / np.float32(sizes[i]) for i, r in zip(use, replayed[1:], strict=True)]
         self._columns = np.nan_to_num(np.stack([*self._own, *made]))
         hessian, gradient = self._normal(base)
-        rest = gradient[:count] - prior(self._knobs) * (
-            self._point.read(self._knobs) - np.array([k.centre for k in self._knobs])
+        rest = gradient[:count] - prior(self._free_parameters) * (
+            self._point.read(self._free_parameters) - np.array([k.centre for k in self._free_parameters])
         )
         by = np.zeros(count + len(sizes))
         by[: count + len(use)] = scaled_solution(
@@ -228,7 +228,7 @@ class _Fitted:
         return True
 
     def _prior(self, more: int) -> FloatArray:
-        return np.diag(np.concatenate([prior(self._knobs), np.zeros(more)]))
+        return np.diag(np.concatenate([prior(self._free_parameters), np.zeros(more)]))
 
     def _normal(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return Hessian of each fitted block (B_train, P, P), and the gradient of all (P,)."""
@@ -241,13 +241,13 @@ class _Fitted:
         return np.array(hessian), gradient
 
     def left_out(self) -> FloatArray:
-        """Return each fitted block's sum of squares, judged without itself (B_train, C): the jackknife of :mod:`fit`."""
+        """Return the squares of each fitted block under a fit without it (B_train, C), by the jackknife."""
         problem = self._problem
         squares = problem.block_squares(self.residual)[problem.blocks.train]
         if not len(self._columns):
             return squares
         hessian, _ = self._normal(self.residual)
-        total = hessian.sum(0) + self._prior(len(self._columns) - len(self._knobs))
+        total = hessian.sum(0) + self._prior(len(self._columns) - len(self._free_parameters))
         for row, b in enumerate(problem.blocks.train):
             rows = problem.blocks.index == b
             a = self._columns[:, rows].astype(np.float64)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mimic.calibrate.fit import Fit, linear_step
-from mimic.calibrate.point import Knob, Point
-from mimic.calibrate.problem import Problem
-from mimic.robot.effects import CATALOGUE
-from mimic.robot.servo import neutral
-from mimic.types import BoolArray, FloatArray
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.servo import neutral
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, linear_step
+from mimic.sysid.fit.point import FreeParameter, Point
+from mimic.sysid.fit.residuals import Problem
 
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
@@ -33,7 +33,7 @@ LEAST_PERIODS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
+class StartingPoint:
     """One place from which an effect may be fitted."""
 
     name: str
@@ -48,7 +48,7 @@ class Start:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class PredictedMotion:
     """What the model does at the incumbent; arrays (T, J)."""
 
     t: FloatArray
@@ -57,7 +57,7 @@ class Motion:
     tau: FloatArray
 
 
-def starts_of(name: str, incumbent: Fit, problem: Problem, motion: Motion) -> list[Point]:
+def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMotion) -> list[Point]:
     """Return the points from which an effect is tried."""
     spec, machine = CATALOGUE[name], problem.machine
     if name == "torque_speed":
@@ -93,7 +93,7 @@ def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
     return np.where(np.isfinite(residual), residual, 0.0)
 
 
-def _best_order(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
+def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
     """Order whose sine and cosine over position explain most of the residual."""
     r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
     bounds = CATALOGUE["cogging"].parameter("order")
@@ -123,7 +123,7 @@ def least_order(q: FloatArray) -> float:
     return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
 
 
-def _best_frequency(problem: Problem, incumbent: Fit, motion: Motion, joint: int) -> float:
+def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
     """Frequency at which the residual is strongest, of those that the motion itself does not have."""
     r = _slow(problem, incumbent, joint)
     dt = float(np.median(np.diff(motion.t)))
@@ -146,7 +146,7 @@ def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
     return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration
 
 
-def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motion) -> list[Start]:
+def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: PredictedMotion) -> list[StartingPoint]:
     """Return the best start of each of the named effects after one linear step, best first.
 
     First each start alone, with the numbers of the incumbent free: a joint takes the start that suits it best, or none.
@@ -178,15 +178,19 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
     for name, point, mask in plans:
         shapes = not _acts(name, point, problem)  # where an effect is has no meaning while it is none
         parameters = {p.name for p in CATALOGUE[name].parameters if p.shape and shapes}
-        knobs = [k for k in problem.knobs(point, {name: mask}, [name]) if k.key[1] not in parameters]
-        asked.append((knobs, *problem.difference_points(point, knobs)))
+        free_parameters = [
+            k for k in problem.free_parameters(point, {name: mask}, [name]) if k.key[1] not in parameters
+        ]
+        asked.append((free_parameters, *problem.difference_points(point, free_parameters)))
     moved = problem.residuals([p for a in asked for p in a[1]])
     before = problem.block_squares(incumbent.residual)[problem.blocks.train]
     found, left_there, at = [], {}, 0
-    for (name, point, mask), base, (knobs, differences, groups, sizes) in zip(plans, bases, asked, strict=True):
-        made = problem.columns(base, moved[at : at + len(differences)], groups, knobs, sizes)
+    for (name, point, mask), base, (free_parameters, differences, groups, sizes) in zip(
+        plans, bases, asked, strict=True
+    ):
+        made = problem.columns(base, moved[at : at + len(differences)], groups, free_parameters, sizes)
         at += len(differences)
-        everything = (*incumbent.knobs, *knobs)
+        everything = (*incumbent.free_parameters, *free_parameters)
         columns = [*incumbent.columns, *(np.nan_to_num(c) for c in made)]
         found.append(_predicted(problem, name, point, mask, base, everything, columns, before))
         left_there[name] = base
@@ -194,8 +198,8 @@ def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: Motio
 
 
 def _where_less_is_left(
-    problem: Problem, incumbent: Fit, starts: list[Start], at_begin: Mapping[str, FloatArray]
-) -> list[Start]:
+    problem: Problem, incumbent: Fit, starts: list[StartingPoint], at_begin: Mapping[str, FloatArray]
+) -> list[StartingPoint]:
     """Return the starts, those of effects with a threshold where they began if the step from there leaves more.
 
     Over such a number the sum of squares is rough, and a derivative says little.
@@ -220,7 +224,7 @@ def _where_less_is_left(
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
     """Return the sum of squares of each channel (C,) after one linear step of the incumbent's numbers."""
-    _, left = linear_step(problem, incumbent.point, residual, incumbent.columns, incumbent.knobs, 0.0)
+    _, left = linear_step(problem, incumbent.point, residual, incumbent.columns, incumbent.free_parameters, 0.0)
     return _channel_squares(problem, left)
 
 
@@ -268,22 +272,22 @@ def _predicted(
     point: Point,
     mask: BoolArray,
     base: FloatArray,
-    knobs: tuple[Knob, ...],
+    free_parameters: tuple[FreeParameter, ...],
     columns: Sequence[FloatArray],
     before: FloatArray,
-) -> Start:
-    """Return the start after one linear step, with what a linear model would gain there on the joint that gains most."""
-    step, left = linear_step(problem, point, base, columns, knobs, 1e-3)
+) -> StartingPoint:
+    """Return the start after one linear step, with the gain that a linear model predicts for the best joint."""
+    step, left = linear_step(problem, point, base, columns, free_parameters, 1e-3)
     after = problem.block_squares(left)[problem.blocks.train]
     gain = -np.inf  # where the replay runs away
     if np.isfinite(before.sum()) and np.isfinite(after.sum()):
         total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
         joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
         gain = float(max(total, joint.max() / len(joint)))
-    return Start(name=name, point=point.moved(knobs, step), begin=point, joints=mask, gain=gain)
+    return StartingPoint(name=name, point=point.moved(free_parameters, step), begin=point, joints=mask, gain=gain)
 
 
-def predicted(problem: Problem, fitted: Fit) -> Motion:
+def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
     """Return what the model does; velocities from the predicted positions, torques from the servo."""
     machine, log = problem.machine, problem.replay.log
     joints = len(machine.joints)
@@ -298,4 +302,4 @@ def predicted(problem: Problem, fitted: Fit) -> Motion:
     if log.force is not None:
         tau = tau + log.force
     limit = np.asarray(machine.drives.torque)
-    return Motion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))
+    return PredictedMotion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))

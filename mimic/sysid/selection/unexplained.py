@@ -1,4 +1,4 @@
-"""What is left when nothing in the catalogue pays: does it depend on the state, on time alone, or on nothing?"""
+"""The residual that no effect explains: does it depend on the state, on time alone, or on nothing?"""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import signal
 
-from mimic.calibrate.screen import Motion
-from mimic.calibration import Remainder
-from mimic.types import FloatArray, IntArray
+from mimic.records import FloatArray, IntArray
+from mimic.sysid.result import UnexplainedResidual
+from mimic.sysid.selection.screening import PredictedMotion
 
 EXPLAINED = 1.2
 """Error over noise floor up to which nothing is left to explain."""
@@ -37,16 +37,16 @@ FEATURES = 160
 """Random Fourier features of the regression on the state."""
 
 
-def remainders(
+def unexplained_residuals(
     joints: Sequence[str],
     residual: FloatArray,
-    motion: Motion,
+    motion: PredictedMotion,
     target: FloatArray,
     blocks: IntArray,
     neighbour: IntArray,
     held: FloatArray | None = None,
-) -> tuple[Remainder, ...]:
-    """Return what is left of each joint.
+) -> tuple[UnexplainedResidual, ...]:
+    """Classify the residual of each joint.
 
     Args:
         joints: Names.
@@ -68,7 +68,7 @@ def remainders(
     return tuple(found)
 
 
-def _state(j: int, motion: Motion, target: FloatArray, n: int) -> dict[str, FloatArray]:
+def _state(j: int, motion: PredictedMotion, target: FloatArray, n: int) -> dict[str, FloatArray]:
     error = target[:, j] - motion.q[:, j]
     late = np.concatenate([error[:10], error[:-10]])
     v = motion.dq[:, j]
@@ -81,7 +81,7 @@ def _state(j: int, motion: Motion, target: FloatArray, n: int) -> dict[str, Floa
 
 def _remainder(
     name: str, residual: FloatArray, state: dict[str, FloatArray], blocks: IntArray, t: FloatArray
-) -> Remainder:
+) -> UnexplainedResidual:
     rows = (blocks >= 0) & np.isfinite(residual)
     r = residual[rows].astype(np.float64)
     ratio = float(np.sqrt(np.mean(r**2)))
@@ -109,7 +109,7 @@ def _remainder(
         depends = ("time",)
     else:
         verdict = "events" if _bursts(r, dt) else "broadband"
-    return Remainder(
+    return UnexplainedResidual(
         joint=name,
         ratio=ratio,
         state_r2=r2,

@@ -1,4 +1,4 @@
-"""Upright frames of the human video, small enough to show, and their encoding for the two films."""
+"""Upright, scaled frames of the human video, and their encoding for scenes and films."""
 
 from __future__ import annotations
 
@@ -11,14 +11,21 @@ from typing import cast
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 Progress = Callable[[int, int | None], None]
-"""Called with the steps done and, where it is known, the number of all."""
+"""Called with the steps done and the total, if known."""
+
+_AV1 = {"preset": "12", "crf": "35", "g": "60"}
+"""Encoder options; among presets 10 to 13, preset 12 takes 0.6 of the time of preset 10 at the same error.
+
+Source: the boxing clip at 640 x 480, error of every 20th frame against the source (PSNR 39.2 dB; preset 10 with
+quality 40: 39.0 dB).
+"""
 
 
 def frame_stamps(path: Path) -> FloatArray:
-    """Return the time that the file gives each frame (F,) [s].
+    """Return the time stamps of the frames in the file (F,) [s].
 
     Raises:
         SourceError: If no frame can be decoded.
@@ -29,11 +36,11 @@ def frame_stamps(path: Path) -> FloatArray:
 def read_frames(
     path: Path, *, width: int | None = None, height: int | None = None
 ) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the time that the file gives each frame [s] and the upright picture (H, W, 3), RGB.
+    """Yield the time stamp [s] and the upright picture (H, W, 3), RGB, of each frame.
 
     Args:
-        width: At most this wide; narrower pictures keep their size.
-        height: Exactly this high. Both sides are even numbers, as encoders want them.
+        width: Maximum width; narrower pictures keep their size.
+        height: Exact height. Both sides are even, as encoders require.
 
     Raises:
         SourceError: If no frame can be decoded.
@@ -68,15 +75,15 @@ def _frames(
             some = True
             yield capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, picture(bgr)
         if not some:
-            raise SourceError(f"no picture can be read from {path}; give the video that the run was made from")
+            raise SourceError(f"no picture can be read from {path}; give the video of the run")
     finally:
         capture.release()
 
 
 def encode_av1(frames: Iterable[np.ndarray], path: Path) -> None:
-    """Write pictures (H, W, 3), RGB, as AV1 that the Rerun viewer decodes by itself; the frame rate means nothing."""
+    """Write pictures (H, W, 3), RGB, as AV1 that the Rerun viewer decodes by itself; the frame rate has no meaning."""
     os.environ.setdefault("SVT_LOG", "1")  # errors only
-    _encode(frames, path, codec="libsvtav1", fps=Fraction(30), options={"preset": "10", "crf": "40", "g": "60"})
+    _encode(frames, path, codec="libsvtav1", fps=Fraction(30), options=_AV1)
 
 
 def encode_h264(frames: Iterable[np.ndarray], path: Path, *, fps: Fraction, comment: str = "") -> None:
@@ -88,6 +95,7 @@ def _encode(
     frames: Iterable[np.ndarray], path: Path, *, codec: str, fps: Fraction, options: dict[str, str], comment: str = ""
 ) -> None:
     import av
+    import cv2
     from av.video.stream import VideoStream
 
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
@@ -99,7 +107,9 @@ def _encode(
                 stream = cast(VideoStream, container.add_stream(codec, rate=fps, options=options))
                 stream.height, stream.width = rgb.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
+            # OpenCV converts several times faster than FFmpeg's scaler; both as BT.601 in limited range.
+            planes = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
+            frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
             frame.pts, frame.time_base = index, 1 / fps
             container.mux(stream.codec_context.encode(frame))
         if stream is not None:

@@ -1,4 +1,4 @@
-"""Pictures of a MuJoCo model without a window, wherever OpenGL can be had: EGL, OSMesa, or the system's own."""
+"""Off-screen rendering of a MuJoCo model with EGL, OSMesa, or the OpenGL of the system."""
 
 from __future__ import annotations
 
@@ -10,33 +10,35 @@ import mujoco
 import numpy as np
 
 from mimic.errors import MimicError
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
-_SUPERSAMPLE = 1.5
-"""Rendered larger by this and shrunk: as smooth as four samples a pixel, and twice as fast in software."""
+SUPERSAMPLE = 1.25
+"""Supersampling factor of films; at 1.5 a picture takes 1.3 times as long and looks the same."""
+FINE_SUPERSAMPLE = 2.0
+"""Supersampling factor of single pictures."""
 _SHADOW_SIZE = 1024
 _SHADOW_CLIP = 1.6
-"""Shadows are cast within this, in extents of the model, around what the camera looks at."""
+"""Radius of the shadows around the point that the camera looks at [extents of the model]."""
 _LIGHT_DISTANCE = 1.0
-"""From there to the light that casts them [m]; farther or nearer, the floor shades itself."""
-_ROUNDNESS = 20
-"""Slices of a drawn sphere."""
+"""Distance from that point to the light [m]; at other distances the floor shadows itself."""
+_SLICES, _FINE_SLICES = 14, 20
+"""Slices of a sphere in films and in single pictures."""
 
 
 class NoOffscreenGL(MimicError):
-    """This computer cannot draw without a window."""
+    """Off-screen rendering is not available on this computer."""
 
     def __init__(self, tried: dict[str, str]) -> None:
         self.tried = tried
         reasons = "; ".join(f"{name}: {reason}" for name, reason in tried.items())
         super().__init__(
-            f"the robot cannot be drawn here, no off-screen OpenGL works ({reasons}); install one (Debian and Ubuntu: "
+            f"cannot render the robot: no off-screen OpenGL works ({reasons}); install one (Debian and Ubuntu: "
             "apt-get install libegl1 libgl1-mesa-dri) or run without a film"
         )
 
 
 def _backends() -> list[str]:
-    """Return the ways to try, best first; the environment variable MUJOCO_GL decides if it is set."""
+    """Return the backends to try, best first; the environment variable MUJOCO_GL decides if it is set."""
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
     if asked in ("egl", "osmesa", "glfw", "cgl"):
         return [asked]
@@ -49,7 +51,7 @@ def _backends() -> list[str]:
 
 
 def _context_of(backend: str, width: int, height: int) -> Any:
-    """Return MuJoCo's own context of a kind, made current; it chooses one at import, which may be too early."""
+    """Return a current MuJoCo OpenGL context of this backend; MuJoCo itself chooses one only at import."""
     if backend == "egl":
         from mujoco.egl import GLContext
     elif backend == "osmesa":
@@ -64,19 +66,27 @@ def _context_of(backend: str, width: int, height: int) -> Any:
 
 
 class Offscreen:
-    """Renders one model into RGB pictures. Use it in one thread; close it, or use it as a context."""
+    """Renders one model to RGB pictures. Use it in one thread, and close it or use a ``with`` block."""
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, supersample: float = _SUPERSAMPLE) -> None:
-        """Prepare drawing; the visual quality of ``model`` is changed to what software drawing can bear.
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, fine: bool = False) -> None:
+        """Prepare rendering; lowers the visual quality of ``model`` to suit software rendering.
+
+        Args:
+            model: The robot.
+            width: Width of the pictures [px].
+            height: Height of the pictures [px].
+            fine: Render smoother pictures, which takes longer.
 
         Raises:
-            NoOffscreenGL: If there is no OpenGL without a window.
+            NoOffscreenGL: If off-screen rendering is not available.
         """
         self.model, self.size = model, (width, height)
+        supersample = FINE_SUPERSAMPLE if fine else SUPERSAMPLE
         self._drawn = round(width * supersample), round(height * supersample)
         quality, view = model.vis.quality, model.vis.global_
         quality.shadowsize, quality.offsamples = _SHADOW_SIZE, 0
-        quality.numslices, quality.numstacks = _ROUNDNESS, _ROUNDNESS // 2
+        quality.numslices = _FINE_SLICES if fine else _SLICES
+        quality.numstacks = quality.numslices // 2
         model.vis.map.shadowclip = _SHADOW_CLIP
         model.mat_reflectance[:] = 0.0
         view.offwidth, view.offheight = self._drawn
@@ -88,7 +98,7 @@ class Offscreen:
                 self._gl = _context_of(backend, *self._drawn)
                 self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
                 break
-            except Exception as error:  # each way fails with errors of its own
+            except Exception as error:  # each backend raises its own errors
                 tried[backend] = str(error).strip().split("\n")[0] or type(error).__name__
                 self._gl = None
         if self._gl is None:
@@ -102,14 +112,14 @@ class Offscreen:
         self._pixels = np.empty((self._drawn[1], self._drawn[0], 3), dtype=np.uint8)
 
     def pose(self, qpos: FloatArray, lookat: FloatArray, *, distance: float, azimuth: float, elevation: float) -> None:
-        """Place the robot, the camera and the light; the light comes over the camera's shoulder.
+        """Place the robot, the camera and the light, which shines from beside the camera.
 
         Args:
             qpos: MuJoCo's positions (nq,).
-            lookat: Point in the middle of the picture (3,) [m].
-            distance: From there to the camera [m].
-            azimuth: Direction in which the camera looks, about z [rad].
-            elevation: And upwards of level [rad].
+            lookat: Point at the centre of the picture (3,) [m].
+            distance: Distance from that point to the camera [m].
+            azimuth: Viewing direction of the camera about z [rad].
+            elevation: Viewing direction above horizontal [rad].
         """
         model, data, camera = self.model, self.data, self._camera
         data.qpos[:] = qpos
@@ -126,7 +136,7 @@ class Offscreen:
         mujoco.mjv_updateScene(model, data, self._option, None, camera, every, self.scene)
 
     def add_ball(self, centre: FloatArray, radius: float, rgba: tuple[float, float, float, float]) -> None:
-        """Add a ball to the picture of the last pose; its centre (3,) in world axes [m]."""
+        """Add a ball to the current picture; its centre (3,) is in world axes [m]."""
         if self.scene.ngeom >= self.scene.maxgeom:
             return
         geom = self.scene.geoms[self.scene.ngeom]
@@ -148,7 +158,7 @@ class Offscreen:
         return cv2.resize(upright, self.size, interpolation=cv2.INTER_AREA)
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Release the graphics memory."""
         if self._gl is not None:
             self._gl.make_current()
             self._context.free()

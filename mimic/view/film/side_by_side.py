@@ -1,4 +1,4 @@
-"""Human and robot side by side as a film, and single pictures of the robot."""
+"""Film of human and robot side by side, and single pictures of the robot."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from pathlib import Path
 
 import numpy as np
 
+from mimic.dynamics.robot_model import load_model
+from mimic.io.store import plain, written_whole
+from mimic.records import PHASES, SIDES, FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import load_model
-from mimic.store import plain, written_whole
-from mimic.types import PHASES, SIDES, FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
-from mimic.view import footage, skeleton
-from mimic.view.footage import Progress
-from mimic.view.offscreen import Offscreen
-from mimic.view.robot_shapes import in_world, placed
-from mimic.view.skeleton import soft
-from mimic.view.timing import followed, frame_times, front, nearest, shared_time
+from mimic.view.film import footage, skeleton
+from mimic.view.film.footage import Progress
+from mimic.view.film.offscreen import Offscreen
+from mimic.view.film.skeleton import soft
+from mimic.view.scene.robot_shapes import in_world, qpos_at_ticks
+from mimic.view.scene.timing import camera_path, frame_times, initial_heading, nearest, shared_time
 
 _DISTANCE, _LOOK_HEIGHT = 1.3, 0.41
-"""Of the camera from the robot, and the height it looks at, so that raised front legs stay in the picture [m]."""
+"""Distance of the camera, and the height that it looks at; raised front legs stay in the picture [m]."""
 _SIDEWAYS, _DOWN = np.radians(22.0), np.radians(10.0)
-"""The camera stands to the robot's left of straight ahead, and looks down a little [rad]."""
-_WANTED_RADIUS = 0.03
-"""Of the ball where a toe should be [m]."""
-_CLAMPED = 0.005
-"""What was asked for is drawn where clamping moved it farther than this [m]."""
-_EARLY = 1e-3
-"""A video frame may be shown this much before its time, so that rounding delays none by a frame of the film [s]."""
+"""Angles of the camera: to the robot's left of straight ahead, and downward [rad]."""
+_TARGET_RADIUS = 0.03
+"""Radius of the ball at the target of a toe [m]."""
+_CLAMP_SHOWN = 0.005
+"""The unclamped target is drawn if clamping moved it by more than this [m]."""
+_TIME_TOLERANCE = 1e-3
+"""Tolerance of frame times [s]: without it, rounding could delay a video frame by one film frame."""
 
 _PHASE_TITLES = {
     "lie": "lying",
@@ -42,7 +42,7 @@ _PHASE_TITLES = {
 
 
 class RobotFilm:
-    """Pictures of a run's robot at any tick, from a camera that follows it."""
+    """Renders the robot of a run at any tick, from a camera that follows it."""
 
     def __init__(
         self,
@@ -52,31 +52,30 @@ class RobotFilm:
         width: int,
         height: int,
         targets: TargetTrack | None = None,
-        supersample: float | None = None,
+        fine: bool = False,
     ) -> None:
-        """Prepare drawing.
+        """Prepare rendering.
 
         Raises:
-            NoOffscreenGL: If there is no OpenGL without a window.
+            NoOffscreenGL: If off-screen rendering is not available.
         """
         self._log, self._radius = log, description.toe_radius
         self._aimed = log.aimed
         model = load_model(description)
-        self._qpos = placed(log, model)
-        self._wanted, self._reached = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
-        self._asked = None if targets is None else self._asked_for(targets)
-        self._path, self._front = followed(log, self._qpos[:, :3]), front(log)
-        options = {} if supersample is None else {"supersample": supersample}
-        self._screen = Offscreen(model, width, height, **options)
+        self._qpos = qpos_at_ticks(log, model)
+        self._target, self._actual = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
+        self._unclamped = None if targets is None else self._unclamped_targets(targets)
+        self._path, self._front = camera_path(log, self._qpos[:, :3]), initial_heading(log)
+        self._screen = Offscreen(model, width, height, fine=fine)
 
-    def _asked_for(self, targets: TargetTrack) -> FloatArray:
-        """Return where the toes would be without clamping, world axes (ticks, 2, 3) [m]; NaN where nothing moved."""
+    def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
+        """Return the targets before clamping, world axes (ticks, 2, 3) [m]; NaN where clamping changed nothing."""
         rows = nearest(targets.t, shared_time(self._log))
-        asked = np.where(targets.moved[rows, :, None] > _CLAMPED, targets.wanted[rows], np.nan)
-        return in_world(self._qpos, asked)
+        unclamped = np.where(targets.moved[rows, :, None] > _CLAMP_SHOWN, targets.wanted[rows], np.nan)
+        return in_world(self._qpos, unclamped)
 
     def picture(self, tick: int) -> np.ndarray:
-        """Return the robot at a tick (H, W, 3), RGB, with the wanted toes as balls that one sees through."""
+        """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls."""
         screen = self._screen
         lookat = np.array([*self._path[tick], _LOOK_HEIGHT])
         azimuth = self._front + np.pi + _SIDEWAYS
@@ -84,15 +83,15 @@ class RobotFilm:
         tracking = self._aimed[tick]
         for i, side in enumerate(SIDES):
             red, green, blue = (c / 255 for c in skeleton.COLOURS[side])
-            screen.add_ball(self._reached[tick, i], 1.06 * self._radius, (red, green, blue, 1.0))
-            if tracking and np.isfinite(self._wanted[tick, i]).all():
-                screen.add_ball(self._wanted[tick, i], _WANTED_RADIUS, (red, green, blue, 0.45))
-            if tracking and self._asked is not None and np.isfinite(self._asked[tick, i]).all():
-                screen.add_ball(self._asked[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
+            screen.add_ball(self._actual[tick, i], 1.06 * self._radius, (red, green, blue, 1.0))
+            if tracking and np.isfinite(self._target[tick, i]).all():
+                screen.add_ball(self._target[tick, i], _TARGET_RADIUS, (red, green, blue, 0.45))
+            if tracking and self._unclamped is not None and np.isfinite(self._unclamped[tick, i]).all():
+                screen.add_ball(self._unclamped[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
         return screen.picture()
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Release the graphics memory."""
         self._screen.close()
 
     def __enter__(self) -> RobotFilm:
@@ -111,12 +110,12 @@ def render_frame(
     height: int = 640,
     targets: TargetTrack | None = None,
 ) -> np.ndarray:
-    """Return a fine picture (height, width, 3), RGB, of the robot at a tick of a log.
+    """Return a smooth picture (height, width, 3), RGB, of the robot at a tick of a log.
 
     Raises:
-        NoOffscreenGL: If there is no OpenGL without a window.
+        NoOffscreenGL: If off-screen rendering is not available.
     """
-    with RobotFilm(log, description, width=width, height=height, targets=targets, supersample=2.0) as film:
+    with RobotFilm(log, description, width=width, height=height, targets=targets, fine=True) as film:
         return film.picture(tick)
 
 
@@ -128,42 +127,44 @@ def save_video(
     targets: TargetTrack | None = None,
     pose: PoseTrack | None = None,
     video: Path | None = None,
+    stamps: FloatArray | None = None,
     fps: int = 30,
     height: int = 480,
     made_by: Provenance | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write an H.264 film (.mp4) of the whole run, complete or not at all.
+    """Write an H.264 film (.mp4) of the whole run; the file is complete or not written at all.
 
-    With a video, the person is on the left, with the skeleton of ``pose`` over it, and waits in the first frame while
-    the robot on the right stands up; both sides then move at the same time.
+    With a video, the person is on the left, overlaid with the skeleton of ``pose``. The left side shows the first frame
+    while the robot on the right stands up; then both sides play synchronously.
 
     Args:
-        path: Where the film goes.
-        log: What the robot did.
-        targets: Also shows, as small white balls, where the toes would be without clamping.
-        video: The video that ``pose`` was made from; without it, the robot is alone.
+        path: File to write.
+        log: Log of the robot.
+        targets: Also shows the targets before clamping, as small white balls.
+        video: The video of ``pose``; without it, the film shows only the robot.
+        stamps: Time stamps of the video frames (F,) [s], if known; avoids another decoding pass.
         fps: Frames per second of the film.
-        height: Of the film [px].
+        height: Height of the film [px].
         made_by: Stored as JSON in the film's comment.
-        progress: Called after each frame with the frames done and their number.
+        progress: Called after each frame with the frames done and the total.
 
     Raises:
-        NoOffscreenGL: If there is no OpenGL without a window.
+        NoOffscreenGL: If off-screen rendering is not available.
         SourceError: If the video cannot be decoded.
     """
     height -= height % 2
     clock = shared_time(log)
-    moments = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
-    ticks = nearest(clock, moments)
-    people = None if video is None else _people(video, pose, moments, height)
+    times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
+    ticks = nearest(clock, times)
+    video_frames = None if video is None else _video_frames(video, pose, times, height, stamps)
 
     def frames() -> Iterator[np.ndarray]:
         with RobotFilm(log, description, width=height, height=height, targets=targets) as film:
             for done, tick in enumerate(ticks, start=1):
                 robot = film.picture(int(tick))
                 _caption(robot, log, int(tick), float(clock[tick]))
-                yield robot if people is None else np.hstack([next(people), robot])
+                yield robot if video_frames is None else np.hstack([next(video_frames), robot])
                 if progress is not None:
                     progress(done, len(ticks))
 
@@ -171,10 +172,12 @@ def save_video(
         footage.encode_h264(frames(), part, fps=Fraction(fps), comment=json.dumps(plain(made_by)) if made_by else "")
 
 
-def _people(video: Path, pose: PoseTrack | None, moments: FloatArray, height: int) -> Iterator[np.ndarray]:
-    """Yield the video frame that is on at each moment [s], with the skeleton drawn over it."""
-    t = frame_times(footage.frame_stamps(video), pose)
-    on = np.clip(np.searchsorted(t, moments + _EARLY, side="right") - 1, 0, len(t) - 1)
+def _video_frames(
+    video: Path, pose: PoseTrack | None, times: FloatArray, height: int, stamps: FloatArray | None
+) -> Iterator[np.ndarray]:
+    """Yield the video frame at each of the times [s], overlaid with the skeleton."""
+    t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose)
+    on = np.clip(np.searchsorted(t, times + _TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
     frames = footage.read_frames(video, height=height)
     at, picture = -1, None
     for row in on:
@@ -188,7 +191,7 @@ def _people(video: Path, pose: PoseTrack | None, moments: FloatArray, height: in
 
 
 def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
-    """Draw the person of a row of the track over a picture (H, W, 3)."""
+    """Draw the skeleton of a row of the track over a picture (H, W, 3)."""
     import cv2
 
     height, width = picture.shape[:2]
@@ -211,18 +214,18 @@ def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float) -> None
     """Write time, phase and toe error into a picture of the robot."""
     phase = PHASES[log.phase[tick]]
     white: skeleton.Colour = (240, 243, 246)
-    words: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
+    texts: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
     if phase == "track":
         error = 100 * np.linalg.norm(log.p_BE[tick] - log.p_BE_des[tick], axis=-1)
-        words.append(("toe error", white))
-        words += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
+        texts.append(("toe error", white))
+        texts += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
     else:
-        words.append((_PHASE_TITLES[phase], white))
-    _write(picture, words)
+        texts.append((_PHASE_TITLES[phase], white))
+    _write(picture, texts)
 
 
-def _write(picture: np.ndarray, words: list[tuple[str, skeleton.Colour]]) -> None:
-    """Write words in their colours on a dark bar along the bottom of a picture."""
+def _write(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -> None:
+    """Write coloured text on a dark bar at the bottom of a picture."""
     import cv2
 
     height = picture.shape[0]
@@ -231,6 +234,6 @@ def _write(picture: np.ndarray, words: list[tuple[str, skeleton.Colour]]) -> Non
     x, y = edge, height - edge
     bar = picture[height - 2 * edge - round(22 * scale) :]
     bar[:] = (0.35 * bar + 0.65 * np.array([30, 34, 40])).astype(np.uint8)
-    for text, colour in words:
+    for text, colour in texts:
         cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, scale, colour, line, cv2.LINE_AA)
         x += cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, scale, line)[0][0] + edge

@@ -1,4 +1,4 @@
-"""The stick figure of a person: its bones, its colours, and the segments that are seen at each frame."""
+"""Stick figure of a person: bones, colours, and the visible segments in each frame."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.frames import R_CT
-from mimic.types import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.geometry import R_CT
+from mimic.records import SIDES, BoolArray, FloatArray, IntArray, PoseTrack
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
 
 LEFT = (32, 190, 170)
-"""Colour of the person's and the robot's left, sRGB; neither the robot nor its orange toes have it."""
+"""Colour of the left side of person and robot, sRGB; distinct from the robot and its orange toes."""
 RIGHT = (232, 84, 150)
-"""Colour of the right."""
+"""Colour of the right side."""
 CENTRE = (150, 158, 170)
-"""Colour of what is on no side."""
+"""Colour of the trunk and head."""
 
 COLOURS = {"left": LEFT, "right": RIGHT, "centre": CENTRE}
 
@@ -40,29 +40,29 @@ _CENTRE = (
 _FEET = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_foot_index", "right_foot_index")
 
 _FEET_SHARE = 0.2
-"""Feet seen less than this do not tell where the floor is."""
+"""Minimum share of visible feet from which the floor height is estimated."""
 _HIP_HEIGHT = 0.9
-"""Height of the hips where no foot is seen [m]."""
+"""Assumed height of the hips if no foot is visible [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """The bones of one side that are seen, frame after frame."""
+    """Visible bones of one side in each frame."""
 
     ends: FloatArray
-    """Both ends of every seen bone of all frames (S, 2, D)."""
+    """Both ends of all visible bones in all frames (S, 2, D)."""
     counts: IntArray
-    """How many of them belong to each frame (T,)."""
+    """Number of bones in each frame (T,)."""
 
 
 def soft(colour: Colour) -> Colour:
-    """Return the paler colour of what is wanted, beside what is reached."""
+    """Return the paler colour of a target, next to the actual value."""
     red, green, blue = ((c + 255) // 2 for c in colour)
     return red, green, blue
 
 
 def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
-    """Return the pairs of landmarks to connect on each side, of those that a track has."""
+    """Return the pairs of landmarks in a track to connect on each side."""
     pairs = {side: [(f"{side}_{a}", f"{side}_{b}") for a, b in _LIMBS] for side in ("left", "right")}
     pairs["centre"] = list(_CENTRE)
     return {
@@ -72,12 +72,12 @@ def bones(names: tuple[str, ...]) -> dict[str, list[tuple[int, int]]]:
 
 
 def visible(points: FloatArray, valid: BoolArray) -> BoolArray:
-    """Return which points (T, L, D) may be drawn (T, L)."""
+    """Return which points (T, L, D) are visible (T, L)."""
     return valid & np.isfinite(points).all(axis=-1)
 
 
 def segments(points: FloatArray, seen: BoolArray, pairs: list[tuple[int, int]]) -> Segments:
-    """Return the bones between points (T, L, D) of which both ends are seen (T, L)."""
+    """Return the bones between points (T, L, D) with both ends visible (T, L)."""
     if not pairs:
         return Segments(ends=np.zeros((0, 2, points.shape[-1])), counts=np.zeros(len(points), dtype=np.int64))
     begin, end = np.array(pairs).T
@@ -88,7 +88,7 @@ def segments(points: FloatArray, seen: BoolArray, pairs: list[tuple[int, int]]) 
 def standing_points(pose: PoseTrack) -> FloatArray:
     """Return the landmarks (T, L, 3) [m] with x towards the camera, y to the person's left, z up from the floor.
 
-    The floor is where the feet are most of the time; without feet, the hips are 0.9 m above it.
+    The floor height is a low quantile of the height of the feet; without feet, it is 0.9 m below the hips.
     """
     points = pose.landmarks @ R_CT
     feet = [pose.index(name) for name in _FEET if name in pose.names]
@@ -98,20 +98,20 @@ def standing_points(pose: PoseTrack) -> FloatArray:
 
 
 def feet_seen(pose: PoseTrack) -> bool:
-    """Return whether the feet are in the picture often enough to know where the floor is."""
+    """Return whether the feet are visible often enough to estimate the floor height."""
     feet = [pose.index(name) for name in _FEET if name in pose.names]
     return bool(feet) and float(visible(pose.landmarks, pose.valid)[:, feet].mean()) > _FEET_SHARE
 
 
 def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, BoolArray]]:
-    """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and where it is seen (T,)."""
+    """Return for each side the wrist (T, D) in the axes of ``points`` (T, L, D), and whether it is visible (T,)."""
     seen = visible(points, pose.valid)
     columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
     return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}
 
 
 def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the middle of the head (T, 3) in the axes of ``points`` (T, L, 3), and where it is known (T,)."""
+    """Return the centre of the head (T, 3) in the axes of ``points`` (T, L, 3), and whether it is known (T,)."""
     ears = [pose.names.index(name) for name in ("left_ear", "right_ear") if name in pose.names]
     if len(ears) < 2:
         return np.full((len(points), 3), np.nan), np.zeros(len(points), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Many runs on one page that needs nothing else: how each was retargeted and followed, worst first where it matters."""
+"""Report of a batch as one self-contained page: retargeting and tracking of each run, worst first."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from mimic.view.report_style import STYLE
+from mimic.view.report.style import STYLE
 
 _WORST_ERROR = 8.0
-"""A bar of the toe error is full from here on [cm]."""
+"""Toe error that fills the bar [cm]."""
 
-_WIDE = "body{max-width:1360px}tr.noted td{border-bottom:0;padding-bottom:0}td{white-space:nowrap}td[colspan],td+td:last-child{white-space:normal}"
+_WIDE = (
+    "body{max-width:1360px}tr.noted td{border-bottom:0;padding-bottom:0}td{white-space:nowrap}"
+    "td[colspan],td+td:last-child{white-space:normal}"
+)
 
 _COLUMNS = (
     ("length", "length_s", "{:.1f} s"),
     ("person seen", "rows_with_person", "{:.0%}"),
     ("clamped", "clamped_share", "{:.1%}"),
     ("moved mean", "moved_mean_cm", "{:.2f} cm"),
-    ("moved most", "moved_max_cm", "{:.1f} cm"),
+    ("moved max", "moved_max_cm", "{:.1f} cm"),
     ("speed-limited", "limited_share", "{:.1%}"),
     ("toe error", "toe_error_cm", "{:.1f} cm"),
     ("p95", "toe_error_p95_cm", "{:.1f} cm"),
@@ -27,17 +30,17 @@ _COLUMNS = (
     ("upright", "standing_share", "{:.1%}"),
     ("knee rms", "knee_torque_rms_nm", "{:.1f} N m"),
 )
-"""Heading, column of the table, and how its values are written."""
+"""Heading, column name and number format."""
 
 
 def html_batch(rows: Sequence[Mapping[str, Any]], *, command: str, version: str, unplayed: int = 0) -> str:
-    """Return the page of a batch as HTML that loads nothing.
+    """Return the report of a batch as self-contained HTML.
 
     Args:
-        rows: A row for each file, as :mod:`mimic.cli.batch` makes them.
+        rows: A row for each file, as `mimic.cli.batch` makes them.
         command: The command line.
         version: Of mimic.
-        unplayed: Files that were not reached.
+        unplayed: Number of files that were not processed.
     """
     failed = [row for row in rows if row["status"] == "failed"]
     played = sorted((row for row in rows if row["status"] != "failed"), key=_worst_first)
@@ -68,7 +71,7 @@ def _tiles(played: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, An
         return sum(values) / len(values) if values else None
 
     tiles = [(str(len(played)), "played"), (str(len(failed)), "failed")]
-    tiles += [(str(unplayed), "not reached")] if unplayed else []
+    tiles += [(str(unplayed), "not processed")] if unplayed else []
     tiles.append((str(sum(row["falls"] or 0 for row in played)), "falls"))
     for name, text, what in (
         ("toe_error_cm", "{:.1f} cm", "toe error, mean of the files"),
@@ -90,7 +93,7 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
     lines = "".join(
         f"<tr><td class='name'>{escape(row['file'])}</td><td>{escape(row['error'])}</td></tr>" for row in failed
     )
-    return f"<section><h2>Failed</h2><table><tr><th>file<th>why</tr>{lines}</table></section>"
+    return f"<section><h2>Failed</h2><table><tr><th>file<th>reason</tr>{lines}</table></section>"
 
 
 def _table(played: Sequence[Mapping[str, Any]]) -> str:

@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.calibration import Calibration, Errors
-from mimic.types import FloatArray
-from mimic.view.svg import Plot, figure
+from mimic.records import FloatArray
+from mimic.sysid.result import Calibration, Errors
+from mimic.view.report.svg import Plot, figure
 
 BINS = 24
-"""Bins of a plot against the state; each holds the same number of readings."""
+"""Number of bins in a plot against the state; each has the same number of samples."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit in which a report shows errors."""
+    """Unit of the errors in a report."""
 
     name: str
     factor: float
-    """What a value in the calibration's unit is multiplied by."""
+    """Factor from the calibration's unit to this one."""
 
     def text(self, value: float) -> str:
         """Return a value of the calibration with this unit."""
@@ -38,11 +38,11 @@ def unit_of_size(largest: float, unit: str) -> Unit:
     for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
         if largest * factor >= 0.3 or factor == 1e6:
             return Unit(prefix + unit, factor)
-    raise AssertionError("the last prefix always serves")
+    raise AssertionError("unreachable: the last prefix always fits")
 
 
 def _spread(values: FloatArray) -> float:
-    """Return a limit that holds all but the wildest readings."""
+    """Return an axis limit that covers all samples except outliers."""
     finite = np.abs(values[np.isfinite(values)])
     return float(max(np.quantile(finite, 0.999) * 1.1, 1e-12)) if finite.size else 1.0
 
@@ -54,7 +54,7 @@ def over_time(calibration: Calibration, unit: Unit) -> list[str]:
 
 
 def torque_over_time(calibration: Calibration) -> list[str]:
-    """Return the same of the measured torque; empty where it was not explained."""
+    """Return the same plots for the measured torque; empty if it was not part of the fit."""
     traces = calibration.traces
     if traces.torque_before is None or traces.torque_after is None:
         return []

@@ -1,4 +1,4 @@
-"""The survived share along each axis as a picture: a row for each axis, a cell for each value."""
+"""Heat map of the survival rate: one row per axis, one cell per value."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ CELL, NAME, TOP, GAP = (108, 56), 260, 84, 6
 """Width and height of a cell, width of the names, height above the first row, space between rows [px]."""
 
 WORST, MIDDLE, BEST = (64, 66, 196), (120, 200, 242), (120, 170, 70)
-"""Colours of none, three quarters and all survived, BGR."""
+"""Colours of survival rates of 0, 75 and 100 %, BGR."""
 
 INK, PALE = (40, 36, 32), (150, 144, 140)
 
 
 def shade(share: float) -> tuple[int, int, int]:
-    """Return the colour (BGR) of a survived share; the scale is stretched from three quarters on."""
+    """Return the colour (BGR) of a survival rate; the scale is finer above 75 %."""
     stops = np.array([WORST, MIDDLE, BEST], dtype=np.float64)
     blue, green, red = (int(np.interp(share, [0.0, 0.75, 1.0], stops[:, i])) for i in range(3))
     return blue, green, red
 
 
 def draw_heat_map(result: Mapping[str, Any], path: Path) -> None:
-    """Write the shares of :func:`mimic.run.robustness.evaluate_robustness` as a PNG file.
+    """Write the shares of `mimic.evaluation.robustness.evaluate_robustness` as a PNG file.
 
-    The range that training sees is framed.
+    A frame marks the training range.
 
     Raises:
         AssetError: If the file cannot be written.
@@ -43,7 +43,7 @@ def draw_heat_map(result: Mapping[str, Any], path: Path) -> None:
         cells = [(f"{p['value']:g}", p["survived"], low - 1e-9 <= p["value"] <= high + 1e-9) for p in axis["points"]]
         rows.append((name.replace("_", " ") + unit, cells))
     together = [(f"{100 * float(share):g} %", value, False) for share, value in result["together"].items()]
-    rows.append(("all at once, of range", together))
+    rows.append(("all at once, share of range", together))
     width = NAME + CELL[0] * max(len(cells) for _, cells in rows) + 20
     picture = np.full((TOP + len(rows) * (CELL[1] + GAP) + 20, width, 3), 255, dtype=np.uint8)
 
@@ -51,7 +51,7 @@ def draw_heat_map(result: Mapping[str, Any], path: Path) -> None:
         cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, colour, weight, cv2.LINE_AA)
 
     write(f"{result['policy']}: survived episodes", 20, 36, 0.8, weight=2)
-    write(f"{result['episodes_per_point']} at each point; framed: the range of training", 20, 64, 0.55, PALE)
+    write(f"{result['episodes_per_point']} at each point; framed: training range", 20, 64, 0.55, PALE)
     for i, (name, cells) in enumerate(rows):
         y = TOP + i * (CELL[1] + GAP)
         write(name, 20, y + CELL[1] // 2 + 6, 0.55)

@@ -1,4 +1,4 @@
-"""How a report looks: on a light or dark screen, and printed."""
+"""Style sheet of reports: light and dark screens, and print."""
 
 STYLE = """
 :root{--ink:#1b1f24;--soft:#5f6b7a;--faint:#e3e7ec;--page:#fff;--card:#f6f7f9;--before:#c4762b;--after:#1f6feb;
@@ -43,7 +43,8 @@ border-radius:2px;vertical-align:baseline}
 .key{margin:0 0 6px;color:var(--soft);font-size:12.5px}
 .key i{display:inline-block;width:18px;height:3px;margin:0 6px 3px 0;vertical-align:middle}
 .key i.before,.key i.after{background:var(--c)}.key span{margin-right:18px}
-.key i.noise{height:0;border-top:2px dashed var(--soft)}.key i.held{height:11px;background:var(--held);border:1px solid var(--faint)}
+.key i.noise{height:0;border-top:2px dashed var(--soft)}
+.key i.held{height:11px;background:var(--held);border:1px solid var(--faint)}
 .grid3{display:grid;grid-template-columns:repeat(auto-fill,minmax(290px,1fr));gap:6px 14px}
 svg{display:block;overflow:visible;width:100%;height:auto;margin:2px 0;break-inside:avoid}
 svg text{font-size:11px;fill:var(--soft)}

@@ -1,4 +1,4 @@
-"""Small plots as inline SVG: axes with round ticks, curves thinned to what a screen shows, bands. Colours are CSS's."""
+"""Small plots as inline SVG: axes with round ticks, decimated curves, bands. CSS sets the colours."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from html import escape
 
 import numpy as np
 
-from mimic.types import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray
 
 LEFT, RIGHT, TOP, BOTTOM = 46, 8, 20, 22
-"""Room around the axes [px]."""
+"""Margins around the axes [px]."""
 
 
 def round_ticks(low: float, high: float, count: int = 4) -> list[float]:
@@ -27,7 +27,7 @@ def round_ticks(low: float, high: float, count: int = 4) -> list[float]:
 
 
 def _powers(low: float, high: float, count: float) -> list[float]:
-    """Return the logarithms of powers of ten in a range of logarithms; with 2 and 5 between where these are few."""
+    """Return the logarithms of powers of ten in a range of logarithms; with 2 and 5 between them if there are few."""
     powers = [float(k) for k in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)]
     if len(powers) < 3:
         fine = [k + math.log10(m) for k in range(math.floor(low), math.ceil(high) + 1) for m in (1, 2, 5)]
@@ -36,7 +36,7 @@ def _powers(low: float, high: float, count: float) -> list[float]:
 
 
 def number(value: float) -> str:
-    """Return a number as a tick or a table shows it: three digits, no needless zeros."""
+    """Return a number for a tick or a table: three digits, no trailing zeros."""
     if not math.isfinite(value):
         return "–"
     if value == 0:
@@ -50,7 +50,7 @@ def number(value: float) -> str:
 
 
 def figure(value: float) -> str:
-    """Return a number with three digits, so that a column of them lines up."""
+    """Return a number with three digits, aligned within a column."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)
@@ -61,7 +61,7 @@ def figure(value: float) -> str:
 
 
 class Plot:
-    """One plot; every method adds to it, :meth:`svg` returns it."""
+    """One plot; the methods add to it, and `svg` returns it."""
 
     def __init__(
         self,
@@ -132,17 +132,18 @@ class Plot:
         return f"<text class='{kind}' x='{x:.1f}' y='{y:.1f}'>{escape(text)}</text>"
 
     def shade(self, t: FloatArray, where: BoolArray) -> None:
-        """Fill the stretches of t where ``where`` is true."""
+        """Shade the intervals of t in which ``where`` is true."""
         edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(np.int8), [0]])))
         base = self.height - self._bottom
         for a, b in zip(edges[::2], edges[1::2], strict=True):
             px, _ = self._at(np.array([t[a], t[min(b, len(t) - 1)]]), np.zeros(2) + 10 ** self._y[0])
             self._parts.append(
-                f"<rect class='held' x='{px[0]:.1f}' y='{TOP}' width='{max(px[1] - px[0], 0.5):.1f}' height='{base - TOP}'/>"
+                f"<rect class='held' x='{px[0]:.1f}' y='{TOP}' width='{max(px[1] - px[0], 0.5):.1f}'"
+                f" height='{base - TOP}'/>"
             )
 
     def curve(self, x: FloatArray, y: FloatArray, kind: str) -> None:
-        """Draw a curve; of many readings, the lowest and highest of each screen column."""
+        """Draw a curve; a long one is reduced to the lowest and highest sample per pixel column."""
         ok = np.isfinite(x) & np.isfinite(y)
         x, y = thinned(x[ok], y[ok], self.width - LEFT - RIGHT)
         if len(x):
@@ -156,7 +157,7 @@ class Plot:
             self._parts.append(f"<path class='band {kind}' d='{self._path(*both)}Z'/>")
 
     def level(self, y: float, kind: str, text: str = "") -> None:
-        """Draw a level line across."""
+        """Draw a horizontal line."""
         _, py = self._at(np.array([1.0]), np.array([y]))
         self._parts.append(f"<path class='line {kind}' d='M{LEFT},{py[0]:.1f}H{self.width - RIGHT}'/>")
         if text:
@@ -176,14 +177,14 @@ class Plot:
         return "M" + " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
 
     def svg(self, label: str = "") -> str:
-        """Return the plot; ``label`` is what a screen reader says."""
+        """Return the plot; ``label`` is the text for screen readers."""
         inside = "".join([*self._parts, *self._over])
         named = f"role='img' aria-label='{escape(label, quote=True)}'" if label else "role='presentation'"
         return f"<svg viewBox='0 0 {self.width} {self.height}' {named}>{inside}</svg>"
 
 
 def thinned(x: FloatArray, y: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Return a curve with at most two points a column, the lowest and the highest in their order; ends are kept."""
+    """Return a curve with at most two points per column, the lowest and the highest in order; both ends are kept."""
     if len(x) <= 2 * columns:
         return x, y
     column = np.minimum(((x - x[0]) / max(x[-1] - x[0], 1e-300) * columns).astype(int), columns - 1)

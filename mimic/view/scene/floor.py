@@ -1,21 +1,21 @@
-"""A chequered floor, so that height, distance and motion are seen."""
+"""A chequered floor, which makes height, distance and motion visible."""
 
 from __future__ import annotations
 
 import numpy as np
 import rerun as rr
 
-from mimic.types import FloatArray
+from mimic.records import FloatArray
 
 _MARGIN = 1.25
-"""The floor reaches this far beyond where someone goes [m]."""
+"""Margin of the floor around the path [m]."""
 _FARTHEST = 6.0
-"""… but no farther than this from where they begin [m]."""
+"""Largest extent of the floor from the start of the path, without the margin [m]."""
 _COLOURS = np.array([[198, 205, 213], [210, 216, 223]], dtype=np.uint8)
 
 
 def draw_floor(scene: rr.RecordingStream, entity: str, path: FloatArray, *, tile: float) -> None:
-    """Lay tiles of a side [m] under and around a path (T, 2) [m]; their upper side is at z = 0."""
+    """Draw floor tiles of side length ``tile`` [m] around a path (T, 2) [m]; their top is at z = 0."""
     low = np.maximum(path.min(axis=0), path[0] - _FARTHEST) - _MARGIN
     high = np.minimum(path.max(axis=0), path[0] + _FARTHEST) + _MARGIN
     x, y = (np.arange(np.floor(a / tile), np.ceil(b / tile)) for a, b in zip(low, high, strict=True))

@@ -1,4 +1,4 @@
-"""Where everything stands on the screen: video | person | robot, and the plots below."""
+"""Layout of the viewer: video | person | robot, with the plots below."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mimic.view import plots
+from mimic.view.scene import plots
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from mimic.types import FloatArray
+    from mimic.records import FloatArray
 
 TIMELINE = "time"
 VIDEO, BODY, ROBOT = "/video", "/person", "/robot"
-"""Roots of the three pictures in the scene."""
+"""Root entities of the three views."""
 EYE = f"{ROBOT}/eye"
-"""The point on the floor that moves with the robot and that the camera looks at."""
+"""Point on the floor that follows the robot; the camera looks at it."""
 
 PersonView = Literal["whole", "upper"]
-"""Whether the legs are in the picture."""
+"""Whole person, or upper body if the legs are not in the picture."""
 
 _SIDEWAYS = np.radians(22.0)
-"""How far a camera stands to the side of the one it looks at, so that depth is seen [rad]."""
+"""Angle of the camera from straight ahead, which makes depth visible [rad]."""
 
 
 def time_column(t: FloatArray) -> rr.TimeColumn:
-    """Return shared times [s] as Rerun's index, in whole microseconds."""
+    """Return shared times [s] as a time column of Rerun, in whole microseconds."""
     import rerun as rr
 
     return rr.TimeColumn(TIMELINE, duration=np.round(1e6 * t).astype("timedelta64[us]").astype("timedelta64[ns]"))
@@ -37,13 +37,13 @@ def time_column(t: FloatArray) -> rr.TimeColumn:
 def camera_at(
     facing: float, *, distance: float, height: float, target: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return position and target of a camera in front of something at the origin, from three quarters [m].
+    """Return position and target of a camera with a three-quarter view of the origin [m].
 
     Args:
         facing: Direction that the person or robot faces [rad].
-        distance: On the floor [m].
-        height: Of the camera [m].
-        target: Height looked at [m].
+        distance: Horizontal distance [m].
+        height: Height of the camera [m].
+        target: Height of the point it looks at [m].
     """
     angle = facing + _SIDEWAYS
     return (distance * np.cos(angle), distance * np.sin(angle), height), (0.0, 0.0, target)
@@ -55,10 +55,10 @@ def blueprint(
     """Return the layout.
 
     Args:
-        span: First and last moment of the plots on the shared clock [s].
-        facing: Direction that the robot faces when it begins [rad].
-        video: Width and height of the video picture [px]; None leaves it out.
-        person: How much of the person is seen; None leaves the person in space out.
+        span: First and last time of the plots on the shared clock [s].
+        facing: Initial heading of the robot [rad].
+        video: Width and height of the video picture [px]; None for no video.
+        person: How much of the person is visible; None for no 3-D person.
     """
     import rerun.blueprint as rrb
 
@@ -114,7 +114,7 @@ def blueprint(
 
 
 def _plot(title: str, span: tuple[float, float], *, legend: bool = True) -> rrb.TimeSeriesView:
-    """Return a plot; all of them begin and end at the same moments."""
+    """Return a plot; all plots share one time range."""
     import rerun.blueprint as rrb
 
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=moment) for moment in span)

@@ -1,6 +1,6 @@
-"""What happens now, in a Rerun viewer: the camera with the skeleton, the robot with its toes, the latency.
+"""Live Rerun viewer: the camera with the skeleton, the robot with its toes, the latency.
 
-A thread of its own draws; when it is slower than the robot, what it has not drawn is dropped and counted.
+A background thread draws. If it is slower than the robot, the items that it skips are counted.
 """
 
 from __future__ import annotations
@@ -13,34 +13,35 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mimic.frames import rotation_from_quat
+from mimic.dynamics.robot_model import load_model
+from mimic.geometry import rotation_from_quat
+from mimic.records import LANDMARKS, SIDES, BoolArray, FloatArray, Tick
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg import front_toes
-from mimic.robot.model import load_model
-from mimic.types import LANDMARKS, SIDES, BoolArray, FloatArray, Tick
-from mimic.view import layout, skeleton
-from mimic.view.draw_floor import draw_floor
-from mimic.view.draw_robot import drawn
-from mimic.view.robot_shapes import body_poses, visual_shapes
+from mimic.robot.leg_kinematics import front_toes
+from mimic.view.film import skeleton
+from mimic.view.scene import layout
+from mimic.view.scene.floor import draw_floor
+from mimic.view.scene.robot import rerun_shapes
+from mimic.view.scene.robot_shapes import body_poses, visual_shapes
 
 EVERY = 2
-"""Control ticks from one picture of the robot to the next."""
+"""Control ticks between two drawings of the robot."""
 WAITING = 8
-"""Pictures that may wait."""
+"""Maximum number of items in the queue."""
 
-CALM = 0.03
-"""Share of the way to the robot that the camera goes from picture to picture."""
+EYE_SHARE = 0.03
+"""Share of the distance to the robot that the camera covers per drawing."""
 
 _LATENCY = "/latency"
 _HEIGHT = 0.43
-"""Of a base that does not know its own [m]."""
+"""Base height to draw if the base position is unknown [m]."""
 
 
 class LiveView:
-    """A viewer that is fed while the robot moves; use it in a ``with`` block."""
+    """Viewer that is updated while the robot moves; use it in a ``with`` block."""
 
     def __init__(self, description: RobotDescription, *, path: Path | None = None) -> None:
-        """Open a viewer, or write into a file.
+        """Open a viewer, or write to a file.
 
         Args:
             description: The robot.
@@ -69,11 +70,11 @@ class LiveView:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._scene.save(path, default_blueprint=shown)
         for shapes in visual_shapes(self._model):
-            self._scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", drawn(shapes), static=True)
+            self._scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
         self._bodies = sorted({shapes.body for shapes in visual_shapes(self._model)})
         self._queue: queue.Queue[tuple[str, tuple[object, ...]] | None] = queue.Queue(WAITING)
         self.dropped = 0
-        """What came too fast to be drawn."""
+        """Number of items skipped because the queue was full."""
         self._ticks = 0
         self._path = np.zeros(2)
         draw_floor(self._scene, f"{layout.ROBOT}/floor", np.zeros((1, 2)), tile=0.25)
@@ -90,20 +91,20 @@ class LiveView:
         self._scene.disconnect()
 
     def tick(self, done: Tick) -> None:
-        """Show the robot after a control tick; never waits."""
+        """Show the robot after a control tick; never blocks."""
         self._ticks += 1
         if self._ticks % EVERY == 0:
             self._put("robot", done.state.t, done.state.q, done.state.quat_WB, done.state.p_WB)
 
     def frame(self, t: float, jpeg: bytes | None, image: FloatArray, valid: BoolArray, latency: float) -> None:
-        """Show a frame of the camera; never waits.
+        """Show a frame of the camera; never blocks.
 
         Args:
-            t: On the clock of the robot's ticks [s].
-            jpeg: The picture, where there is one.
-            image: Place of the landmarks (33, 2), fraction of width and height.
-            valid: Which of them count (33,).
-            latency: From the frame to its target [s].
+            t: Time on the clock of the robot's ticks [s].
+            jpeg: The picture, or None.
+            image: Image coordinates of the landmarks (33, 2), fractions of width and height.
+            valid: Which of them are usable (33,).
+            latency: Time from the frame to its target [s].
         """
         self._put("camera", t, jpeg, image, valid, latency)
 
@@ -129,7 +130,7 @@ class LiveView:
             i = self._model.body(body).id
             pose = rr.Transform3D(translation=position[0, i], quaternion=turn[0, i, [1, 2, 3, 0]].tolist())
             self._scene.log(f"{layout.ROBOT}/links/{body}", pose)
-        self._path = self._path + CALM * (base[:2] - self._path)
+        self._path = self._path + EYE_SHARE * (base[:2] - self._path)
         self._scene.log(layout.EYE, rr.Transform3D(translation=[*self._path, 0.0]))
         toes = base + front_toes(q, self._description) @ rotation_from_quat(quat).T
         for i, side in enumerate(SIDES):

@@ -1,27 +1,28 @@
-"""The person as Rerun entities: a flat skeleton over the video and one that stands in space."""
+"""The person as Rerun entities: a 2-D skeleton over the video and a 3-D skeleton."""
 
 from __future__ import annotations
 
 import numpy as np
 import rerun as rr
 
-from mimic.types import PoseTrack
-from mimic.view import layout, skeleton
-from mimic.view.draw_floor import draw_floor
-from mimic.view.timing import from_start
+from mimic.records import PoseTrack
+from mimic.view.film import skeleton
+from mimic.view.scene import layout
+from mimic.view.scene.floor import draw_floor
+from mimic.view.scene.timing import hold_first_row
 
 _HEAD = (0.085, 0.085, 0.11)
-"""Half the length, width and height of the head [m]."""
+"""Half-sizes of the head: length, width, height [m]."""
 
 
 def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int] | None, start: float) -> None:
     """Add the person to a scene.
 
     Args:
-        size: Width and height of the video picture [px]; None draws no flat skeleton.
-        start: When the robot begins, on the shared clock [s]; the person waits from then on.
+        size: Width and height of the video picture [px]; None for no 2-D skeleton.
+        start: First tick of the robot on the shared clock [s]; the person stands still from then to the first frame.
     """
-    t, rows = from_start(pose.t, start)
+    t, rows = hold_first_row(pose.t, start)
     points = skeleton.standing_points(pose)
     pairs = skeleton.bones(pose.names)
     for side, colour in skeleton.COLOURS.items():

@@ -1,4 +1,4 @@
-"""The curves below the pictures: toe error, toes wanted and reached, knee torques, uprightness and height."""
+"""The plots of a scene: toe error, target and actual toe positions, knee torques, uprightness and height."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.frames import R_BT
+from mimic.geometry import R_BT
 from mimic.metrics import uprightness
+from mimic.records import JOINTS, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
-from mimic.types import JOINTS, SIDES, FloatArray, RunLog, TargetTrack
-from mimic.view.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
-from mimic.view.timing import shared_time
+from mimic.view.film.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
+from mimic.view.scene.timing import shared_time
 
 ROOT = "/plots"
 
@@ -35,26 +35,26 @@ class Curve:
 
     @property
     def path(self) -> str:
-        """Where it stands in the scene."""
+        """Entity path in the scene."""
         return f"{plot_path(self.plot)}/{self.name.replace(' ', '_')}"
 
 
 def plot_path(plot: str) -> str:
-    """Return where the curves of a plot stand in the scene."""
+    """Return the entity path of a plot in the scene."""
     return f"{ROOT}/{plot.split(' [')[0].replace(' ', '_')}"
 
 
 def toe_plot(axis: str) -> str:
-    """Return the title of the plot of one axis of the toes."""
-    return f"toe {axis} [cm], wanted: pale"
+    """Return the title of the plot of one toe axis."""
+    return f"toe {axis} [cm], target: pale"
 
 
 def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | None) -> Iterator[Curve]:
-    """Yield every curve of a run; toe positions are along the axes of the person's torso, from the base."""
+    """Yield every curve of a run; toe positions are relative to the base, in torso axes."""
     t = shared_time(log)
     shown = log.aimed
     error = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
-    wanted, reached = 100 * log.p_BE_des @ R_BT, 100 * log.p_BE @ R_BT
+    target, actual = 100 * log.p_BE_des @ R_BT, 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):
         yield Curve(plot=ERROR, name=side, colour=colour, width=2.0, t=t[shown], value=error[shown, i])
         if targets is not None:
@@ -62,8 +62,8 @@ def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | No
             yield Curve(plot=ERROR, name=f"{side} clamped by", colour=soft(colour), width=1.0, t=targets.t, value=moved)
         for axis, title in enumerate(TOE_AXES):
             for name, values, line, width in (
-                ("wanted", wanted, soft(colour), 1.2),
-                ("reached", reached, colour, 2.0),
+                ("target", target, soft(colour), 1.2),
+                ("actual", actual, colour, 2.0),
             ):
                 yield Curve(
                     plot=toe_plot(title),

@@ -1,4 +1,4 @@
-"""The robot's visual shapes, and where its links are at each tick."""
+"""The robot's visual shapes, and the poses of its links at each tick."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from mimic.errors import AssetError
-from mimic.frames import rotation_from_quat
+from mimic.geometry import rotation_from_quat
+from mimic.records import FloatArray, RunLog
 from mimic.robot.model import TOES
-from mimic.types import FloatArray, RunLog
 
 VISUAL_GROUP = 2
-"""Group of the geoms that are only looked at."""
+"""MuJoCo group of the visual geoms."""
 
 _BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
 _ELLIPSOID, _CYLINDER = mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -42,24 +42,22 @@ class Shapes:
 
 
 def visual_shapes(model: mujoco.MjModel) -> Iterator[Shapes]:
-    """Yield what is seen of the robot, grouped by body and kind.
+    """Yield the visual shapes of the robot, grouped by body and kind.
 
     Raises:
-        AssetError: If a visual geom is of a kind that cannot be drawn, such as a mesh.
+        AssetError: If a visual geom is of an unsupported kind, such as a mesh.
     """
     groups: dict[tuple[int, str], list[int]] = {}
     for geom in np.flatnonzero(model.geom_group == VISUAL_GROUP):
         kind = KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
         if kind is None:
             name = mujoco.mjtGeom(model.geom_type[geom]).name
-            raise AssetError(
-                f"visual geom {geom} is a {name}; it can be one of {', '.join(sorted(set(KINDS.values())))}"
-            )
+            raise AssetError(f"visual geom {geom} is a {name}; supported are {', '.join(sorted(set(KINDS.values())))}")
         groups.setdefault((int(model.geom_bodyid[geom]), kind), []).append(int(geom))
     for (body, kind), geoms in groups.items():
         size = model.geom_size[geoms].copy()
-        round_ones = model.geom_type[geoms] == _SPHERE
-        size[round_ones] = size[round_ones, :1]
+        spheres = model.geom_type[geoms] == _SPHERE
+        size[spheres] = size[spheres, :1]
         material = model.geom_matid[geoms]
         rgba = np.where(material[:, None] >= 0, model.mat_rgba[material], model.geom_rgba[geoms])
         yield Shapes(
@@ -73,18 +71,18 @@ def visual_shapes(model: mujoco.MjModel) -> Iterator[Shapes]:
         )
 
 
-def placed(log: RunLog, model: mujoco.MjModel) -> FloatArray:
+def qpos_at_ticks(log: RunLog, model: mujoco.MjModel) -> FloatArray:
     """Return MuJoCo's positions at each tick (ticks, nq).
 
-    Where the log does not know where the robot is, it stands at the origin with its lowest toe on the floor.
+    If the log has no base position, the robot is placed at the origin with its lowest toe on the floor.
     """
     qpos = np.concatenate([log.p_WB, log.quat_WB, log.q], axis=1)
-    lost = np.flatnonzero(~np.isfinite(log.p_WB).all(axis=1))
-    if len(lost):
+    unknown = np.flatnonzero(~np.isfinite(log.p_WB).all(axis=1))
+    if len(unknown):
         data = mujoco.MjData(model)
         toes = [model.site(name).id for name in TOES]
         radius = float(model.site_size[toes[0], 0])
-        for row in lost:
+        for row in unknown:
             qpos[row, :3] = 0.0
             data.qpos[:] = qpos[row]
             mujoco.mj_kinematics(model, data)
@@ -104,5 +102,5 @@ def body_poses(model: mujoco.MjModel, qpos: FloatArray) -> tuple[FloatArray, Flo
 
 
 def in_world(qpos: FloatArray, p_BE: FloatArray) -> FloatArray:
-    """Return points given from the base in base axes (ticks, N, 3) in world axes (ticks, N, 3) [m]."""
+    """Transform points relative to the base, in base axes (ticks, N, 3), to the world frame (ticks, N, 3) [m]."""
     return qpos[:, None, :3] + np.einsum("tij,tnj->tni", rotation_from_quat(qpos[:, 3:7]), p_BE)

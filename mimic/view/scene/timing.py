@@ -1,22 +1,22 @@
-"""The clock that human and robot share: zero is the first frame of the video and the first tick of tracking."""
+"""The shared clock of human and robot: zero is the first video frame and the first tick of tracking."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mimic.frames import heading_from_quat
-from mimic.types import PHASES, FloatArray, IntArray, PoseTrack, RunLog
+from mimic.geometry import heading_from_quat
+from mimic.records import PHASES, FloatArray, IntArray, PoseTrack, RunLog
 
 TRACK = PHASES.index("track")
 
 _FOLLOW = 0.8
-"""Standard deviation of the filter with which a camera follows the robot [s]."""
+"""Standard deviation of the filter on the camera path [s]."""
 
 
 def shared_time(log: RunLog) -> FloatArray:
-    """Return the time of each tick in the video (ticks,) [s]; negative while the robot still stands up.
+    """Return the time of each tick in the video (ticks,) [s]; negative while the robot stands up.
 
-    A log that never tracks begins at zero.
+    A log without tracking begins at zero.
     """
     tracking = np.flatnonzero(log.phase == TRACK)
     return log.t - log.t[tracking[0] if len(tracking) else 0]
@@ -26,16 +26,16 @@ def frame_times(stamps: FloatArray, pose: PoseTrack | None) -> FloatArray:
     """Return the time of each decoded frame since the first one (F,) [s], never decreasing.
 
     Args:
-        stamps: Time of each frame as the file gives it (F,) [s].
-        pose: A track of the same video has the better times: it mended stamps that run backwards.
+        stamps: Time stamps of the frames in the file (F,) [s].
+        pose: Track of the same video; its times are preferred, because stamps that run backwards are corrected.
     """
     if pose is not None and len(pose.t) == len(stamps):
         return pose.t
     return np.maximum.accumulate(stamps - stamps[0]) if len(stamps) else stamps
 
 
-def from_start(t: FloatArray, start: float) -> tuple[FloatArray, IntArray]:
-    """Return times and rows with the first row also at ``start`` [s], where that is earlier."""
+def hold_first_row(t: FloatArray, start: float) -> tuple[FloatArray, IntArray]:
+    """Return times and rows, with the first row repeated at ``start`` [s] if that is earlier."""
     rows = np.arange(len(t), dtype=np.int64)
     if len(t) and start < t[0]:
         return np.concatenate([[start], t]), np.concatenate([rows[:1], rows])
@@ -48,15 +48,15 @@ def nearest(t: FloatArray, wanted: FloatArray) -> IntArray:
     return np.searchsorted(middles, wanted)
 
 
-def followed(log: RunLog, position: FloatArray) -> FloatArray:
-    """Return where on the floor a camera should look (ticks, 2) [m]: the base's position (ticks, 3), smoothed."""
+def camera_path(log: RunLog, position: FloatArray) -> FloatArray:
+    """Return the point on the floor that the camera looks at (ticks, 2) [m]: the smoothed base position (ticks, 3)."""
     from scipy.ndimage import gaussian_filter1d
 
     dt = float(np.median(np.diff(log.t))) if len(log.t) > 1 else 1.0
     return gaussian_filter1d(position[:, :2], _FOLLOW / dt, axis=0, mode="nearest")
 
 
-def front(log: RunLog) -> float:
-    """Return the direction that the robot is meant to face when it begins [rad]; a camera stands there."""
+def initial_heading(log: RunLog) -> float:
+    """Return the commanded initial heading of the robot [rad]; the camera is placed in this direction."""
     heading = float(log.heading_des[0])
     return heading if np.isfinite(heading) else float(heading_from_quat(log.quat_WB[0]))

@@ -1,4 +1,4 @@
-"""The Rerun viewer: opening a scene on a screen, and taking a picture of it without one."""
+"""The Rerun viewer: opens a scene in a window, or takes a screenshot without a display."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mimic.errors import AssetError, MimicError
-from mimic.store import written_whole
-from mimic.view.layout import TIMELINE
+from mimic.io.store import written_whole
+from mimic.view.scene.layout import TIMELINE
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 log = logging.getLogger(__name__)
 
-_SETTLE = 3.0
-"""The viewer loads and decodes in the background; it gets this long before its picture is taken [s]."""
-_MENU = 37
-"""Height of the viewer's own menu, which is cut off [px]."""
-_START = 30.0
-"""A viewer that does not answer by then will not [s]."""
+_LOAD_TIME = 3.0
+"""Waiting time before a screenshot, in which the viewer loads and decodes the scene [s]."""
+_MENU_HEIGHT = 37
+"""Height of the viewer's menu bar, which is cropped [px]."""
+_START_TIMEOUT = 30.0
+"""Time limit for the start of the viewer [s]."""
 
 
 def display_available() -> bool:
@@ -40,7 +40,7 @@ def display_available() -> bool:
 
 
 def open_viewer(path: Path) -> bool:
-    """Open a scene in a viewer of its own that outlives this process; return False where there is no display.
+    """Open a scene in a separate viewer that outlives this process; return False if there is no display.
 
     Raises:
         AssetError: If there is no such file.
@@ -59,12 +59,12 @@ def open_viewer(path: Path) -> bool:
 
 
 def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, int] = (1600, 900)) -> None:
-    """Write a PNG of the viewer without its menu at a moment of the scene; needs no display.
+    """Write a PNG of the viewer, without its menu bar, at a time in the scene; needs no display.
 
     Args:
         scene: A scene file.
-        picture: Where the PNG goes.
-        time_s: Moment on the shared clock [s].
+        picture: PNG file to write.
+        time_s: Time on the shared clock [s].
         size: Width and height [px].
 
     Raises:
@@ -79,16 +79,16 @@ def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, in
         image = cv2.imread(str(part))
         if image is None:
             raise MimicError(f"the Rerun viewer wrote no picture of {scene}")
-        cv2.imwrite(str(part), image[_MENU:])
+        cv2.imwrite(str(part), image[_MENU_HEIGHT:])
 
 
 def _take(scene: Path, picture: Path, time_s: float, size: tuple[int, int]) -> None:
-    with _headless((size[0], size[1] + _MENU)) as viewer:
+    with _headless((size[0], size[1] + _MENU_HEIGHT)) as viewer:
         try:
             viewer.open(str(scene.resolve()))
-            for _ in range(2):  # the first time wakes the views up, so that video and plots load
+            for _ in range(2):  # the first call makes the views load video and plots
                 viewer.set_time(TIMELINE, duration=time_s, play_state="paused")
-                time.sleep(_SETTLE / 2)
+                time.sleep(_LOAD_TIME / 2)
             viewer.save_screenshot(str(picture.resolve()))
         except (RuntimeError, OSError) as error:
             raise MimicError(f"the Rerun viewer could not take a picture of {scene}: {error}") from error
@@ -96,49 +96,49 @@ def _take(scene: Path, picture: Path, time_s: float, size: tuple[int, int]) -> N
 
 @contextmanager
 def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
-    """Run a viewer without a window, and end it."""
+    """Run a viewer without a window, and end it on exit."""
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
     options = ["--headless", "--hide-welcome-screen", "--bind", "127.0.0.1", "--port", str(port)]
-    with tempfile.TemporaryFile("w+") as said:
+    with tempfile.TemporaryFile("w+") as output:
         process = subprocess.Popen(
             [sys.executable, "-m", "rerun", *options, "--window-size", f"{size[0]}x{size[1]}"],
-            stdout=said,
-            stderr=said,
+            stdout=output,
+            stderr=output,
             start_new_session=True,
         )
         try:
-            until = time.monotonic() + _START
+            deadline = time.monotonic() + _START_TIMEOUT
             while True:
                 try:
                     viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
                     viewer.get_state()
                     break
                 except (OSError, RuntimeError) as error:
-                    if process.poll() is None and time.monotonic() < until:
+                    if process.poll() is None and time.monotonic() < deadline:
                         time.sleep(0.2)
                         continue
-                    said.seek(0)
-                    raise _no_viewer(said.read()) from error
+                    output.seek(0)
+                    raise _no_viewer(output.read()) from error
             yield viewer
         finally:
             _end(process)
 
 
-def _no_viewer(said: str) -> MimicError:
-    if "graphics adapter" in said:
+def _no_viewer(output: str) -> MimicError:
+    if "graphics adapter" in output:
         return MimicError(
             "the Rerun viewer found no Vulkan driver; without a graphics card it needs the software one "
             "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)"
         )
-    return MimicError(f"the Rerun viewer did not start: {said.strip()[-400:] or 'it said nothing'}")
+    return MimicError(f"the Rerun viewer did not start: {output.strip()[-400:] or 'no output'}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the viewer: the command starts a program of its own, so its whole group of processes."""
+    """End the viewer and its process group, because the command starts another program."""
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)
     else:

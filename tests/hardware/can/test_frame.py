@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mimic.errors import FrameError
-from mimic.run.can_frame import CanFrame, arbitration_key, frame_bits
+from mimic.hardware.can.frame import CanFrame, arbitration_key, frame_bits
 
 
 def bit_by_bit(frame: CanFrame) -> int:

@@ -1,4 +1,4 @@
-"""Buses of python-can, against an emulated robot that follows the wall clock in a thread; waits are limits on hanging only."""
+"""Buses of python-can against an emulated robot that a thread serves; time limits are for hangs only."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import parse_fault
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError
-from mimic.robot.wiring import load_wiring
-from mimic.run.buses import CanLink, open_link
-from mimic.run.can_frame import CanFrame
-from mimic.run.cybergear import Codec
-from mimic.run.emulated_faults import parse_fault
-from mimic.run.emulator import EmulatedRobot
-from mimic.run.emulator_server import EmulatorServer
-from mimic.run.motor_messages import Enable, Feedback, Mode
-from mimic.settings import EmulateSettings
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.python_can import CanLink, open_link
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import Enable, Feedback, Mode
+from mimic.hardware.wiring import load_wiring
 
 HOST, PATIENCE = 0xFD, 30.0
 CODEC = Codec()
@@ -31,7 +31,7 @@ class Served:
     """A robot served by a thread."""
 
     def __init__(self, description, buses: int = 1) -> None:
-        self.robot = EmulatedRobot(description, load_wiring(buses=buses), EmulateSettings(homed=True))
+        self.robot = EmulatedRobot(description, load_wiring(buses=buses), EmulateSettings(zeroed=True))
         self.server = EmulatorServer(self.robot, slcan=0)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self.server.run, args=(self._end.is_set,), daemon=True)
@@ -75,6 +75,7 @@ def until(link: CanLink, wanted: Callable[[object], bool]) -> object:
 TRANSPORTS = ["socketcand", "slcan"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRANSPORTS)
 def test_commands_get_their_answers(kind, served):
     robot = served()
@@ -87,6 +88,7 @@ def test_commands_get_their_answers(kind, served):
     link.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRANSPORTS)
 def test_both_kinds_of_identifiers_and_all_lengths_come_through(kind, served):
     robot = served()
@@ -116,6 +118,7 @@ def test_the_clock_goes_on_while_nothing_comes():
     link.close()
 
 
+@pytest.mark.slow
 def test_several_buses_are_one_link(served):
     robot = served(buses=2)
     names = ",".join(a for a in robot.server.addresses if a.startswith("socketcand"))
@@ -145,6 +148,7 @@ def test_two_virtual_buses_of_one_name_are_one_wire():
     other.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRANSPORTS)
 def test_a_server_that_goes_away_is_an_error_and_not_silence(kind, served):
     robot = served()
@@ -157,6 +161,7 @@ def test_a_server_that_goes_away_is_an_error_and_not_silence(kind, served):
     link.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRANSPORTS)
 def test_an_adapter_that_is_unplugged_is_an_error_and_cannot_be_opened_again(kind, served):
     robot = served()
@@ -180,17 +185,20 @@ def _free_port() -> int:
         return sock.getsockname()[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["socketcand://127.0.0.1:{}/can0", "slcan:socket://127.0.0.1:{}"])
 def test_where_nobody_listens_is_said_at_once(form):
     with pytest.raises(BusError, match=r"nobody listens.*mimic emulate"):
         open_link(form.format(_free_port()))
 
 
+@pytest.mark.slow
 def test_a_server_that_never_answers_is_given_up():
     with socket.create_server(("127.0.0.1", 0)) as mute, pytest.raises(BusError, match="cannot be opened"):
         open_link(f"socketcand://127.0.0.1:{mute.getsockname()[1]}/can0")
 
 
+@pytest.mark.slow
 def test_a_bus_that_the_server_has_not_is_an_error(served):
     address = served().address("socketcand").replace("can0", "can7")
     with pytest.raises(BusError, match="could not open bus"):
@@ -198,23 +206,23 @@ def test_a_bus_that_the_server_has_not_is_an_error(served):
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("bus_url", "says"),
     [
         ("", "expected different ones"),
         ("can0,", "expected different ones"),
         ("can0,can0", "expected different ones"),
-        ("my bus", "no bus that mimic knows"),
-        ("telepathy:here", "no bus that mimic knows"),
-        ("slcan:", "no bus that mimic knows"),
-        ("slcan:http://here", "no bus that mimic knows"),
+        ("my bus", "is not a bus"),
+        ("telepathy:here", "is not a bus"),
+        ("slcan:", "is not a bus"),
+        ("slcan:http://here", "is not a bus"),
         ("socketcand://127.0.0.1/can0", "lacks host or port"),
         ("socketcand://127.0.0.1:99999/can0", "no usable port"),
         ("socketcand://127.0.0.1:29536", "names no bus"),
     ],
 )
-def test_a_word_that_names_no_bus_is_refused(words, says):
+def test_a_word_that_names_no_bus_is_refused(bus_url, says):
     with pytest.raises(ConfigError, match=says):
-        open_link(words)
+        open_link(bus_url)
 
 
 @pytest.mark.parametrize("word", ["slcan:/dev/no_such_adapter", "no_such_can"])
@@ -223,6 +231,7 @@ def test_an_adapter_that_is_not_there_is_an_error(word):
         open_link(word)
 
 
+@pytest.mark.slow
 def test_lines_of_an_adapter_that_are_no_frames_are_counted_and_passed_over():
     with socket.create_server(("127.0.0.1", 0)) as adapter:
         link = open_link(f"slcan:socket://127.0.0.1:{adapter.getsockname()[1]}")
@@ -238,6 +247,7 @@ def test_lines_of_an_adapter_that_are_no_frames_are_counted_and_passed_over():
         link.close()
 
 
+@pytest.mark.slow
 def test_all_that_is_there_is_read_however_it_is_cut():
     """A burst of 100 messages is read in pieces of 1024 bytes, which cut some in two."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -317,7 +327,7 @@ def test_a_queue_that_is_full_for_a_moment_is_waited_for(socketcan):
 
 def test_a_queue_that_stays_full_is_an_error(socketcan):
     link, _ = socketcan(sends=(can.CanOperationError("full", errno.ENOBUFS),) * 10_000)
-    with pytest.raises(BusError, match="does not take frames"):
+    with pytest.raises(BusError, match="no longer takes frames"):
         link.send(0, CanFrame(1, b""))
     link.close()
 
@@ -343,6 +353,27 @@ def test_an_error_frame_of_a_bus_that_is_off_is_an_error_and_others_are_passed_o
     assert str(received.frame) == "021#01"
     with pytest.raises(BusError, match="can0 is off"):
         link.receive(PATIENCE)
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.EACCES, "no permission; add your user"), (errno.EBUSY, "another program uses it"), (errno.ENOENT, "plug")],
+)
+def test_a_serial_port_that_cannot_be_opened_says_what_to_do(number, advice, monkeypatch):
+    def refuse(**_: object) -> None:
+        raise can.CanInitializationError("could not open port") from OSError(number, "refused")
+
+    monkeypatch.setattr(can, "Bus", refuse)
+    with pytest.raises(BusError, match=f"slcan:/dev/ttyACM0 cannot be opened: .*{advice}") as error:
+        open_link("slcan:/dev/ttyACM0")
+    assert "\n" not in str(error.value)
+
+
+def test_a_bus_that_is_down_says_how_to_bring_it_up(socketcan):
+    link, _ = socketcan(sends=(can.CanOperationError("Network is down", errno.ENETDOWN),))
+    with pytest.raises(BusError, match=r"interface is down; .*ip link set can0 up"):
+        link.send(0, CanFrame(1, b""))
     link.close()
 
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mimic.errors import ConfigError, FrameError
-from mimic.run.can_frame import CanFrame
-from mimic.run.cybergear import KD, KP, TORQUE, VELOCITY, Codec
-from mimic.run.motor_messages import (
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.cybergear.codec import KD, KP, TORQUE, VELOCITY, Codec
+from mimic.hardware.cybergear.messages import (
     CAN_TIMEOUT,
     LIMIT_TORQUE,
     MECH_POS,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import ConfigError, SourceError
-from mimic.retarget.wrists import wrist_track
-from mimic.settings import PoseSettings, StoredSettings
-from mimic.sources.skeletons import LAYOUTS, SCHEMES
-from mimic.sources.stored import MIRRORED, track_stored
-from mimic.types import PoseTrack
+from mimic.records import PoseTrack
+from mimic.retargeting.wrists import wrist_track
+from mimic.sources.mocap.load import MIRRORED, track_mocap
+from mimic.sources.mocap.skeletons import LAYOUTS, SCHEMES
 
-FOUR_CAMERAS = Path(__file__).parents[2] / ".." / "shared" / "data" / "videos" / "real" / "multiview"
+FOUR_CAMERAS = Path(__file__).parents[3] / ".." / "shared" / "data" / "videos" / "real" / "multiview"
 ROWS = 90
 T = np.arange(ROWS) / 60
 
@@ -58,7 +58,7 @@ def save(path: Path, **arrays: object) -> Path:
 
 
 def read(path: Path, **options: object) -> PoseTrack:
-    return track_stored(path, StoredSettings(**options), PoseSettings())
+    return track_mocap(path, MocapSettings(**options), PoseSettings())
 
 
 def arms(path: Path, **options: object) -> np.ndarray:
@@ -127,23 +127,23 @@ def test_what_was_not_seen_is_a_gap(tmp_path):
 def test_a_person_without_hips_says_where_up_is(tmp_path):
     upper = [name for name in PERSON if name.split("_")[1] in ("shoulder", "elbow", "wrist")]
     path = save(tmp_path / "a.npz", points=stacked("y", 1.0, upper), names=upper)
-    with pytest.raises(SourceError, match="say --up"):
+    with pytest.raises(SourceError, match="for example --up y"):
         read(path)
     np.testing.assert_allclose(arms(path, up="y"), expected_arms(), atol=0.03)
 
 
 def test_a_trunk_between_two_axes_is_asked_about(tmp_path):
     lean = Rotation.from_euler("y", 45, degrees=True).as_matrix()
-    with pytest.raises(SourceError, match="no axis clearly"):
+    with pytest.raises(SourceError, match="along no single axis"):
         read(save(tmp_path / "a.npz", points=stacked() @ lean.T))
 
 
-def test_an_upside_down_person_is_told(tmp_path):
+def test_an_upside_down_person_is_reported(tmp_path):
     warnings = read(save(tmp_path / "a.npz"), up="-z").warnings
     assert any("upside down" in text for text in warnings)
 
 
-def test_left_handed_axes_are_told(tmp_path):
+def test_left_handed_axes_are_reported(tmp_path):
     assert MIRRORED in read(save(tmp_path / "a.npz", points=stacked() * [1, -1, 1])).warnings
     assert MIRRORED not in read(save(tmp_path / "b.npz")).warnings
 
@@ -202,13 +202,29 @@ BAD_NPZ = {
 }
 
 
-@pytest.mark.parametrize("told", BAD_NPZ)
-def test_a_point_file_that_lacks_something_is_refused(told, tmp_path):
-    arrays = {"t": T, "points": stacked(), "names": list(PERSON), **BAD_NPZ[told]}
+@pytest.mark.parametrize("message", BAD_NPZ)
+def test_a_point_file_that_lacks_something_is_refused(message, tmp_path):
+    arrays = {"t": T, "points": stacked(), "names": list(PERSON), **BAD_NPZ[message]}
     np.savez(tmp_path / "a.npz", **{name: value for name, value in arrays.items() if value is not None})
     with pytest.raises(SourceError) as error:
         read(tmp_path / "a.npz")
-    assert told in str(error.value)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+def test_a_row_without_a_time_is_refused(unknown, tmp_path):
+    with pytest.raises(SourceError, match=r"row 90 of a\.npz has no time"):
+        read(save(tmp_path / "a.npz", t=np.append(T[:-1], unknown)))
+
+
+def test_an_infinite_position_was_not_seen(tmp_path):
+    points = stacked()
+    points[10, list(PERSON).index("left_wrist")] = np.inf
+    track = read(save(tmp_path / "a.npz", points=points))
+    wrist = track.index("left_wrist")
+    assert not track.valid[10, wrist]
+    assert track.valid[11, wrist]
+    assert np.isfinite(track.landmarks[11, wrist]).all()
 
 
 def test_pickled_objects_are_refused(tmp_path):
@@ -224,7 +240,7 @@ def test_a_file_that_is_no_npz_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_points_without_names_are_told_by_their_layout(layout, tmp_path):
+def test_points_without_names_are_named_by_their_layout(layout, tmp_path):
     names = LAYOUTS[layout]
     points = np.stack([PERSON.get(name, PERSON["left_hip"]) for name in names], axis=1)
     path = tmp_path / "a.npz"
@@ -237,9 +253,9 @@ def test_points_without_names_are_told_by_their_layout(layout, tmp_path):
     np.testing.assert_allclose(arms(path, layout=layout), expected_arms(), atol=0.03)
 
 
-@pytest.mark.parametrize(("layout", "told"), [("coco18", "there is no layout"), ("coco17", "has 17 points")])
-def test_a_layout_that_does_not_fit_is_refused(layout, told, tmp_path):
-    with pytest.raises((ConfigError, SourceError), match=told):
+@pytest.mark.parametrize(("layout", "message"), [("coco18", "there is no layout"), ("coco17", "has 17 points")])
+def test_a_layout_that_does_not_fit_is_refused(layout, message, tmp_path):
+    with pytest.raises((ConfigError, SourceError), match=message):
         read(save(tmp_path / "a.npz"), layout=layout)
 
 
@@ -276,18 +292,18 @@ def test_empty_cells_and_zeros_of_a_marker_file_are_gaps(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
-        (lambda text: "no such thing\n" * 10, "must begin with PathFileType"),
+        (lambda text: "no such thing\n" * 10, "not a TRC file"),
         (lambda text: text.replace("\tmm\t", "\tfurlong\t"), "furlong"),
         (lambda text: text.replace("Frame#", "Number"), "line 4"),
         (lambda text: text.replace("0.01667", "soon"), "line 8"),
     ],
 )
-def test_a_marker_file_that_is_none_is_refused(change, told, tmp_path):
+def test_a_marker_file_that_is_none_is_refused(change, message, tmp_path):
     path = write_trc(tmp_path / "a.trc", NAMES)
     path.write_text(change(path.read_text()))
-    with pytest.raises(SourceError, match=told):
+    with pytest.raises(SourceError, match=message):
         read(path)
 
 
@@ -391,20 +407,22 @@ def test_a_skeleton_file_that_was_cut_off_is_read_as_far_as_it_goes(angles, tmp_
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
-        (lambda text: "skeleton\n", "line 1: something else where HIERARCHY"),
-        (lambda text: text.split("MOTION")[0], "the file ends"),
+        (lambda text: "skeleton\n", r"line 1: not a BVH file \(it must start with HIERARCHY\)"),
+        (lambda text: text.split("MOTION")[0], "expected MOTION, got the end of the file"),
         (lambda text: text.replace("Zrotation", "Wrotation", 1), "'Wrotation'"),
-        (lambda text: text.replace("OFFSET 0 20 1", "OFFSET 0 up 1"), "'up' where a number"),
+        (lambda text: text.replace("OFFSET 0 20 1", "OFFSET 0 up 1"), "expected a number, got 'up'"),
         (lambda text: text.replace("Frames:", "Pictures:"), "Frames:"),
         (lambda text: text.split("Frame Time")[0] + "Frame Time: 0.0166\n", "less than the"),
-        (lambda text: text + "the end\n", "'the' where a number"),
-        (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: 0"), "say --fps"),
+        (lambda text: text + "nan\n", "expected a number, got 'nan'"),
+        (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: inf"), "got 'inf'"),
+        (lambda text: text + "the end\n", "expected a number, got 'the'"),
+        (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: 0"), "give the frame rate with --fps"),
     ],
 )
-def test_a_skeleton_file_that_is_none_is_refused(change, told, angles, tmp_path):
+def test_a_skeleton_file_that_is_none_is_refused(change, message, angles, tmp_path):
     path = write_bvh(tmp_path / "a.bvh", angles)
     path.write_text(change(path.read_text()))
-    with pytest.raises(SourceError, match=told):
+    with pytest.raises(SourceError, match=message):
         read(path)

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mimic.keyframes import KeyFrame, KeyFrames
-from mimic.robot.arms import POSTURES, posture
-from mimic.robot.feasible import complaints
+from mimic.io.keyframes import KeyFrame, KeyFrames
+from mimic.robot.arm_mapping import POSTURES, posture
 from mimic.robot.reach import Reach
+from mimic.sources.text.feasibility import complaints
 
 
 @pytest.fixture(scope="module")
@@ -41,18 +41,18 @@ def test_every_posture_keeps_its_bounds_and_clearance(reach):
 def test_a_joint_beyond_its_limit_is_named_with_the_limit(reach, still):
     q = still.q.copy()
     q[2] = -1.2 * np.pi / 180  # radians taken for degrees
-    (told,) = wrong(reach, still, dataclasses.replace(still, q=q))
-    assert told == "frame 2: FL_knee is -1 deg; it must be from -140 to -35 deg"
+    (message,) = wrong(reach, still, dataclasses.replace(still, q=q))
+    assert message == "frame 2: FL_knee is -1 deg; it must be from -140 to -35 deg"
 
 
 def test_a_joint_that_must_turn_too_fast_is_told_how_long_to_take(reach, still):
     up = dataclasses.replace(still, q=posture("up", reach), duration=0.1)
-    told = wrong(reach, still, up)
-    assert any("FL_hip turns by" in text and "take at least 0.1" in text for text in told)
+    message = wrong(reach, still, up)
+    assert any("FL_hip turns by" in text and "take at least 0.1" in text for text in message)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"velocity": (0.5, 0.0)}, "velocity forward is 0.5 m/s; it must be within ±0.3"),
         ({"velocity": (0.0, 0.1)}, "velocity left is 0.1 m/s; it must be within ±0"),
@@ -61,21 +61,21 @@ def test_a_joint_that_must_turn_too_fast_is_told_how_long_to_take(reach, still):
         ({"duration": -1.0}, "it must be at least 0.1 s"),
     ],
 )
-def test_what_the_base_cannot_do_is_told(change, told, reach, still):
-    assert told in wrong(reach, dataclasses.replace(still, **change))[0]
+def test_what_the_base_cannot_do_is_reported(change, message, reach, still):
+    assert message in wrong(reach, dataclasses.replace(still, **change))[0]
 
 
-def test_a_motion_that_takes_too_long_is_told(reach, still):
+def test_a_motion_that_takes_too_long_is_reported(reach, still):
     assert wrong(reach, *[still] * 5, longest=4.0) == ["the motion takes 5 s in all; at most 4 s are played"]
 
 
-def test_arms_that_touch_are_told(reach, still):
+def test_arms_that_touch_are_reported(reach, still):
     inward = np.radians([-34.0, 45.0, -70.0, 34.0, 45.0, -70.0])
-    (told,) = wrong(reach, dataclasses.replace(still, q=inward))
-    assert "come within" in told
+    (message,) = wrong(reach, dataclasses.replace(still, q=inward))
+    assert "come within" in message
 
 
-def test_arms_that_meet_on_the_way_are_told(reach, still):
+def test_arms_that_meet_on_the_way_are_reported(reach, still):
     """Each hand goes past the other one: both ends are clear, the middle is not."""
     one = np.radians([-30.0, 100.0, -40.0, 30.0, -40.0, -40.0])
     other = one[[3, 4, 5, 0, 1, 2]] * [-1, 1, 1, -1, 1, 1]

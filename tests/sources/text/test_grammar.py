@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from mimic.errors import SourceError
-from mimic.keyframes import KeyFrames
-from mimic.robot.arms import posture
-from mimic.robot.feasible import complaints
+from mimic.io.keyframes import KeyFrames
+from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import Reach
-from mimic.sources.phrasebook import plan_by_phrasebook
+from mimic.sources.text.feasibility import complaints
+from mimic.sources.text.grammar import plan_by_grammar
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def reach() -> Reach:
 @pytest.fixture(scope="module")
 def plan(reach):
     def say(sentence: str) -> KeyFrames:
-        motion = plan_by_phrasebook(sentence, reach)
+        motion = plan_by_grammar(sentence, reach)
         assert complaints(motion, reach, 120.0) == []
         return motion
 
@@ -38,7 +38,7 @@ def test_the_paper_s_sentence_steps_stops_and_waves_the_left_hand(plan, reach):
     assert all(np.allclose(frame.q[3:], home) for frame in motion.frames)
     heights = [reach.toes(frame.q)[0, 0] for frame in motion.frames[2:]]
     assert np.ptp(heights) > 0.1
-    assert motion.planner == "phrasebook"
+    assert motion.planner == "grammar"
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,9 @@ def test_hands_stay_where_the_clause_before_left_them(plan, reach):
 
 
 @pytest.mark.parametrize(
-    ("sentence", "told"),
+    ("sentence", "message"),
     [
-        ("jump", "does not know 'jump'"),
+        ("jump", "has no word 'jump'"),
         ("wave the lft hand", "'lft' (near: lift, left"),
         ("wafe and stpe", "'wafe' (near: wave"),
         ("", "no verb"),
@@ -132,7 +132,7 @@ def test_hands_stay_where_the_clause_before_left_them(plan, reach):
         ("turn up", "not something"),
     ],
 )
-def test_what_is_not_understood_is_told_with_what_would_be(sentence, told, plan):
+def test_what_is_not_understood_is_told_with_what_would_be(sentence, message, plan):
     with pytest.raises(SourceError) as error:
         plan(sentence)
-    assert told in str(error.value)
+    assert message in str(error.value)

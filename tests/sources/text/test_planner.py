@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
-from mimic.keyframes import plain_frame
+from mimic.io.keyframes import plain_frame
 from mimic.robot.reach import Reach
-from mimic.settings import LanguageSettings
-from mimic.sources.language import CORRECTIONS, first_json, plan
-from mimic.sources.phrasebook import plan_by_phrasebook
+from mimic.sources.text.grammar import plan_by_grammar
+from mimic.sources.text.planner import CORRECTIONS, first_json, plan
 
 SENTENCE = "step forward, then wave"
 
@@ -97,7 +97,7 @@ def ask(endpoint, reach) -> Callable[..., Any]:
 @pytest.fixture(scope="module")
 def frames(reach) -> list[dict[str, Any]]:
     """Frames that can be played, as a model would give them."""
-    return [plain_frame(frame) for frame in plan_by_phrasebook(SENTENCE, reach).frames]
+    return [plain_frame(frame) for frame in plan_by_grammar(SENTENCE, reach).frames]
 
 
 def as_json(frames: list[dict[str, Any]], **change: Any) -> str:
@@ -208,22 +208,22 @@ def test_text_that_tells_the_program_what_to_do_is_only_text(ask, frames, tmp_pa
 
 def test_code_in_place_of_numbers_is_a_fault(ask, endpoint, frames):
     ask(as_json(frames, duration="__import__('os').getpid()", exec="rm -rf"), as_json(frames))
-    told = endpoint.sent[-1]["messages"][-1]["content"]
-    assert "expected a number" in told
-    assert "'exec', which is not known" in told
+    message = endpoint.sent[-1]["messages"][-1]["content"]
+    assert "expected a number" in message
+    assert "'exec', which is unknown" in message
 
 
 # ---------------------------------------------------------------------- what goes wrong on the way
 
 
 @pytest.mark.parametrize(
-    ("status", "told"),
+    ("status", "message"),
     [(429, "too many requests or no credit"), (500, "answers with an error"), (401, "does not take the key")],
 )
-def test_a_server_that_refuses_is_told(status, told, ask, endpoint):
+def test_a_server_that_refuses_is_reported(status, message, ask, endpoint):
     endpoint.answers = [status]
     settings = LanguageSettings(llm_url=endpoint.url, llm_model="canned")
-    with pytest.raises(SourceError, match=told) as error:
+    with pytest.raises(SourceError, match=message) as error:
         plan(SENTENCE, Reach(), settings)
     assert f"canned {status}" in str(error.value)
     assert len(endpoint.sent) == (1 if status == 401 else 3)
@@ -242,16 +242,16 @@ def test_a_server_that_never_answers_is_given_up(ask, endpoint):
 
 
 @pytest.mark.parametrize("payload", [b"<html>hello</html>", {"choices": []}, {"choices": None}, {"choices": [{}]}])
-def test_what_is_no_chat_is_told(payload, endpoint, reach):
+def test_what_is_no_chat_is_reported(payload, endpoint, reach):
     endpoint.answers = [payload]
-    with pytest.raises(SourceError, match=r"does not speak chat completions|no motion that can be played"):
+    with pytest.raises(SourceError, match=r"has no chat completions API|no motion that can be played"):
         plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
 
 
-def test_nobody_at_the_address_is_told(endpoint, reach):
+def test_nobody_at_the_address_is_reported(endpoint, reach):
     url = endpoint.url
     endpoint.close()
-    with pytest.raises(SourceError, match="nobody answers at"):
+    with pytest.raises(SourceError, match="no server answers at"):
         plan(SENTENCE, reach, LanguageSettings(llm_url=url, llm_model="canned"))
 
 
@@ -272,17 +272,17 @@ def test_without_the_client_the_extra_is_named(reach, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(MissingExtra, match=r"mimic\[language\]"):
+    with pytest.raises(MissingExtra, match=r"mimic-retarget\[language\]"):
         plan(SENTENCE, reach, LanguageSettings(llm_model="some"))
 
 
 # ---------------------------------------------------------------------- who speaks
 
 
-def test_without_an_endpoint_the_phrasebook_speaks(reach):
-    assert plan(SENTENCE, reach, LanguageSettings()).planner == "phrasebook"
-    asked = LanguageSettings(planner="phrasebook", llm_url="http://127.0.0.1:1/v1", llm_model="some")
-    assert plan(SENTENCE, reach, asked).planner == "phrasebook"
+def test_without_an_endpoint_the_grammar_speaks(reach):
+    assert plan(SENTENCE, reach, LanguageSettings()).planner == "grammar"
+    asked = LanguageSettings(planner="grammar", llm_url="http://127.0.0.1:1/v1", llm_model="some")
+    assert plan(SENTENCE, reach, asked).planner == "grammar"
 
 
 def test_a_sentence_that_asks_for_too_much_is_refused(reach):

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from mimic.sources.video import track_video
-from mimic.types import PoseTrack
+from mimic.records import PoseTrack
+from mimic.sources.video.video import track_video
 
-VIDEOS = Path(__file__).parents[2] / ".." / "shared" / "data" / "videos"
+VIDEOS = Path(__file__).parents[3] / ".." / "shared" / "data" / "videos"
 
 
 @pytest.fixture(scope="session")

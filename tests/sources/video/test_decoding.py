@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mimic.errors import SourceError
-from mimic.sources.decoding import MAX_SIDE, open_video, true_times
+from mimic.sources.video.decoding import MAX_SIDE, open_video, true_times
 
 
 def written(path: Path, *, frames: int = 12, size: tuple[int, int] = (64, 48), cut_at: int | None = None) -> Path:

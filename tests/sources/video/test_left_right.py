@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mimic.sources.sides import LiveSides, decide_sides, exchange_sides, other_side, side_costs
-from mimic.types import LANDMARKS
+from mimic.records import LANDMARKS
+from mimic.sources.video.left_right import LiveSides, decide_sides, other_side, side_costs, swap_sides
 
 NO_CUTS = np.array([], dtype=np.int64)
 PLACES = {"shoulder": (0.18, -0.5), "elbow": (0.3, -0.25), "wrist": (0.35, 0.0), "hip": (0.1, 0.0), "knee": (0.1, 0.45)}
@@ -31,26 +31,26 @@ def test_other_side_is_its_own_inverse_and_keeps_the_nose():
     [[], [(40, 55)], [(10, 11), (20, 21), (22, 25)], [(60, 180)], [(250, 300)]],
     ids=["never", "once", "flickering", "for four seconds", "until the end"],
 )
-def test_exchanged_stretches_are_found_exactly(stretches):
+def test_swapped_intervals_are_found_exactly(stretches):
     t = np.arange(300) / 30
     truth = np.zeros(300, dtype=bool)
     for start, end in stretches:
         truth[start:end] = True
-    seen = exchange_sides(person(t), truth)
+    seen = swap_sides(person(t), truth)
     np.testing.assert_array_equal(decide_sides(t, seen, NO_CUTS), truth)
-    np.testing.assert_array_equal(exchange_sides(seen, truth), person(t))
+    np.testing.assert_array_equal(swap_sides(seen, truth), person(t))
 
 
 def test_a_first_frame_that_is_wrong_does_not_decide_the_clip():
     t = np.arange(90) / 30
     truth = np.arange(90) < 8
-    np.testing.assert_array_equal(decide_sides(t, exchange_sides(person(t), truth), NO_CUTS), truth)
+    np.testing.assert_array_equal(decide_sides(t, swap_sides(person(t), truth), NO_CUTS), truth)
 
 
 def test_gaps_are_bridged_and_rows_without_a_person_stay_unmarked():
     t = np.arange(120) / 30
     truth = (np.arange(120) >= 50) & (np.arange(120) < 70)
-    seen = exchange_sides(person(t), truth)
+    seen = swap_sides(person(t), truth)
     seen[58:62] = np.nan
     expected = truth.copy()
     expected[58:62] = False
@@ -83,13 +83,13 @@ def test_row_by_row_a_lasting_exchange_is_put_right_and_its_end_is_seen():
     t = np.arange(300) / 30
     truth = (t >= 5) & (t < 7)
     sides = LiveSides()
-    seen = exchange_sides(person(t), truth)
+    seen = swap_sides(person(t), truth)
     decided = np.array([sides.decide(time, row) for time, row in zip(t, seen, strict=True)])
     np.testing.assert_array_equal(decided, truth)
 
 
-def test_row_by_row_nothing_is_exchanged_after_a_long_gap():
+def test_row_by_row_nothing_is_swapped_after_a_long_gap():
     rows, both = person(np.arange(2) / 30), np.ones(1, dtype=bool)
     sides = LiveSides()
     assert not sides.decide(0.0, rows[0])
-    assert not sides.decide(5.0, exchange_sides(rows[1:], both)[0])
+    assert not sides.decide(5.0, swap_sides(rows[1:], both)[0])

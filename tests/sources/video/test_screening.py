@@ -1,7 +1,7 @@
 import numpy as np
 
-from mimic.sources.screening import jump_share, person_rows, shot_starts, upside_down
-from mimic.types import LANDMARKS
+from mimic.records import LANDMARKS
+from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
 
 SIZE = (640, 480)
 

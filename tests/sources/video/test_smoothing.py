@@ -1,6 +1,6 @@
 import numpy as np
 
-from mimic.sources.smoothing import smooth
+from mimic.sources.video.smoothing import smooth
 
 NO_CUTS = np.array([], dtype=np.int64)
 

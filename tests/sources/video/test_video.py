@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
-from mimic.settings import PoseSettings
-from mimic.sources.video import pose_cache_key, track_video
-from mimic.types import PoseTrack
+from mimic.records import PoseTrack
+from mimic.sources.video.video import pose_cache_key, track_video
 
 Clip = Callable[[str], Path]
 Tracked = Callable[[str], PoseTrack]
@@ -39,6 +39,7 @@ def at_times(pose: PoseTrack, t: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "least_up"), [("boxing", 0.85), ("wave", 0.97)])
 @pytest.mark.parametrize("side", [0, 1], ids=["left", "right"])
+@pytest.mark.slow
 def test_wrists_follow_the_rendered_truth_in_the_image_plane(clip: Clip, tracked: Tracked, name, least_up, side):
     pose = tracked(f"rendered/{name}.mp4")
     truth = np.load(clip(f"rendered/{name}.npz"))
@@ -52,7 +53,8 @@ def test_wrists_follow_the_rendered_truth_in_the_image_plane(clip: Clip, tracked
     assert up >= least_up
 
 
-def test_a_real_view_with_exchanged_sides_agrees_with_triangulation(clip: Clip, tracked: Tracked):
+@pytest.mark.slow
+def test_a_real_view_with_swapped_sides_agrees_with_triangulation(clip: Clip, tracked: Tracked):
     pose = tracked("real/multiview/cam02.mp4")
     world = np.load(clip("real/multiview/triangulated_blazepose.npz"))["xyz"]
     calibration = ElementTree.parse(clip("real/multiview/Calib.qca.txt"))
@@ -69,9 +71,10 @@ def test_a_real_view_with_exchanged_sides_agrees_with_triangulation(clip: Clip, 
     assert np.nanmean(np.linalg.norm(places(pose, "left_wrist", "right_wrist") - from_hip, axis=-1)) < 0.200
     assert np.nanmean(np.linalg.norm(arms(pose) - from_shoulder, axis=-1)) < 0.200
     assert pose.swapped.sum() == 32
-    assert any("exchanged left and right in 32 of 100" in w for w in pose.warnings)
+    assert any("swapped left and right in 32 of 100" in w for w in pose.warnings)
 
 
+@pytest.mark.slow
 def test_dropped_frames_give_the_same_curve_at_the_true_times(tracked: Tracked):
     whole, dropped = tracked("real/01_asl_walk.mkv"), tracked("nasty/vfr_dropped_frames.mp4")
     assert len(dropped.t) == 53
@@ -94,6 +97,7 @@ def test_dropped_frames_give_the_same_curve_at_the_true_times(tracked: Tracked):
         ("nasty/upside_down.mp4", 89),
     ],
 )
+@pytest.mark.slow
 def test_a_person_is_tracked_in_every_frame(tracked: Tracked, name, frames):
     pose = tracked(name)
     assert len(pose.t) == frames
@@ -103,11 +107,13 @@ def test_a_person_is_tracked_in_every_frame(tracked: Tracked, name, frames):
     assert not any("cuts" in w or "jumps" in w for w in pose.warnings)
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_announced_and_missing_is_reported(tracked: Tracked):
     assert any("110 frames and only 109" in w for w in tracked("real/02_asl_book.mkv").warnings)
     assert tracked("real/01_asl_walk.mkv").warnings == ()
 
 
+@pytest.mark.slow
 def test_a_truncated_file_is_read_to_its_end_and_reported(clip: Clip, tmp_path):
     whole = clip("real/03_asl_please.mkv").read_bytes()
     path = tmp_path / "part.mkv"
@@ -117,12 +123,14 @@ def test_a_truncated_file_is_read_to_its_end_and_reported(clip: Clip, tmp_path):
     assert any("its end may be missing" in w for w in pose.warnings)
 
 
+@pytest.mark.slow
 def test_a_mirrored_clip_exchanges_the_arms(tracked: Tracked):
     plain, mirrored = arms(tracked("real/01_asl_walk.mkv")), arms(tracked("nasty/mirrored.mp4"))
     error = (mirrored - plain[:, ::-1] * (-1, 1, 1))[..., :2]
     assert np.linalg.norm(error, axis=-1).mean() < 0.050
 
 
+@pytest.mark.slow
 def test_an_upside_down_clip_is_tracked_as_it_is_shown(tracked: Tracked):
     turned = tracked("nasty/upside_down.mp4")
     error = (arms(turned) - arms(tracked("real/01_asl_walk.mkv")) * (-1, -1, 1))[..., :2]
@@ -130,6 +138,7 @@ def test_an_upside_down_clip_is_tracked_as_it_is_shown(tracked: Tracked):
     assert any("below the hips" in w for w in turned.warnings)
 
 
+@pytest.mark.slow
 def test_a_cut_to_another_person_is_reported_with_its_time(tracked: Tracked):
     assert any("cuts at 2.43 s" in w for w in tracked("nasty/cut_two_people.mp4").warnings)
 
@@ -144,6 +153,7 @@ def test_a_cut_to_another_person_is_reported_with_its_time(tracked: Tracked):
         ("real/15_no_person_bottles.mp4", "shows no person"),
     ],
 )
+@pytest.mark.slow
 def test_what_cannot_give_a_motion_is_refused_in_one_line(clip: Clip, capfd, name, reason):
     with pytest.raises(SourceError, match=reason) as refusal:
         track_video(clip(name))

@@ -1,4 +1,4 @@
-"""The fit of the declared numbers."""
+"""The fit of the baseline parameters."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.declared import fit_declared, problem_of
-from mimic.calibrate.fit import fit
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.replay import Replay
-from mimic.calibrate.simulate import simulate_log
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.excitation import hung_ranges, probe_targets
+from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, read_machine
 from mimic.robot.description import load_description
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import DECLARED
-from mimic.robot.excitation import hung_ranges, probe_targets
-from mimic.robot.machine import MachineModel, as_logged, hung_robot, read_machine
-from mimic.settings import CalibrateSettings, LogSettings
+from mimic.sysid.fit.baseline import fit_baseline, problem_of
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.simulate import simulate_log
 
 ARM = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
@@ -26,7 +26,7 @@ ARM = """<mujoco><worldbody>
 <body name="b" pos="0 0 -0.2"><joint name="b" axis="1 0 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
 <inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></body></worldbody></mujoco>"""
 
-FAR = (
+FAR_FROM_MODEL = (
     EffectValues(name="coulomb", joints=("a", "b"), values={"level": np.array([0.3, 0.02])}),
     EffectValues(name="viscous", joints=("a", "b"), values={"coefficient": np.array([0.3, 0.01])}),
     EffectValues(name="link_mass", joints=("a", "b"), values={"factor": np.array([2.2, 0.5])}),
@@ -45,16 +45,17 @@ def posed(tmp_path: Path, seconds: float, rests: float = 0.0) -> tuple[Problem, 
     waves = [0.5 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.4, 0.9, 1.7))]
     q_des = np.sum(waves, axis=0)
     q_des[t < rests, 1] = 0.1
-    log = simulate_log(arm, t, q_des, EffectSet(FAR), LogSettings(seed=4, timestep=0.001))
+    log = simulate_log(arm, t, q_des, EffectSet(FAR_FROM_MODEL), LogSettings(seed=4, timestep=0.001))
     replay = Replay(arm, log, timestep=0.0025)
     problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
-    return problem, Point.of(DECLARED, arm)
+    return problem, Point.of(BASELINE, arm)
 
 
 def squares(problem: Problem, residual: np.ndarray) -> float:
     return float(problem.block_squares(residual)[problem.blocks.train].sum())
 
 
+@pytest.mark.slow
 def test_it_goes_on_as_long_as_that_pays() -> None:
     """Else any effect that lets it go on seems to explain something. Five steps leave a seventh more here."""
     robot, rng = hung_robot(load_description()), np.random.default_rng(4)
@@ -69,11 +70,12 @@ def test_it_goes_on_as_long_as_that_pays() -> None:
     log = simulate_log(robot, motion.t, motion.q_des, EffectSet(tuple(hidden)), LogSettings(seed=4, timestep=0.0005))
     log = replace(log, tau=None)
     problem = problem_of(log, as_logged(robot, log.metadata), CalibrateSettings())
-    fitted = fit_declared(problem, Point.of(DECLARED, problem.machine), DECLARED, {})
-    again = fit(problem, fitted.point, DECLARED, {}, most=3)
+    fitted = fit_baseline(problem, Point.of(BASELINE, problem.machine), BASELINE, {})
+    again = fit(problem, fitted.point, BASELINE, {}, most=3)
     assert squares(problem, fitted.residual) < 1.005 * squares(problem, again.residual)
 
 
+@pytest.mark.slow
 def test_a_part_of_a_log_leaves_what_the_whole_leaves_there(tmp_path: Path) -> None:
     problem, start = posed(tmp_path, 40.0)
     part = problem.of_beginning(3000)
@@ -84,6 +86,7 @@ def test_a_part_of_a_log_leaves_what_the_whole_leaves_there(tmp_path: Path) -> N
     assert np.abs(whole - there)[counts].max() < 0.02 * np.abs(whole[counts]).max()
 
 
+@pytest.mark.slow
 def test_a_long_log_is_replayed_whole_for_the_last_steps_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     problem, start = posed(tmp_path, 45.0)
     run, lengths = Replay.run, []
@@ -93,19 +96,20 @@ def test_a_long_log_is_replayed_whole_for_the_last_steps_only(tmp_path: Path, mo
         return run(self, parameters, count, *rest, **more)
 
     monkeypatch.setattr(Replay, "run", counted)
-    fitted = fit_declared(problem, start, DECLARED, {})
+    fitted = fit_baseline(problem, start, BASELINE, {})
     share = np.mean(np.array(lengths) == len(problem.replay.log.t))
     monkeypatch.undo()
     assert 0.0 < share < 0.5
-    alone = fit(problem, start, DECLARED, {}, most=20)
+    alone = fit(problem, start, BASELINE, {}, most=20)
     assert squares(problem, fitted.residual) < 1.005 * squares(problem, alone.residual)
 
 
+@pytest.mark.slow
 def test_a_joint_that_rests_in_the_beginning_is_not_bent_there(tmp_path: Path) -> None:
     problem, start = posed(tmp_path, 40.0, rests=16.0)
     part = problem.of_beginning(3000)
-    begun = fit(part, start, DECLARED, {}, most=10).point
+    begun = fit(part, start, BASELINE, {}, most=10).point
     assert begun.values["viscous", "coefficient"][1] < 0.5  # by its own scales it would be 1.04 there; true is 0.01
-    fitted = fit_declared(problem, start, DECLARED, {})
+    fitted = fit_baseline(problem, start, BASELINE, {})
     assert fitted.point.values["viscous", "coefficient"] == pytest.approx([0.3, 0.01], abs=0.01)
     assert fitted.point.values["link_mass", "factor"] == pytest.approx([2.2, 0.5], rel=0.05)

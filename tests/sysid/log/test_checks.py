@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mimic.calibrate.checks import belongs, check_log
-from mimic.calibrate.problems import units
-from mimic.calibrate.signals import period
-from mimic.calibrate.unread import read
 from mimic.errors import CalibrationError
-from mimic.machine_log import MachineLog, read_log, write_log
-from mimic.types import FloatArray
+from mimic.io.joint_log import JointLog, read_log, write_log
+from mimic.records import FloatArray
+from mimic.sysid.log.checks import check_log, targets_match_log
+from mimic.sysid.log.faults import units
+from mimic.sysid.log.missing import valid_samples
+from mimic.sysid.log.noise import period
 
 JOINTS = ("hip", "knee", "ankle")
 NOISE = 0.0004
@@ -30,7 +30,7 @@ def targets(t: FloatArray) -> FloatArray:
     return np.stack(columns, -1)
 
 
-def made_log(seconds: float = 30.0, rate: float = 200.0, noise: float = NOISE, q_des: Any = None) -> MachineLog:
+def made_log(seconds: float = 30.0, rate: float = 200.0, noise: float = NOISE, q_des: Any = None) -> JointLog:
     """Return the log of the machine; ``q_des`` takes times and returns targets."""
     dt = 0.001
     fine = np.arange(0.0, seconds + dt / 2, dt)
@@ -43,10 +43,10 @@ def made_log(seconds: float = 30.0, rate: float = 200.0, noise: float = NOISE, q
     every = round(1.0 / rate / dt)
     read = np.array(rows)[::every]
     read = read + noise * np.random.default_rng(3).standard_normal(read.shape)
-    return MachineLog(joints=JOINTS, t=fine[::every], q=read, q_des=wanted[::every], metadata={"kp": 30.0, "kd": 1.5})
+    return JointLog(joints=JOINTS, t=fine[::every], q=read, q_des=wanted[::every], metadata={"kp": 30.0, "kd": 1.5})
 
 
-def changed(log: MachineLog, channel: str, joint: str, values: Any) -> MachineLog:
+def changed(log: JointLog, channel: str, joint: str, values: Any) -> JointLog:
     """Return the log with one column replaced by ``values(column)``."""
     array = np.array(getattr(log, channel))
     i = log.joints.index(joint)
@@ -58,7 +58,7 @@ LIMITS = np.array([[-1.0, 1.0]] * 3)
 
 
 @pytest.fixture(scope="module")
-def log() -> MachineLog:
+def log() -> JointLog:
     return made_log()
 
 
@@ -69,14 +69,14 @@ def only(warnings: tuple[str, ...], word: str) -> str:
     return warnings[0]
 
 
-def test_a_good_log_has_no_warnings(log: MachineLog) -> None:
+def test_a_good_log_has_no_warnings(log: JointLog) -> None:
     facts = check_log(log, LIMITS)
     assert facts.warnings == ()
     assert facts.moves.all()
-    assert belongs(log) == (True, "")
+    assert targets_match_log(log) == (True, "")
 
 
-def test_the_noise_floor_is_that_of_the_readings(log: MachineLog) -> None:
+def test_the_noise_floor_is_that_of_the_readings(log: JointLog) -> None:
     assert check_log(log).noise == pytest.approx([NOISE] * 3, rel=0.2)
 
 
@@ -104,11 +104,11 @@ def test_a_repeated_excitation_gives_the_repeatability() -> None:
     assert facts.repeatability == pytest.approx([NOISE] * 3, rel=0.1)
 
 
-def test_an_excitation_that_never_comes_again_gives_none(log: MachineLog) -> None:
+def test_an_excitation_that_never_comes_again_gives_none(log: JointLog) -> None:
     assert check_log(log).repeat is None
 
 
-def test_a_motion_that_repeats_has_a_period(log: MachineLog) -> None:
+def test_a_motion_that_repeats_has_a_period(log: JointLog) -> None:
     again = made_log(seconds=26.0, q_des=lambda t: targets(np.mod(t, 6.24)))
     assert again.q_des is not None
     assert log.q_des is not None
@@ -116,53 +116,53 @@ def test_a_motion_that_repeats_has_a_period(log: MachineLog) -> None:
     assert period(log.t, log.q_des) is None
 
 
-def test_the_lag_is_that_of_the_drive(log: MachineLog) -> None:
+def test_the_lag_is_that_of_the_drive(log: JointLog) -> None:
     late = replace(log, q_des=np.roll(log.q_des, -6, axis=0))  # type: ignore[arg-type]
     assert check_log(late).lag - check_log(log).lag == pytest.approx([0.03] * 3, abs=0.002)
 
 
-def test_too_short(log: MachineLog) -> None:
+def test_too_short(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"lasts 9\.9\d s .* 10 s are needed"):
         check_log(log.part(slice(0, 1990)))
     check_log(log.part(slice(0, 1997)))  # what `mimic log simulate --seconds 10` makes
 
 
-def test_one_row(log: MachineLog) -> None:
+def test_one_row(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match="has 1 rows"):
         check_log(log.part(slice(0, 1)))
 
 
-def test_milliseconds(log: MachineLog) -> None:
+def test_milliseconds(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"divide it by 1000"):
         check_log(replace(log, t=1000 * log.t))
 
 
-def test_a_clock_that_goes_back_is_named_with_its_row(log: MachineLog) -> None:
+def test_a_clock_that_goes_back_is_named_with_its_row(log: JointLog) -> None:
     t = np.array(log.t)
     t[500:] -= 1.0
     with pytest.raises(CalibrationError, match=r"goes back in row 501, from 2\.4950 s to 1\.5000 s"):
         check_log(replace(log, t=t))
 
 
-def test_lost_rows_are_counted_and_placed(log: MachineLog) -> None:
+def test_lost_rows_are_counted_and_placed(log: JointLog) -> None:
     facts = check_log(log.part(np.delete(np.arange(len(log.t)), np.arange(1000, 1100))))
     warning = only(facts.warnings, "about 100 readings are missing (1.7%)")
     assert "505 ms at t = 5.00 s" in warning
 
 
-def test_rows_with_the_same_time_are_left_out(log: MachineLog) -> None:
+def test_rows_with_the_same_time_are_left_out(log: JointLog) -> None:
     facts = check_log(log.part(np.sort(np.concatenate([np.arange(len(log.t)), np.arange(100, 110)]))))
     only(facts.warnings, "10 rows have the same time")
     assert np.array_equal(facts.log.t, log.t)
 
 
-def test_rows_that_repeat_the_reading_before(log: MachineLog) -> None:
+def test_rows_that_repeat_the_reading_before(log: JointLog) -> None:
     slow = replace(log, q=np.repeat(log.q[::2], 2, axis=0)[: len(log.t)])
     assert any("repeat the reading before" in w for w in check_log(slow).warnings)
 
 
-def test_some_nan_rows_are_left_out_and_many_refused(log: MachineLog) -> None:
-    def broken(rows: slice) -> MachineLog:
+def test_some_nan_rows_are_left_out_and_many_refused(log: JointLog) -> None:
+    def broken(rows: slice) -> JointLog:
         q = np.array(log.q)
         q[rows, 1] = np.nan
         return replace(log, q=q)
@@ -170,34 +170,34 @@ def test_some_nan_rows_are_left_out_and_many_refused(log: MachineLog) -> None:
     facts = check_log(broken(slice(200, 204)))
     assert facts.log.q_des is not None
     assert np.array_equal(facts.log.q_des, log.q_des), "what was asked acted all the same"
-    assert np.flatnonzero(~read(facts.log)).tolist() == [200, 201, 202, 203]
+    assert np.flatnonzero(~valid_samples(facts.log)).tolist() == [200, 201, 202, 203]
     assert np.isfinite(facts.log.q).all()
     assert "4 rows (0.1%) hold something that is not a number" in facts.warnings[0]
     with pytest.raises(CalibrationError, match=r"q\.knee is not a number in 67% of the rows"):
         check_log(broken(slice(0, 4000)))
 
 
-def test_rows_without_a_target_are_left_out(log: MachineLog) -> None:
+def test_rows_without_a_target_are_left_out(log: JointLog) -> None:
     facts = check_log(changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 300, np.nan, x)))
     assert len(facts.log.t) == len(log.t) - 1
 
 
-def test_answers_of_another_time_are_left_out_but_not_their_targets(log: MachineLog) -> None:
+def test_answers_of_another_time_are_left_out_but_not_their_targets(log: JointLog) -> None:
     rng = np.random.default_rng(0)
     came = log.t + 0.003 + 1e-4 * rng.standard_normal(len(log.t))
     came[500] += 0.004  # waited for
     came[700] -= 0.0025  # the answer to the row before
     facts = check_log(replace(log, extra={"t_receive.knee": came}))
-    assert np.flatnonzero(~read(facts.log)).tolist() == [500, 700]
+    assert np.flatnonzero(~valid_samples(facts.log)).tolist() == [500, 700]
     assert np.array_equal(facts.log.t, log.t)
     assert any("answered at another time than the others; left out" in w for w in facts.warnings)
 
 
-def test_a_channel_of_nan_is_as_good_as_none(log: MachineLog) -> None:
+def test_a_channel_of_nan_is_as_good_as_none(log: JointLog) -> None:
     assert check_log(replace(log, tau=np.full_like(log.q, np.nan))).log.tau is None
 
 
-def test_frozen_and_clipped_readings_are_told_apart(log: MachineLog) -> None:
+def test_frozen_and_clipped_readings_are_told_apart(log: JointLog) -> None:
     def freeze(x: np.ndarray) -> np.ndarray:
         x[2000:2200] = x[2000]
         return x
@@ -209,7 +209,7 @@ def test_frozen_and_clipped_readings_are_told_apart(log: MachineLog) -> None:
     only(clipped.warnings, "q.hip stays at its highest value, 0.1")
 
 
-def test_a_joint_that_rests_until_it_is_asked_to_move_is_not_frozen(log: MachineLog) -> None:
+def test_a_joint_that_rests_until_it_is_asked_to_move_is_not_frozen(log: JointLog) -> None:
     def rest(x: np.ndarray) -> np.ndarray:
         x[2000:2080] = x[2081] - 0.3 * np.ptp(x)
         return x
@@ -223,35 +223,35 @@ def test_a_joint_that_rests_until_it_is_asked_to_move_is_not_frozen(log: Machine
     assert not any("q.knee is frozen" in w for w in facts.warnings)
 
 
-def test_a_dead_encoder(log: MachineLog) -> None:
+def test_a_dead_encoder(log: JointLog) -> None:
     facts = check_log(changed(log, "q", "ankle", lambda x: 0 * x + 0.3))
     assert any("q.ankle reads 0.3 for the whole log" in w for w in facts.warnings)
 
 
-def test_a_wrong_sign_is_named_with_its_joint(log: MachineLog) -> None:
+def test_a_wrong_sign_is_named_with_its_joint(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"knee moves against its target .* multiply q\.knee") as refusal:
         check_log(changed(log, "q", "knee", lambda x: -x))
     assert "hip" not in str(refusal.value)
 
 
-def test_swapped_joints_are_named(log: MachineLog) -> None:
+def test_swapped_joints_are_named(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"exchange q\.hip and q\.ankle"):
         check_log(replace(log, q=log.q[:, [2, 1, 0]]))
 
 
-def test_swapped_joints_with_a_sign(log: MachineLog) -> None:
+def test_swapped_joints_with_a_sign(log: JointLog) -> None:
     q = np.stack([-log.q[:, 1], log.q[:, 0], log.q[:, 2]], -1)
     with pytest.raises(CalibrationError, match=r"hip follows the target of knee, with the other sign .* exchange"):
         check_log(replace(log, q=q))
 
 
-def test_three_joints_in_a_circle_are_each_named(log: MachineLog) -> None:
+def test_three_joints_in_a_circle_are_each_named(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"name q\.hip q\.knee") as refusal:
         check_log(replace(log, q=log.q[:, [1, 2, 0]]))
     assert len(str(refusal.value).splitlines()) == 3
 
 
-def test_degrees(log: MachineLog) -> None:
+def test_degrees(log: JointLog) -> None:
     degrees = replace(log, q=np.rad2deg(log.q), q_des=np.rad2deg(log.q_des))  # type: ignore[arg-type]
     with pytest.raises(CalibrationError, match=r"seems to be in degrees; multiply by pi/180"):
         check_log(degrees, LIMITS)
@@ -262,76 +262,76 @@ def test_degrees(log: MachineLog) -> None:
         check_log(degrees)
 
 
-def test_many_turns_are_no_degrees_if_the_notes_say_so(log: MachineLog) -> None:
+def test_many_turns_are_no_degrees_if_the_notes_say_so(log: JointLog) -> None:
     far = replace(log, q=60 * log.q, q_des=60 * log.q_des)  # type: ignore[operator]
     with pytest.raises(CalibrationError, match='"units": "deg" into its notes'):
         check_log(far)
     check_log(replace(far, metadata={**log.metadata, "units": "rad"}))
 
 
-def test_a_torque_that_never_changes_is_none(log: MachineLog) -> None:
+def test_a_torque_that_never_changes_is_none(log: JointLog) -> None:
     facts = check_log(replace(log, tau=np.zeros_like(log.q)))
     assert facts.log.tau is None
     assert any("torque never changes" in w for w in facts.warnings)
 
 
-def test_a_torque_with_missing_values_in_each_joint_is_kept(log: MachineLog) -> None:
+def test_a_torque_with_missing_values_in_each_joint_is_kept(log: JointLog) -> None:
     tau = np.where(np.arange(len(log.t))[:, None] == [100, 200, 300], np.nan, log.q)
     facts = check_log(replace(log, tau=tau))
     assert facts.log.tau is not None
     assert not any("torque never changes" in w for w in facts.warnings)
 
 
-def test_a_single_corrupt_reading_is_left_out_and_told(log: MachineLog) -> None:
+def test_a_single_corrupt_reading_is_left_out_and_told(log: JointLog) -> None:
     q = np.array(log.q)
     q[501, 1] = 1e6
     q[900, 0] += 2.0
     facts = check_log(replace(log, q=q), LIMITS)
     assert any("2 rows" in w and "such as q.knee 1e+06 at t = 2.505 s" in w for w in facts.warnings)
-    assert not read(facts.log)[[501, 900]].any()
-    assert read(facts.log).sum() == len(log.t) - 2
+    assert not valid_samples(facts.log)[[501, 900]].any()
+    assert valid_samples(facts.log).sum() == len(log.t) - 2
     assert np.abs(facts.log.q).max() < 1.0
 
 
-def test_fast_moves_are_no_corrupt_readings(log: MachineLog) -> None:
-    assert read(check_log(log, LIMITS).log).all()
+def test_fast_moves_are_no_corrupt_readings(log: JointLog) -> None:
+    assert valid_samples(check_log(log, LIMITS).log).all()
 
 
-def test_what_is_not_a_number_is_told_by_its_first_place(log: MachineLog) -> None:
+def test_what_is_not_a_number_is_told_by_its_first_place(log: JointLog) -> None:
     gap = changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 400, np.nan, x))
     assert any("first of them q_des.knee at t = 2.000 s" in w for w in check_log(gap, LIMITS).warnings)
 
 
-def test_joints_that_do_not_move_are_in_no_other_unit(log: MachineLog) -> None:
+def test_joints_that_do_not_move_are_in_no_other_unit(log: JointLog) -> None:
     noise = 1e-3 * np.random.default_rng(0).standard_normal(log.q.shape)
     with contextlib.suppress(CalibrationError):
         assert not any("thousandths" in w for w in check_log(replace(log, q=noise), LIMITS).warnings)
     assert not list(units(replace(log, q=noise), LIMITS, "rad"))
 
 
-def test_one_joint_in_degrees(log: MachineLog) -> None:
+def test_one_joint_in_degrees(log: JointLog) -> None:
     knee = changed(changed(log, "q", "knee", np.rad2deg), "q_des", "knee", np.rad2deg)
     with pytest.raises(CalibrationError, match=r"q\.knee reaches .* seems to be in degrees"):
         check_log(knee, LIMITS)
 
 
-def test_velocities_that_are_missing_lose_no_rows(log: MachineLog) -> None:
+def test_velocities_that_are_missing_lose_no_rows(log: JointLog) -> None:
     facts = check_log(replace(log, dq=np.where(np.arange(len(log.t))[:, None] % 3, np.nan, log.q)))
     assert len(facts.log.t) == len(log.t)
     assert not any("not a number" in w for w in facts.warnings)
 
 
-def test_degrees_in_one_channel(log: MachineLog) -> None:
+def test_degrees_in_one_channel(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"divide q by 57\.2958"):
         check_log(changed(log, "q", "hip", np.rad2deg))
 
 
-def test_an_encoder_that_wraps_around(log: MachineLog) -> None:
+def test_an_encoder_that_wraps_around(log: JointLog) -> None:
     with pytest.raises(CalibrationError, match=r"q\.hip jumps by .* unwrap"):
         check_log(changed(log, "q", "hip", lambda x: np.where(x > 0.2, x - 2 * np.pi, x)))
 
 
-def test_an_idle_joint_and_a_still_machine(log: MachineLog) -> None:
+def test_an_idle_joint_and_a_still_machine(log: JointLog) -> None:
     facts = check_log(changed(log, "q_des", "knee", lambda x: 0 * x))
     assert any("the target of knee never moves" in w for w in facts.warnings)
     assert list(facts.moves) == [True, False, True]
@@ -353,26 +353,26 @@ def test_sliding_joints_need_no_poses() -> None:
     assert not any("static poses" in w for w in check_log(small, unit="m").warnings)
 
 
-def test_targets_beyond_the_limits(log: MachineLog) -> None:
+def test_targets_beyond_the_limits(log: JointLog) -> None:
     tight = np.array([[-1.0, 1.0], [-0.3, 0.3], [-np.inf, np.inf]])
     only(check_log(log, tight).warnings, "the target of knee is beyond its limits (-0.300 to 0.300)")
 
 
-def test_a_motor_at_its_limit(log: MachineLog) -> None:
+def test_a_motor_at_its_limit(log: JointLog) -> None:
     tau = np.clip(30 * (log.q_des - log.q), -2.0, 2.0)  # type: ignore[operator]
     warnings = check_log(replace(log, tau=tau)).warnings
     assert any("is at its limit, 2" in w for w in warnings)
     assert not any("limit" in w for w in check_log(replace(log, tau=tau), torque=np.full(3, 17.0)).warnings)
 
 
-def test_all_reasons_are_given_at_once(log: MachineLog) -> None:
+def test_all_reasons_are_given_at_once(log: JointLog) -> None:
     bad = changed(changed(log, "q", "hip", lambda x: -x), "q", "ankle", lambda x: -x)
     with pytest.raises(CalibrationError) as refusal:
         check_log(bad)
     assert len(str(refusal.value).splitlines()) == 2
 
 
-def test_targets_of_another_time_do_not_belong(log: MachineLog) -> None:
+def test_targets_of_another_time_do_not_belong(log: JointLog) -> None:
     targets_ = log.q_des
     assert targets_ is not None
     shuffled = np.random.default_rng(0).permutation(targets_)
@@ -381,23 +381,23 @@ def test_targets_of_another_time_do_not_belong(log: MachineLog) -> None:
         (shuffled, "do not follow"),
         (np.roll(targets_, 1000, axis=0), "s after them"),
     ):
-        fits, why = belongs(replace(log, q_des=wrong))
+        fits, why = targets_match_log(replace(log, q_des=wrong))
         assert not fits
         assert reason in why
-    fits, why = belongs(replace(log, q=log.q[::-1], q_des=targets_[::-1]))
+    fits, why = targets_match_log(replace(log, q=log.q[::-1], q_des=targets_[::-1]))
     assert not fits
     assert "backwards in time" in why
 
 
-def test_a_log_of_forces_has_no_targets_to_follow(log: MachineLog) -> None:
+def test_a_log_of_forces_has_no_targets_to_follow(log: JointLog) -> None:
     forces = replace(log, q_des=None, force=log.q)
     facts = check_log(forces)
     assert np.isnan(facts.correlation).all()
-    assert belongs(forces) == (True, "")
+    assert targets_match_log(forces) == (True, "")
 
 
 @pytest.fixture(scope="module")
-def go2() -> MachineLog:
+def go2() -> JointLog:
     path = Path("../shared/data/logs/go2_air_chirp/log.parquet")
     if not path.exists():
         pytest.skip(f"{path} is not here")
@@ -406,30 +406,30 @@ def go2() -> MachineLog:
     table = pq.read_table(path)
     joints = tuple(n[2:] for n in table.column_names if n.startswith("q_"))
     columns = {c: np.stack([table[f"{c}_{j}"].to_numpy() for j in joints], -1) for c in ("q", "qdes")}
-    return MachineLog(joints=joints, t=table["t"].to_numpy(), q=columns["q"], q_des=columns["qdes"])
+    return JointLog(joints=joints, t=table["t"].to_numpy(), q=columns["q"], q_des=columns["qdes"])
 
 
-def test_a_hung_quadruped_is_usable(go2: MachineLog) -> None:
+def test_a_hung_quadruped_is_usable(go2: JointLog) -> None:
     facts = check_log(go2)
     assert ((facts.noise > 2e-4) & (facts.noise < 2e-3)).all()
     assert (facts.correlation > 0.95).all()
-    assert belongs(go2) == (True, "")
+    assert targets_match_log(go2) == (True, "")
 
 
-def test_its_targets_in_another_order_are_refused(go2: MachineLog) -> None:
+def test_its_targets_in_another_order_are_refused(go2: JointLog) -> None:
     assert go2.q_des is not None
     shuffled = np.random.default_rng(0).permutation(go2.q_des)
-    assert not belongs(replace(go2, q_des=shuffled))[0]
-    assert not belongs(replace(go2, q_des=go2.q_des[::-1]))[0]
+    assert not targets_match_log(replace(go2, q_des=shuffled))[0]
+    assert not targets_match_log(replace(go2, q_des=go2.q_des[::-1]))[0]
 
 
-def test_a_stored_log_is_the_log_checked(log: MachineLog, tmp_path: Path) -> None:
+def test_a_stored_log_is_the_log_checked(log: JointLog, tmp_path: Path) -> None:
     again = read_log(write_log(log, tmp_path / "log.csv"))
     assert again.joints == JOINTS
     assert check_log(again).noise == pytest.approx(check_log(log).noise, rel=1e-4)
 
 
-def test_joints_that_follow_badly_share_a_line(log: MachineLog) -> None:
+def test_joints_that_follow_badly_share_a_line(log: JointLog) -> None:
     assert log.q_des is not None
     shuffled = replace(log, q_des=np.random.default_rng(0).permutation(log.q_des))
     warning = only(check_log(shuffled).warnings, "hip, knee, ankle: target badly followed")

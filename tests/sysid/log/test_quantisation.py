@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mimic.calibrate.rounding import coarse_steps
-from mimic.types import FloatArray
+from mimic.records import FloatArray
+from mimic.sysid.log.quantisation import coarse_steps
 
 NOISE = 0.35e-3
 RATE = 200.0

@@ -7,32 +7,46 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.calibrate.replay import Replay
-from mimic.calibrate.simulate import simulate_log
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.machine import read_machine
-from mimic.settings import LogSettings
+from mimic.config.sysid import LogSettings
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.io.joint_log import JointLog
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.simulate import simulate_log
 
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.1"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>
 <actuator><position joint="hinge" kp="30" kv="1.5"/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize("timestep", [0.0025, 0.0021, 0.0017])
-def test_readings_between_two_steps_are_predicted_at_their_own_time(tmp_path: Path, timestep: float) -> None:
-    """At 4 rad/s, a reading taken for one a step later would be off by 8 mrad."""
-    (tmp_path / "robot.xml").write_text(PENDULUM)
-    machine = read_machine(tmp_path / "robot.xml")
-    t = np.arange(0.0, 12.0, 0.02)
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    path = tmp_path_factory.mktemp("model") / "robot.xml"
+    path.write_text(PENDULUM)
+    return read_machine(path)
+
+
+@pytest.fixture(scope="module")
+def swing(pendulum: MachineModel) -> JointLog:
+    """Return 8 s of a sine wave of 4 rad/s, without noise."""
+    t = np.arange(0.0, 8.0, 0.02)
     target = 0.8 * np.sin(5.0 * t)[:, None]
-    log = simulate_log(machine, t, target, EffectSet(), LogSettings(noise=0.0, resolution=0.0))
-    residual = (
-        Replay(machine, log, timestep=timestep, threads=1).run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
+    return simulate_log(
+        pendulum, t, target, EffectSet(), LogSettings(noise=0.0, resolution=0.0, timestep=0.0005, rate_hz=200.0)
     )
+
+
+@pytest.mark.parametrize("timestep", [0.0025, 0.0021, 0.0017])
+def test_readings_between_two_steps_are_predicted_at_their_own_time(
+    pendulum: MachineModel, swing: JointLog, timestep: float
+) -> None:
+    """At 4 rad/s, a reading taken for one a step later would be off by 8 mrad."""
+    replay = Replay(pendulum, swing, timestep=timestep, segment=2.0, threads=1)
+    residual = replay.run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
     assert np.nanmax(np.abs(residual)) < 5e-4
 
 
+@pytest.mark.slow
 def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
@@ -41,9 +55,8 @@ def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
     heat = EffectSet(
         (EffectValues(name="kt_heat", joints=("hinge",), values={"loss": np.array([0.3]), "time": np.array([6.0])}),)
     )
-    log = simulate_log(
-        machine, t, 0.8 * np.sin(9.0 * t)[:, None], heat, LogSettings(noise=0.0, torque_noise=0.0, resolution=0.0)
-    )
+    exact = LogSettings(noise=0.0, torque_noise=0.0, resolution=0.0, timestep=0.001)
+    log = simulate_log(machine, t, 0.8 * np.sin(9.0 * t)[:, None], heat, exact)
     cut = Replay(machine, log, timestep=0.0025, segment=3.0, threads=1)
     cold = np.nanstd(cut.run(hot, 1).residual)
     cut.set_heat(log.tau)
@@ -53,18 +66,19 @@ def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
     assert cold > 3 * whole
 
 
+@pytest.mark.slow
 def test_the_heat_of_short_peaks_is_that_between_readings_and_not_at_them(tmp_path: Path) -> None:
     """Jumps of the target ask for a peak of a few milliseconds, which readings 20 ms apart see whole or not at all."""
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
     t = np.arange(0.0, 6.0, 0.02)
     target = np.where(np.arange(len(t)) // 5 % 2, 0.2, -0.2)[:, None]
-    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=target)
+    log = JointLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=target)
     late = {("delay", "time"): np.zeros((1, 1))}
     heat = Replay(machine, log, timestep=0.0005, threads=1).mean_square_torque(late)
     often = np.arange(0.0, 5.98, 0.0005)
     rows = np.searchsorted(t, often + 1e-9, side="right") - 1
-    dense = MachineLog(joints=machine.joints, t=often, q=np.zeros((len(often), 1)), q_des=target[rows])
+    dense = JointLog(joints=machine.joints, t=often, q=np.zeros((len(often), 1)), q_des=target[rows])
     truth = Replay(machine, dense, timestep=0.00025, threads=1).mean_square_torque(late)
     assert heat.shape == (len(t), 1)
     assert heat[t > 1.0].mean() == pytest.approx(truth[often > 1.0].mean(), rel=0.03)
@@ -75,7 +89,7 @@ def test_a_simulation_that_blows_up_is_not_heard(tmp_path: Path, capfd) -> None:
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
     t = np.arange(0.0, 3.0, 0.02)
-    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=0.1 * np.sin(t)[:, None])
+    log = JointLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=0.1 * np.sin(t)[:, None])
     replay = Replay(machine, log, timestep=0.0025, segment=1.0)
     pushed = np.zeros((2, replay.total, 1))
     pushed[1] = 1e14
@@ -88,11 +102,12 @@ def test_a_simulation_that_blows_up_is_not_heard(tmp_path: Path, capfd) -> None:
 def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
-    t = np.arange(0.0, 3.0, 0.02)
-    log = simulate_log(machine, t, 0.4 * np.sin(5.0 * t)[:, None], EffectSet(), LogSettings(noise=0.0))
+    t = np.arange(0.0, 2.0, 0.02)
+    settings = LogSettings(noise=0.0, timestep=0.001)
+    log = simulate_log(machine, t, 0.4 * np.sin(5.0 * t)[:, None], EffectSet(), settings)
     twice = np.sort(np.concatenate([log.t, log.t[1:] - 0.001]))
     q, target = (np.interp(twice, log.t, x[:, 0])[:, None] for x in (log.q, log.q_des))
-    close = MachineLog(joints=log.joints, t=twice, q=q, q_des=target, tau=np.zeros_like(q))
+    close = JointLog(joints=log.joints, t=twice, q=q, q_des=target, tau=np.zeros_like(q))
     made = Replay(machine, close, timestep=0.0025, threads=1, torque=True).run({("delay", "time"): np.zeros((1, 1))}, 1)
     torque = made.torque_residual[0, :, 0]
     late = torque[np.searchsorted(twice, 1.0) :]
@@ -100,16 +115,11 @@ def test_readings_within_one_step_have_the_same_mean_torque(tmp_path: Path) -> N
     assert np.all(late != 0.0)
 
 
-def test_readings_after_a_gap_count_once_the_machine_has_forgotten_it(tmp_path: Path) -> None:
-    """What was asked for in between is not known; 0.8 s later that is forgotten."""
-    (tmp_path / "robot.xml").write_text(PENDULUM)
-    machine = read_machine(tmp_path / "robot.xml")
-    t = np.arange(0.0, 12.0, 0.02)
-    target = 0.8 * np.sin(5.0 * t)[:, None]
-    log = simulate_log(machine, t, target, EffectSet(), LogSettings(noise=0.0, resolution=0.0))
-    cut = log.part((log.t < 5.0) | (log.t > 5.6))
-    replay = Replay(machine, cut, timestep=0.0025, threads=1)
-    since = cut.t - np.where(cut.t > 5.3, cut.t[cut.t > 5.3][0], cut.t[0])
+def test_readings_after_a_gap_count_once_the_machine_has_forgotten_it(pendulum: MachineModel, swing: JointLog) -> None:
+    """The targets inside the gap are unknown; 0.8 s later they no longer matter."""
+    cut = swing.part((swing.t < 3.0) | (swing.t > 3.6))
+    replay = Replay(pendulum, cut, timestep=0.0025, threads=1)
+    since = cut.t - np.where(cut.t > 3.3, cut.t[cut.t > 3.3][0], cut.t[0])
     lost = since < 0.8
     assert np.array_equal(replay.counts, ~lost)
     residual = replay.run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
@@ -132,7 +142,7 @@ def test_a_joint_without_a_servo_begins_each_segment_with_its_own_velocity(tmp_p
         for _ in range(10):
             data.qfrc_applied[:] = f
             mujoco.mj_step(model, data)
-    log = MachineLog(joints=machine.joints, t=t, q=np.array(q), force=force[:, None])
+    log = JointLog(joints=machine.joints, t=t, q=np.array(q), force=force[:, None])
     replay = Replay(machine, log, timestep=0.0005, segment=2.0, threads=1)
     residual = replay.run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
     assert np.nanstd(residual[replay.counts]) < 0.001 * np.ptp(log.q)

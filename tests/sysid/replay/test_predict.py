@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from mimic.calibrate.foretell import foretell
-from mimic.calibrate.simulate import simulate_log
+from mimic.config.sysid import LogSettings
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import ConfigError
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.machine import MachineModel, read_machine
-from mimic.settings import LogSettings
+from mimic.sysid.replay.predict import predict
+from mimic.sysid.replay.simulate import simulate_log
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.006 0.006 0.0002"/></body></worldbody></mujoco>"""
-NOISE = LogSettings(noise=0.0003, resolution=0.0, rate=100.0)
+NOISE = LogSettings(noise=0.0003, resolution=0.0, rate_hz=100.0, timestep=0.0005)
 
 
 @pytest.fixture(scope="module")
@@ -38,29 +38,31 @@ def rms(residual: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(residual**2)))
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("whole", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_model_with_the_effects_of_the_machine_foretells_it_to_the_noise(pendulum, whole):
     spring = having("spring", stiffness=2.0)
     log = logged(pendulum, spring)
-    assert rms(foretell(log, pendulum, EffectSet(), whole=whole, threads=1)) > 0.02
-    assert rms(foretell(log, pendulum, spring, whole=whole, threads=1)) == pytest.approx(0.0003, rel=0.15)
+    assert rms(predict(log, pendulum, EffectSet(), whole=whole, threads=1)) > 0.02
+    assert rms(predict(log, pendulum, spring, whole=whole, threads=1)) == pytest.approx(0.0003, rel=0.15)
 
 
+@pytest.mark.slow
 def test_pieces_begin_where_the_machine_was_and_the_whole_where_it_began(pendulum):
     log = logged(pendulum, EffectSet())
-    assert np.isnan(foretell(log, pendulum, EffectSet(), threads=1)[:80]).all()  # settling
-    assert np.isfinite(foretell(log, pendulum, EffectSet(), whole=True, threads=1)).all()
+    assert np.isnan(predict(log, pendulum, EffectSet(), threads=1)[:80]).all()  # settling
+    assert np.isfinite(predict(log, pendulum, EffectSet(), whole=True, threads=1)).all()
 
 
+@pytest.mark.slow
 def test_jitter_is_foretold_as_late_as_it_is_on_the_average(pendulum):
     jitter = having("delay_jitter", spread=0.01)
     log = logged(pendulum, jitter)
-    late, mean = (foretell(log, pendulum, e, threads=1) for e in (jitter, having("delay", time=0.005)))
+    late, mean = (predict(log, pendulum, e, threads=1) for e in (jitter, having("delay", time=0.005)))
     np.testing.assert_allclose(late, mean, atol=2e-4, equal_nan=True)
-    assert rms(late) < 0.5 * rms(foretell(log, pendulum, EffectSet(), threads=1))
+    assert rms(late) < 0.5 * rms(predict(log, pendulum, EffectSet(), threads=1))
 
 
 def test_a_joint_that_the_machine_lacks_is_told(pendulum):
     elsewhere = EffectSet((EffectValues(name="spring", joints=("elbow",), values={"stiffness": np.array([2.0])}),))
     with pytest.raises(ConfigError, match="names joint 'elbow'"):
-        foretell(logged(pendulum, EffectSet(), 2.0), pendulum, elsewhere)
+        predict(logged(pendulum, EffectSet(), 2.0), pendulum, elsewhere)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mimic.calibrate.replay import Replay
-from mimic.calibrate.targets import acting, on_grid
-from mimic.machine_log import MachineLog
-from mimic.robot.machine import read_machine
+from mimic.dynamics.machine import read_machine
+from mimic.io.joint_log import JointLog
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.targets import acting, on_grid
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/></body></worldbody>
@@ -20,14 +20,14 @@ PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping=
 STEP = 0.5e-3
 
 
-@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("share", [0.25, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.0, 0.5, 0.75))])
 def test_a_target_that_a_motor_cannot_follow_at_once_acts_neither_early_nor_late(tmp_path: Path, share: float) -> None:
     """The torque of the mean of two targets is not the mean of their torques where the limit cuts one of them."""
     (tmp_path / "robot.xml").write_text(PENDULUM)
     machine = read_machine(tmp_path / "robot.xml")
     t = np.arange(0.0, 8.0, 0.005)
     sent = np.repeat(np.random.default_rng(0).uniform(-0.6, 0.6, len(t) // 16 + 1), 16)[: len(t), None]
-    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=sent)
+    log = JointLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=sent)
     late = {("delay", "time"): np.array([[0.01 + share * STEP]])}
 
     def moved(step: float) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_no_delay_and_one_of_less_than_a_step_are_causal(tmp_path: Path) -> None
     machine = read_machine(tmp_path / "robot.xml")
     machine = replace(machine, drives=replace(machine.drives, friction=np.zeros(1)))
     t = np.arange(0.0, 3.0, 0.005)
-    log = MachineLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=np.where(t < 2.0, 0.0, 0.2)[:, None])
+    log = JointLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=np.where(t < 2.0, 0.0, 0.2)[:, None])
     replay = Replay(machine, log, timestep=0.0025, threads=1)
     made = [
         -replay.run({("delay", "time"): np.array([[delay]])}, 1).residual[0, :, 0]

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mimic.calibrate.arrival import eased
-from mimic.calibrate.blocks import make_blocks
-from mimic.calibrate.events import timings
-from mimic.calibrate.fit import fit
-from mimic.calibrate.flow import calibrate
-from mimic.calibrate.point import Point
-from mimic.calibrate.problem import Problem
-from mimic.calibrate.replay import Replay
-from mimic.calibrate.simulate import simulate_log
-from mimic.calibration import Calibration
-from mimic.machine_log import MachineLog
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.robot.effects import DECLARED
-from mimic.robot.machine import MachineModel, read_machine
-from mimic.settings import CalibrateSettings, LogSettings
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.io.joint_log import JointLog
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay.delays import eased
+from mimic.sysid.replay.simulate import simulate_log
+from mimic.sysid.result import Calibration
+from mimic.sysid.selection.jitter import timings
 
 PAIR = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
@@ -37,8 +37,8 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
     return read_machine(path, {"kp": 20.0, "kd": 0.8})
 
 
-def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> MachineLog:
-    """Return 11 s of sines, a target each 20 ms; with ``held`` each of them is sent five times in every other second."""
+def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> JointLog:
+    """Return 11 s of sines, a target each 20 ms; with ``held`` each is sent five times in every other second."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 11.0, 0.02)
     phase = rng.uniform(0, 2 * np.pi, (4, 2))
@@ -48,17 +48,20 @@ def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> Mac
         rows = np.arange(len(t))
         q_des = q_des[np.where(t % 2.0 < 1.0, rows - rows % 5, rows)]
     delay = EffectValues(name="delay", values={"time": 0.011})
-    return replace(simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4)), tau=None)
+    return replace(
+        simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4, timestep=0.0005)), tau=None
+    )
 
 
 def calibrated(pair: MachineModel, *hidden: EffectValues) -> Calibration:
-    return calibrate(log_of(pair, *hidden), pair, CalibrateSettings(effects=TIMING))
+    return calibrate(log_of(pair, *hidden), pair, CalibrateSettings(effects=TIMING, timestep=0.005))
 
 
 def found(result: Calibration) -> list[str]:
-    return [s.added for s in result.stages if s.added not in ("", "declared")]
+    return [s.added for s in result.stages if s.added not in ("", "baseline")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.04, 0.13])
 def test_lost_commands_are_named_with_their_share(pair: MachineModel, share: float) -> None:
     """Of 13 % many are lost in a row, which is not the sum of what each loss does."""
@@ -70,14 +73,16 @@ def test_lost_commands_are_named_with_their_share(pair: MachineModel, share: flo
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
+@pytest.mark.slow
 def test_a_target_that_is_sent_again_may_be_lost_each_time(pair: MachineModel) -> None:
     hidden = EffectValues(name="lost_commands", values={"share": 0.15})
     log = log_of(pair, hidden, held=True)
-    result = calibrate(log, pair, CalibrateSettings(effects=TIMING))
+    result = calibrate(log, pair, CalibrateSettings(effects=TIMING, timestep=0.005))
     assert found(result) == ["lost_commands"]
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
+@pytest.mark.slow
 def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineModel) -> None:
     result = calibrated(pair, EffectValues(name="delay_jitter", values={"spread": 0.012}))
     assert found(result) == ["delay_jitter"]
@@ -87,17 +92,19 @@ def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineMode
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
+@pytest.mark.slow
 def test_joints_agree_on_jitter_of_which_each_by_itself_shows_less_than_its_noise(pair: MachineModel) -> None:
     log = log_of(pair, EffectValues(name="delay_jitter", values={"spread": 0.002}))
     replay = Replay(pair, log, timestep=0.0025)
     problem = Problem(replay, np.full(2, 0.37e-3), None, make_blocks(log.t, replay.counts))
-    fitted = fit(problem, Point.of(DECLARED, pair), DECLARED, {}, most=4)
+    fitted = fit(problem, Point.of(BASELINE, pair), BASELINE, {}, most=4)
     (timing,) = timings(problem, fitted, ["delay_jitter"])
     assert timing.agreement == pytest.approx(1.0, abs=0.25)
     assert timing.value == pytest.approx(0.002, rel=0.3)
     assert timing.interval[0] > 0.001
 
 
+@pytest.mark.slow
 def test_what_one_joint_shows_alone_is_no_late_target(pair: MachineModel) -> None:
     sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
     result = calibrated(pair, sticky)
@@ -121,6 +128,7 @@ def test_a_target_that_is_a_period_late_is_never_seen(pair: MachineModel) -> Non
     assert np.allclose(replay.run(none, 1).residual, without.run(none, 1).residual, equal_nan=True, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_step_of_the_lateness_is_followed_where_it_suits_the_readings(pair: MachineModel) -> None:
     log = log_of(pair)
     replay = Replay(pair, log, timestep=0.0025)

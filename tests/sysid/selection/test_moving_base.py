@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from mimic.calibrate.flow import calibrate
-from mimic.calibrate.moving_base import base_torques, shared_frequencies
-from mimic.calibration import Calibration
-from mimic.machine_log import MachineLog
-from mimic.robot.machine import MachineModel, read_machine
-from mimic.settings import CalibrateSettings
+from mimic.config.sysid import CalibrateSettings
+from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.io.joint_log import JointLog
+from mimic.sysid.calibrate import calibrate
+from mimic.sysid.result import Calibration
+from mimic.sysid.selection.moving_base import base_torques, shared_frequencies
 
 ARMS = ("a", "b", "c")
 
@@ -38,7 +38,7 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
     return read_machine(path, {"kp": KP, "kd": KD})
 
 
-def log_of(swing: float, forces: tuple[complex, ...] = (0.0, 0.0, 0.0)) -> MachineLog:
+def log_of(swing: float, forces: tuple[complex, ...] = (0.0, 0.0, 0.0)) -> JointLog:
     """Return the log of arms whose base swings forward at 0.9 Hz by so much [m/s^2], and on which forces act [N m]."""
     rng = np.random.default_rng(5)
     sent = np.arange(0.0, 11.0, 0.02)
@@ -61,19 +61,18 @@ def log_of(swing: float, forces: tuple[complex, ...] = (0.0, 0.0, 0.0)) -> Machi
         mujoco.mj_step(model, data)
     q = np.array(rows) + 0.0002 * rng.standard_normal((len(rows), 3))
     rows_of = np.arange(len(q)) // 4
-    return MachineLog(
-        joints=ARMS, t=np.arange(len(q)) * 0.005, q=q, q_des=q_des[rows_of], metadata={"kp": KP, "kd": KD}
-    )
+    return JointLog(joints=ARMS, t=np.arange(len(q)) * 0.005, q=q, q_des=q_des[rows_of], metadata={"kp": KP, "kd": KD})
 
 
-def calibrated(arms: MachineModel, log: MachineLog) -> Calibration:
+def calibrated(arms: MachineModel, log: JointLog) -> Calibration:
     return calibrate(log, arms, CalibrateSettings(effects=("periodic_force",), timestep=0.005))
 
 
 def found(result: Calibration) -> list[str]:
-    return [s.added for s in result.stages if s.added not in ("", "declared")]
+    return [s.added for s in result.stages if s.added not in ("", "baseline")]
 
 
+@pytest.mark.slow
 def test_a_swinging_base_is_not_named_as_forces_in_the_joints(arms: MachineModel) -> None:
     result = calibrated(arms, log_of(2.0))
     assert found(result) == []
@@ -84,6 +83,7 @@ def test_a_swinging_base_is_not_named_as_forces_in_the_joints(arms: MachineModel
     assert "one motion of the base at 0.90 Hz" in force.why
 
 
+@pytest.mark.slow
 def test_forces_of_one_frequency_that_no_base_makes_are_named(arms: MachineModel) -> None:
     forces = (0.08 * np.exp(0.4j), 0.07 * np.exp(2.9j), 0.0)
     result = calibrated(arms, log_of(0.0, forces))

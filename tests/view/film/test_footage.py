@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mimic.errors import SourceError
-from mimic.view.footage import encode_av1, frame_stamps, read_frames
+from mimic.view.film.footage import encode_av1, frame_stamps, read_frames
 
-SHARED = Path(__file__).parents[2] / ".." / "shared" / "data" / "videos"
+SHARED = Path(__file__).parents[3] / ".." / "shared" / "data" / "videos"
 
 
 def test_frames_are_shrunk_to_even_sides_and_never_enlarged(video: Path) -> None:

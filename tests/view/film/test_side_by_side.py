@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
-from mimic.types import PoseTrack, RunLog, TargetTrack
-from mimic.view.footage import read_frames
-from mimic.view.offscreen import NoOffscreenGL
-from mimic.view.side_by_side import render_frame, save_video
-from mimic.view.timing import shared_time
+from mimic.view.film.footage import read_frames
+from mimic.view.film.offscreen import NoOffscreenGL
+from mimic.view.film.side_by_side import render_frame, save_video
+from mimic.view.scene.timing import shared_time
 
 HEIGHT, FPS = 64, 10
 
@@ -95,8 +95,8 @@ def test_nothing_is_left_of_a_film_that_fails(
 def test_error_names_what_was_tried(
     monkeypatch: pytest.MonkeyPatch, log: RunLog, description: RobotDescription
 ) -> None:
-    monkeypatch.setattr("mimic.view.offscreen._backends", lambda: ["none"])
-    monkeypatch.setattr("mimic.view.offscreen._context_of", _fails)
+    monkeypatch.setattr("mimic.view.film.offscreen._backends", lambda: ["none"])
+    monkeypatch.setattr("mimic.view.film.offscreen._context_of", _fails)
     with pytest.raises(NoOffscreenGL, match=r"none: no driver.*apt-get"):
         render_frame(log, description, 0, width=32, height=32)
 

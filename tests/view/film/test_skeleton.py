@@ -1,7 +1,7 @@
 import numpy as np
 
-from mimic.types import PoseTrack
-from mimic.view import skeleton
+from mimic.records import PoseTrack
+from mimic.view.film import skeleton
 
 
 def test_person_stands_on_the_floor_facing_x_with_left_on_y(pose: PoseTrack) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mimic.calibration import Calibration, Candidate, Errors, Remainder, Stage, Traces
-from mimic.robot.effect_set import EffectSet, EffectValues
-from mimic.view.report import html_report, write_report
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.sysid.result import Calibration, Candidate, Errors, Stage, Traces, UnexplainedResidual
+from mimic.view.report.html import html_report, write_report
 
 JOINTS = ("FL_abad", "FL_hip", "FL_knee", "FR_abad", "FR_hip", "FR_knee")
 
@@ -45,7 +45,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             joints=JOINTS,
             accepted=not why,
             why=why,
-            rival_z=1.1 if why.startswith("as good") else 6.0,
+            alternative_z=1.1 if why.startswith("as good") else 6.0,
         )
 
     row = {k: np.full(n, v) for k, v in {"level": 0.213, "speed": 0.118}.items()}
@@ -56,7 +56,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
         noise=noise,
         nominal=errors(16.4),
         stages=(
-            Stage(added="declared", errors=errors(4.4)),
+            Stage(added="baseline", errors=errors(4.4)),
             Stage(
                 added="stribeck",
                 errors=errors(1.5),
@@ -77,7 +77,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
                     candidate("armature", 0.31, 9.0, inertia=0.0061),
                     candidate("torque_lag", 0.29, 7.7, "as good as the chosen one", time=0.0021),
                 ),
-                rivals=("torque_lag",),
+                alternatives=("torque_lag",),
             ),
         ),
         effects=EffectSet(
@@ -89,7 +89,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             )
         ),
         unexplained=tuple(
-            Remainder(
+            UnexplainedResidual(
                 joint=j,
                 ratio=2.3 if i == 2 else 1.06,
                 state_r2=-0.12,
@@ -100,7 +100,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             )
             for i, j in enumerate(JOINTS)
         ),
-        sentence="The model lacked Stribeck friction and reflected rotor inertia (held-out error 1.90 mrad → 0.46 mrad).",
+        sentence="The model lacked Stribeck friction and rotor inertia (held-out error 1.90 mrad → 0.46 mrad).",
         experiments=("reflected rotor inertia: chirp to 8-10 Hz", "lag of the current loop: chirp and steps"),
         warnings=("about 12 readings are missing (0.1%)",),
         not_identifiable=("coulomb.level with link_mass.factor of FL_hip",),
@@ -176,7 +176,7 @@ def test_the_verdict_and_every_finding_stand_on_it(calibration: Calibration, pag
     assert calibration.sentence in page.text
     for line in (*calibration.experiments, *calibration.warnings, *calibration.not_identifiable):
         assert line in page.text
-    assert "cannot be told from the chosen one" in page.text
+    assert "cannot be ruled out" in page.text
     assert "z 1.2 is below 3" in page.text
     assert "near 9 Hz" in page.text
     for joint in JOINTS:
@@ -210,8 +210,8 @@ def test_each_joint_has_its_plots(calibration: Calibration, page: Page) -> None:
 
 
 def test_a_log_of_another_machine_is_said_first(calibration: Calibration) -> None:
-    page = Page(html_report(replace(calibration, belongs=False, stages=calibration.stages[:1])))
-    assert page.text.index("do not belong together") < page.text.index(calibration.sentence)
+    page = Page(html_report(replace(calibration, log_matches_model=False, stages=calibration.stages[:1])))
+    assert page.text.index("does not match the model") < page.text.index(calibration.sentence)
     assert "Evidence" not in page.text
 
 
@@ -219,8 +219,8 @@ def test_nothing_found_is_said(calibration: Calibration) -> None:
     tried = replace(calibration.stages[1], added="", candidates=calibration.stages[1].candidates[3:])
     alone = EffectSet(tuple(calibration.effects)[:2])
     page = Page(html_report(replace(calibration, stages=(calibration.stages[0], tried), effects=alone)))
-    assert "nothing chosen" in page.text
-    assert "No effect earned its place" in page.text
+    assert "no effect accepted" in page.text
+    assert "No effect improved on the baseline model" in page.text
 
 
 def test_names_are_escaped(calibration: Calibration) -> None:
@@ -247,7 +247,7 @@ def test_the_file_is_the_page(calibration: Calibration, tmp_path: Path) -> None:
 def test_a_number_on_its_bound_is_marked(calibration: Calibration) -> None:
     heavy = EffectValues(name="link_mass", joints=JOINTS, values={"factor": [3.0, 1.0, 1.0, 0.3, 1.0, 1.0]})
     page = html_report(replace(calibration, effects=EffectSet((heavy,))))
-    assert page.count("on its bound") == 2
+    assert page.count("at its bound: do not") == 2
 
 
 def test_repeatability_is_shown_where_the_log_has_it(calibration: Calibration) -> None:

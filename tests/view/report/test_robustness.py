@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mimic.errors import AssetError
-from mimic.view.heat_map import CELL, draw_heat_map, shade
+from mimic.view.report.robustness import CELL, draw_heat_map, shade
 
 
 def result(*shares: float) -> dict:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mimic.types import RobotState, Tick
-from mimic.view.live import EVERY, WAITING, LiveView
+from mimic.records import RobotState, Tick
+from mimic.view.scene.live import EVERY, WAITING, LiveView
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def standing(description) -> Tick:
         p_WB=np.full(3, np.nan),
         v_WB=np.full(3, np.nan),
     )
-    return Tick(state=state, sent=None)  # type: ignore[arg-type]
+    return Tick(state=state, sent=None, health=None)  # type: ignore[arg-type]
 
 
 def test_a_picture_a_robot_and_the_latency_go_into_the_scene(description, standing, tmp_path):

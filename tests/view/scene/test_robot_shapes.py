@@ -3,12 +3,13 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from mimic.frames import rotation_from_quat
+from mimic.dynamics.robot_model import load_model
+from mimic.geometry import rotation_from_quat
+from mimic.records import RunLog
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import TOES, load_model
-from mimic.types import RunLog
-from mimic.view.draw_robot import capsule_starts
-from mimic.view.robot_shapes import VISUAL_GROUP, body_poses, in_world, placed, visual_shapes
+from mimic.robot.model import TOES
+from mimic.view.scene.robot import capsule_starts
+from mimic.view.scene.robot_shapes import VISUAL_GROUP, body_poses, in_world, qpos_at_ticks, visual_shapes
 
 TICK = 60
 
@@ -16,7 +17,7 @@ TICK = 60
 def test_shapes_are_where_mujoco_draws_its_geoms(log: RunLog, description: RobotDescription) -> None:
     model = load_model(description)
     data = mujoco.MjData(model)
-    qpos = placed(log, model)
+    qpos = qpos_at_ticks(log, model)
     data.qpos[:] = qpos[TICK]
     mujoco.mj_forward(model, data)
     visual = np.flatnonzero(model.geom_group == VISUAL_GROUP)
@@ -59,7 +60,7 @@ def test_robot_that_does_not_know_its_place_stands_on_its_lowest_toe(
 ) -> None:
     model = load_model(description)
     lost = dataclasses.replace(log, p_WB=np.full_like(log.p_WB, np.nan))
-    qpos = placed(lost, model)
+    qpos = qpos_at_ticks(lost, model)
     data = mujoco.MjData(model)
     data.qpos[:] = qpos[TICK]
     mujoco.mj_kinematics(model, data)
@@ -71,7 +72,7 @@ def test_robot_that_does_not_know_its_place_stands_on_its_lowest_toe(
 def test_toes_in_the_world_are_the_models_toes(log: RunLog, description: RobotDescription) -> None:
     model = load_model(description)
     data = mujoco.MjData(model)
-    qpos = placed(log, model)
+    qpos = qpos_at_ticks(log, model)
     data.qpos[:] = qpos[TICK]
     mujoco.mj_kinematics(model, data)
     toes = np.array([data.site(name).xpos for name in TOES[:2]])

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from mimic.errors import SourceError
+from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
-from mimic.types import PoseTrack, RunLog, TargetTrack
-from mimic.view.scene import save_scene
-from mimic.view.timing import shared_time
+from mimic.view.scene.scene import save_scene
+from mimic.view.scene.timing import shared_time
 
 
 def columns_of(scene: Path) -> dict[str, list[dict[str, Any]]]:
@@ -51,13 +51,13 @@ def test_scene_holds_video_person_robot_and_plots(scene: Path) -> None:
         "/robot/links/base",
         "/robot/links/FL_knee",
         "/robot/links/FL_knee/capsule",
-        "/robot/toes/left/wanted",
-        "/robot/toes/right/reached",
-        "/robot/links/base/asked_right",
+        "/robot/toes/left/target",
+        "/robot/toes/right/actual",
+        "/robot/links/base/unclamped_right",
         "/robot/eye",
         "/robot/floor",
         "/plots/toe_error/left",
-        "/plots/toe_up/right_wanted",
+        "/plots/toe_up/right_target",
         "/plots/knee_torque/rear_left",
         "/plots/standing/height_m",
     }
@@ -73,9 +73,9 @@ def test_robot_and_video_share_a_clock(scene: Path, log: RunLog, pose: PoseTrack
     np.testing.assert_allclose(times(held, "/person/left"), waiting_then_playing, atol=1e-6)
 
 
-def test_wanted_toes_wait_until_the_robot_stands(scene: Path, log: RunLog) -> None:
+def test_target_toes_wait_until_the_robot_stands(scene: Path, log: RunLog) -> None:
     held = columns_of(scene)
-    assert times(held, "/robot/toes/left/wanted")[0] == pytest.approx(shared_time(log)[20])
+    assert times(held, "/robot/toes/left/target")[0] == pytest.approx(shared_time(log)[20])
 
 
 def test_links_in_the_scene_are_where_the_log_says(scene: Path, log: RunLog) -> None:

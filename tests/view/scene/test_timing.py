@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mimic.types import PHASES, PoseTrack, RunLog
-from mimic.view.timing import followed, frame_times, from_start, nearest, shared_time
+from mimic.records import PHASES, PoseTrack, RunLog
+from mimic.view.scene.timing import camera_path, frame_times, hold_first_row, nearest, shared_time
 
 
 def test_zero_is_the_first_tick_of_tracking(log: RunLog) -> None:
@@ -28,14 +28,14 @@ def test_nearest_row_of_each_time() -> None:
 
 
 def test_first_row_is_repeated_at_an_earlier_start_only() -> None:
-    t, rows = from_start(np.array([0.0, 0.1]), -2.0)
+    t, rows = hold_first_row(np.array([0.0, 0.1]), -2.0)
     np.testing.assert_array_equal(t, [-2.0, 0.0, 0.1])
     np.testing.assert_array_equal(rows, [0, 0, 1])
-    np.testing.assert_array_equal(from_start(np.array([0.0, 0.1]), 0.0)[1], [0, 1])
+    np.testing.assert_array_equal(hold_first_row(np.array([0.0, 0.1]), 0.0)[1], [0, 1])
 
 
 def test_camera_follows_steps_of_the_base_smoothly(log: RunLog) -> None:
-    path = followed(log, log.p_WB)
+    path = camera_path(log, log.p_WB)
     assert path.shape == (len(log.t), 2)
     assert np.abs(np.diff(path[:, 0])).max() < np.abs(np.diff(log.p_WB[:, 0])).max()
     assert log.p_WB[0, 0] <= path[0, 0] <= path[-1, 0] <= log.p_WB[-1, 0]

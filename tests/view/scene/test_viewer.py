@@ -4,10 +4,10 @@ from pathlib import Path
 import pytest
 
 from mimic.errors import AssetError, MimicError
+from mimic.records import RunLog
 from mimic.robot.description import RobotDescription
-from mimic.types import RunLog
-from mimic.view.scene import save_scene
-from mimic.view.viewer import display_available, open_viewer, screenshot
+from mimic.view.scene.scene import save_scene
+from mimic.view.scene.viewer import display_available, open_viewer, screenshot
 
 
 def test_display_is_one_of_x11_or_wayland(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,7 +25,7 @@ def test_a_mac_has_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_window_without_a_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("mimic.view.viewer.display_available", lambda: False)
+    monkeypatch.setattr("mimic.view.scene.viewer.display_available", lambda: False)
     (tmp_path / "scene.rrd").touch()
     assert open_viewer(tmp_path / "scene.rrd") is False
 
@@ -37,6 +37,7 @@ def test_a_missing_scene_is_named(tmp_path: Path) -> None:
         screenshot(tmp_path / "no.rrd", tmp_path / "no.png", time_s=0.0)
 
 
+@pytest.mark.slow
 def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription, tmp_path: Path) -> None:
     import cv2
 

@@ -1,1 +1,0 @@
-"""A log and a model become an error, its cause, and a better model."""

@@ -1,0 +1,212 @@
+"""``mimic evaluate``: a policy over many episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from mimic.cli import options as o
+from mimic.cli.exit_status import DONE
+from mimic.config.evaluation import (
+    EvaluateSettings,
+    RobustnessSettings,
+    SitDownEvaluateSettings,
+    StandUpSettings,
+    TableSettings,
+)
+from mimic.errors import ConfigError
+
+
+def evaluate(
+    policy: str = "stand_track",
+    /,
+    *,
+    table: Annotated[bool, o.Flag] = False,
+    robustness: Annotated[bool, o.Flag] = False,
+    stand_up: Annotated[bool, o.Flag] = False,
+    out: o.Out = None,
+    episodes: int | None = None,
+    seconds: float | None = None,
+    seed: int = EvaluateSettings().seed,
+    workers: int = 0,
+    robot: o.Effects = None,
+) -> int:
+    """Evaluate a policy in plain MuJoCo from the lying start: standing up, reaching, walking, turning.
+
+    A policy that sits down is evaluated by switching to it from the shipped tracking policy.
+
+    Parameters
+    ----------
+    policy
+        ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
+    table
+        Instead, the columns of the paper's Table III, beside the paper's.
+    robustness
+        Instead, the share of survived episodes along each disturbance, with a heat map.
+    stand_up
+        Instead, standing up from 500 lying starts, and standing still for 20 s.
+    out
+        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json or
+        stand-up-NAME.json in the current folder. The heat map goes beside it.
+    episodes
+        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
+        --stand-up 500 starts; 500 switches to a policy that sits down.
+    seconds
+        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; latest policy
+        switch: 10 s.
+    seed
+        Seed of the first episode.
+    workers
+        Processes; 0 takes one for each core.
+    """
+    from mimic.cli.console import ConsoleReporter
+    from mimic.flows.evaluate import evaluate as run
+    from mimic.flows.evaluate import policy_path, task_of
+
+    if table + robustness + stand_up > 1:
+        raise ConfigError("--table, --robustness and --stand-up are different evaluations; give one of them")
+    given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
+    options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    path = policy_path(policy)
+    kinds = {
+        "table": (table, TableSettings, _show_table),
+        "robustness": (robustness, RobustnessSettings, _show_robustness),
+    }
+    kinds["stand-up"] = (stand_up, StandUpSettings, _show_stand_up)
+    name, kind, show = "evaluation", EvaluateSettings, _show_tracking
+    for word, (chosen, settings_class, printer) in kinds.items():
+        if chosen:
+            name, kind, show = word, settings_class, printer
+    settings: Any = kind(**options)
+    if name == "evaluation" and task_of(path) == "sit_down":
+        settings, show = SitDownEvaluateSettings(**options), _show_sit_down
+    file = out or Path(f"{name}-{path.stem}.json")
+    result = run(path, settings, out=file, reporter=ConsoleReporter())
+    show(path, result, settings, file)
+    return DONE
+
+
+def _show_tracking(policy: Path, result: dict[str, Any], settings: EvaluateSettings, out: Path) -> None:
+    from mimic.cli.console import table
+
+    s = result["summary"]
+    walk = ", ".join(f"{v:+.2f} at {k}" for k, v in s["walk_m_s"].items())
+    turn = ", ".join(f"{v:.2f} at {k} deg" for k, v in s["turn_error_rad"].items())
+    table(
+        f"{policy.name}: {s['episodes']} randomised episodes of {settings.seconds:g} s, and nominal ones",
+        {
+            "stood up in 1.5 s and kept standing": f"{s['stood_up_and_kept']:.1%}",
+            "time to stand up": f"{s['stand_up_median_s']:.2f} s median, {s['stand_up_p95_s']:.2f} s 95th percentile",
+            "toe error, randomised": f"{s['randomised_toe_error_cm']:.1f} cm",
+            "toe error, nominal": f"{s['nominal_toe_error_cm']:.1f} cm",
+            "walking speed [m/s]": walk,
+            "heading error after 10 s [rad]": turn,
+            "drift while standing": f"{s['nominal_drift_m']:.2f} m in {settings.seconds:g} s",
+            "falls on the nominal robot": f"{s['nominal_falls']}",
+            "heat": f"{s['nominal_knee_torque_rms_nm']:.1f} N m rms in the hind knees, "
+            f"{s['nominal_minutes_to_limit']:.0f} min to the hottest motor's limit",
+            "written": str(out),
+        },
+    )
+
+
+def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvaluateSettings, out: Path) -> None:
+    from mimic.cli.console import table
+
+    s = result["summary"]
+
+    def spread(name: str, unit: str) -> str:
+        v = s[name]
+        return f"{v['median']:.2f} median, {v['p95']:.2f} 95th percentile, {v['max']:.2f} {unit} at most"
+
+    table(
+        f"{policy.name}: {s['hand_overs']} policy switches from {result['tracker']}",
+        {
+            "came down gently and lies": f"{s['success']:.1%}",
+            "came down gently": f"{s['gentle']:.1%}",
+            "lies at the end": f"{s['lies']:.1%}",
+            "head on the ground": f"{s['head_contacts']}",
+            "trunk on the ground": f"{s['trunk_contacts']}",
+            "base speed when the trunk touches": spread("impact_speed", "m/s"),
+            "downward base speed": spread("sinking_speed", "m/s"),
+            "front toes meet the ground": spread("toe_speed", "m/s"),
+            "hind knees meet the ground": spread("knee_speed", "m/s"),
+            "acceleration of the base": spread("acceleration", "m/s^2"),
+            "joints off the lying pose": spread("pose_error_rad", "rad"),
+            "about to fall before": f"{s['falling_before']} more, not counted",
+            "written": str(out),
+        },
+    )
+
+
+def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, out: Path) -> None:
+    from mimic.cli.console import matrix, table
+
+    found = {"paper": _figures(result["paper"])}
+    found |= {name: _figures(row["columns"]) for name, row in result["table"].items()}
+    rows = {name.replace("_", " "): {way: found[way][name] for way in found} for name in result["paper"]}
+    count = f"{settings.episodes} episodes x {settings.seeds} seeds"
+    matrix(f"{policy.name}: the paper's Table III, {count} of {settings.seconds:g} s, by what ends them", rows)
+    last = result["table"]["contacts"]["unweighted"]
+    table(
+        "Unweighted means after the 50th step, ended by contacts",
+        {
+            "toe error": f"{last['toe_error_cm']['mean']:.2f} cm",
+            "velocity error": f"{last['velocity_error_m_s']['mean']:.3f} m/s",
+            "heading error": f"{last['heading_error_rad']['mean']:.3f} rad",
+        }
+        | {
+            f"how they ended, {name}": ", ".join(f"{n} {kind}" for kind, n in row["ended_by"].items())
+            for name, row in result["table"].items()
+        }
+        | {"written": str(out)},
+    )
+
+
+def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettings, out: Path) -> None:
+    from mimic.cli.console import table
+
+    s = result["summary"]
+    table(
+        f"{policy.name}: {s['starts']} lying starts, and {s['still_episodes']} nominal robots that stand still",
+        {
+            "upright in 1.5 s": f"{s['upright_in_time']:.1%}",
+            f"… and still at {settings.seconds:g} s": f"{s['upright_in_time_and_kept']:.1%}",
+            "time to stand up": f"{s['stand_up_median_s']:.2f} s median, {s['stand_up_p95_s']:.2f} s 95th percentile",
+            "fastest joint": f"{s['joint_speed_max_rad_s']:.1f} of {s['joint_speed_limit_rad_s']:.1f} rad/s",
+            "largest torque": f"{s['torque_max_nm']:.1f} of {s['torque_limit_nm']:.1f} N m",
+            "drift while standing still": f"{s['still_drift_mean_m']:.2f} m mean, {s['still_drift_max_m']:.2f} m most "
+            f"in {settings.still_seconds:g} s",
+            "written": str(out),
+        },
+    )
+
+
+def _show_robustness(policy: Path, result: dict[str, Any], settings: RobustnessSettings, out: Path) -> None:
+    from mimic.cli.console import matrix, table
+    from mimic.view.report.robustness import draw_heat_map
+
+    picture = out.with_suffix(".png")
+    draw_heat_map(result, picture)
+    rows = {}
+    for name, axis in result["axes"].items():
+        low, high = axis["asked"]
+        inside = [p["survived"] for p in axis["points"] if low <= p["value"] <= high]
+        trained = "-" if axis["trained"] is None else f"{axis['trained'][0]:g} … {axis['trained'][1]:g}"
+        rows[f"{name.replace('_', ' ')} [{axis['unit']}]" if axis["unit"] else name.replace("_", " ")] = {
+            "trained": trained,
+            "asked": f"{low:g} … {high:g}",
+            "survived, worst in it": f"{min(inside):.0%}",
+            "95 % hold": "nowhere" if axis["holds"] is None else f"{axis['holds'][0]:g} … {axis['holds'][1]:g}",
+        }
+    matrix(f"{policy.name}: {settings.episodes} episodes of {settings.seconds:g} s at each point", rows)
+    shares = {f"all at once, {float(s):.0%} of the ranges": f"{v:.0%}" for s, v in result["together"].items()}
+    shares |= {name: f"{v:.0%}" for name, v in result["randomised"].items()}
+    shares |= {f"solver: {name}": f"{v:.0%}" for name, v in result["solvers"].items()}
+    table("Survived", shares | {"written": f"{out}, {picture}"})
+
+
+def _figures(columns: dict[str, dict[str, float]]) -> dict[str, str]:
+    """Return mean±standard deviation of each column as text; the episode's sums with one decimal."""
+    digits = {name: 1 if name in ("episode_reward", "steps") else 3 for name in columns}
+    return {name: f"{v['mean']:.{digits[name]}f}±{v['std']:.{digits[name]}f}" for name, v in columns.items()}

@@ -1,0 +1,119 @@
+"""``mimic log``: simulate, replay and salvage logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from mimic.cli import options as o
+from mimic.cli.exit_status import DONE
+
+
+def simulate(
+    *,
+    out: o.RequiredOut,
+    effects: Path | None = None,
+    model: Path | None = None,
+    motion: Literal["probe", "random"] = "probe",
+    seconds: float = 120.0,
+    amplitude: float = 1.0,
+    kp: float | None = None,
+    kd: float | None = None,
+    settings: o.SimulatedLog = None,
+) -> int:
+    """Log a simulated machine with hidden effects, as a real one would be logged.
+
+    Parameters
+    ----------
+    out
+        Parquet or CSV file to write.
+    effects
+        effects.toml with what the machine has; without it, the machine is as its model says.
+    model
+        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    motion
+        probe shows every effect; random is for a second log.
+    seconds
+        Length [s].
+    amplitude
+        Share of the joints' ranges that the motion uses.
+    kp
+        Position gain of the drives [N m/rad]; by default the model's.
+    kd
+        Velocity gain of the drives [N m s/rad]; by default the model's.
+    """
+    from mimic.cli.console import ConsoleReporter, note
+    from mimic.flows.calibrate import LogMotion, simulate_log
+
+    moved = LogMotion(kind=motion, seconds=seconds, amplitude=amplitude, kp=kp, kd=kd)
+    log = simulate_log(effects, model, moved, settings, out=out, reporter=ConsoleReporter())
+    note(f"wrote {out}: {len(log.t)} readings of {len(log.joints)} joints; to explain it: mimic calibrate {out}")
+    return DONE
+
+
+def replay(
+    log: Path,
+    /,
+    *,
+    effects: tuple[Path, ...] = (),
+    model: Path | None = None,
+    whole: Annotated[bool, Parameter(negative="")] = False,
+    threads: int = 0,
+    out: o.Out = None,
+) -> int:
+    """Show how well models predict a log, such as one that was not calibrated from; nothing is fitted.
+
+    Parameters
+    ----------
+    log
+        Parquet or CSV file as for mimic calibrate.
+    effects
+        effects.toml files of calibrations, to compare them.
+    model
+        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    whole
+        Replay it in one piece from its first reading; without, in pieces of 6 s that begin with measured positions.
+    threads
+        Threads; 0 takes one for each core.
+    out
+        JSON file for the errors.
+    """
+    from mimic.cli.calibrate import show_errors
+    from mimic.cli.console import ConsoleReporter, note, warn
+    from mimic.flows.calibrate import NO_EFFECTS, predict_log
+    from mimic.view.report.plots import unit_of_size
+
+    found = predict_log(log, effects, model, whole=whole, threads=threads, out=out, reporter=ConsoleReporter())
+    for text in found.warnings:
+        warn(text)
+    unit = unit_of_size(max(e["all"] for e in found.errors.values()), found.unit)
+    columns = zip([NO_EFFECTS, *_short(effects)], (e["rms"] for e in found.errors.values()), strict=True)
+    show_errors("Error", found.joints, {**dict(columns), "noise floor": found.noise}, unit)
+    if out is not None:
+        note(f"wrote {out}")
+    return DONE
+
+
+def _short(files: Sequence[Path]) -> list[str]:
+    """Return the shortest names of files that tell them apart, for headings."""
+    ways = ([f.name for f in files], [f.parent.name for f in files], [str(f) for f in files])
+    return next(names for names in ways if len(set(names)) == len(names) or names is ways[-1])
+
+
+def salvage(run: Path, /) -> int:
+    """Recover the log of a run on the robot whose process was killed.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    """
+    from mimic.cli.console import note
+    from mimic.flows.robot import salvage as recover
+
+    path, ticks = recover(run)
+    note(f"salvaged     {ticks} ticks into {path}")
+    return DONE

@@ -1,0 +1,42 @@
+"""Groups of options that commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings, ProbeSettings
+from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.config.training import LearnSettings
+
+OUTPUT = Group("Output", sort_key=1)
+
+
+def _group(name: str, order: int) -> Parameter:
+    return Parameter(name="*", group=Group(name, sort_key=order))
+
+
+Flag = Parameter(negative="")
+Out = Annotated[Path | None, Parameter(name=["--out", "-o"], group=OUTPUT)]
+RequiredOut = Annotated[Path, Parameter(name=["--out", "-o"], group=OUTPUT)]
+View = Annotated[bool | None, Parameter(group=OUTPUT)]
+
+Retarget = Annotated[RetargetSettings | None, _group("Retargeting", 2)]
+Run = Annotated[RunSettings | None, _group("Playing", 3)]
+Effects = Annotated[EffectsSettings | None, _group("Simulated robot", 4)]
+Pose = Annotated[PoseSettings | None, _group("Video", 5)]
+Stored = Annotated[MocapSettings | None, _group("Recorded motion (.npz, .trc, .bvh)", 6)]
+Language = Annotated[LanguageSettings | None, _group("Sentences (--text)", 7)]
+Live = Annotated[LiveSettings | None, _group("Camera (--camera)", 8)]
+Bus = Annotated[BusSettings | None, _group("Real robot (--robot)", 9)]
+Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
+Learn = Annotated[LearnSettings | None, _group("Learning", 3)]
+Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]
+SimulatedLog = Annotated[LogSettings | None, _group("Readings", 3)]
+Emulate = Annotated[EmulateSettings | None, _group("Emulated robot", 2)]

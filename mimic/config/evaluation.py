@@ -1,0 +1,138 @@
+"""How a policy is evaluated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluateSettings:
+    """Evaluation of a policy that stands and tracks."""
+
+    episodes: int = 200
+    """Randomised episodes from the lying start."""
+    seconds: float = 20.0
+    """Length of an episode [s]."""
+    seed: int = 1
+    """Seed of the first episode; episode i uses seed + i."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SitDownEvaluateSettings:
+    """Evaluation of a policy that sits down."""
+
+    episodes: int = 500
+    """Randomised policy switches from a tracking policy."""
+    seconds: float = 10.0
+    """Latest policy switch after the start [s]."""
+    seed: int = 1
+    """Seed of the first episode; episode i uses seed + i."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    tracker: str | None = None
+    """Policy that stands and tracks before the switch; None takes the shipped one."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TableSettings:
+    """Evaluation of a policy in the figures of the paper's Table III."""
+
+    episodes: int = 50
+    """Episodes of each evaluation seed; paper: 50."""
+    seeds: int = 3
+    """Evaluation seeds. The paper's three are training seeds."""
+    seconds: float = 20.0
+    """Length of an episode [s]; paper: 1000 control steps."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seeds", self.seeds, 1, 1000)
+        check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+STAND_UP_RANGES = Randomisation(
+    ground_friction=(0.6, 3.0),
+    base_mass=(-1.0, 1.0),
+    delay=(0.0, 0.035),
+    push=(0.0, 0.0),
+    start_q=(-0.15, 0.15),
+    start_height=(0.0, 0.03),
+)
+"""Lying starts that must end upright; gains as in Table II, +-20 %."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StandUpSettings:
+    """Evaluation of standing up and of standing still."""
+
+    episodes: int = 500
+    """Lying starts."""
+    seconds: float = 3.0
+    """Length of each [s]; who stands up must still stand at its end."""
+    still_episodes: int = 10
+    """Nominal robots that stand still."""
+    still_seconds: float = 20.0
+    """For how long [s], from the second second on."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = STAND_UP_RANGES
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 2.5, 600.0, "s")
+        check_range("still-seconds", self.still_seconds, 1.0, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobustnessSettings:
+    """How much disturbance a policy survives."""
+
+    episodes: int = 40
+    """Episodes at each point; the same starts and commands at every point."""
+    seconds: float = 10.0
+    """Length of an episode [s]."""
+    seed: int = 1
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 2.5, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)

@@ -1,0 +1,63 @@
+"""Settings of the robot on its buses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BusSettings:
+    """How the robot on its buses is driven."""
+
+    wiring: str | None = None
+    """Your copy of bus.toml; by default the one that ships with the robot."""
+    zeroed: bool = False
+    """Use the zeros as the wiring has them, without checking that mimic set them since power-up."""
+    yes: bool = False
+    """Start without waiting for Enter; for rehearsals."""
+    watchdog: bool = True
+    """Start the watchdog process, which damps the robot when this one no longer can."""
+    torque_limit: float = 12.0
+    """Largest torque of each motor [N m]; written to the motors and read back."""
+    ramp: float = 2.0
+    """Time in which the gains rise and the joints move into the lying pose [s]."""
+
+    def __post_init__(self) -> None:
+        check_range("torque-limit", self.torque_limit, 1.0, 12.0, "N m")
+        check_range("ramp", self.ramp, 0.5, 30.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProbeSettings:
+    """How a suspended robot is moved to measure its drives."""
+
+    seconds: float = 120.0
+    """Length of the motion [s]."""
+    rate_hz: float = 200.0
+    """Readings a second [Hz]; at 200 Hz twelve motors take 70 % of one bus."""
+    joints: Literal["all", "sides", "legs", "each"] = "all"
+    """Joints that move at the same time: all, the six of one side, those of one leg, or one. Legs that are held are
+    read less often, which reduces the bus load."""
+    amplitude: float = 0.5
+    """Share of the joints' ranges that is used."""
+    kind: Literal["probe", "random"] = "probe"
+    """probe excites every effect; random is for a second log."""
+    kp: float = 30.0
+    """[N m/rad]"""
+    kd: float = 1.0
+    """[N m s/rad]"""
+    approach: float = 3.0
+    """Time in which the gains rise, and again in which the joints move to the start of the motion [s]."""
+    seed: int = 0
+    """Seed of the motion."""
+
+    def __post_init__(self) -> None:
+        check_range("seconds", self.seconds, 12.0, 3600.0, "s")
+        check_range("rate-hz", self.rate_hz, 50.0, 250.0, "Hz")
+        check_range("approach", self.approach, 0.2, 60.0, "s")
+        check_range("amplitude", self.amplitude, 0.05, 1.0)
+        check_range("kp", self.kp, 1.0, 100.0, "N m/rad")
+        check_range("kd", self.kd, 0.1, 5.0, "N m s/rad")

@@ -1,0 +1,169 @@
+"""Playing commands on a robot, and the robot that is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunSettings:
+    """Timing of a run, and its policy."""
+
+    policy: str | None = None
+    """ONNX file; None takes the shipped one."""
+    seed: int = 0
+    """Seed of the simulated start."""
+    stand_up: float = 2.0
+    """Time from lying to the first target [s]; the policy stands up in about one."""
+    blend: float = 0.5
+    """Time in which the desired toes move from the measured toes to the first target [s]."""
+    hold: float = 1.0
+    """Time the last target is held before the end [s]."""
+    sit_down: float = 2.5
+    """Time to sit down at the end [s]; the policy needs about half of it."""
+
+    def __post_init__(self) -> None:
+        check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
+        check_range("blend", self.blend, 0.1, 5.0, "s")
+        check_range("hold", self.hold, 0.0, 30.0, "s")
+        check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EffectsSettings:
+    """Calibrated effects of the simulated robot."""
+
+    effects: str | None = None
+    """effects.toml of a calibration; None simulates the robot as described."""
+    timestep: float = 0.0025
+    """Physics step with effects [s]; by default the step without effects."""
+
+    def __post_init__(self) -> None:
+        check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")
+
+
+AS_DESCRIBED = EffectsSettings()
+"""The robot without effects."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Disturbance:
+    """Disturbances of a simulated robot besides its variation; none by default."""
+
+    toe: Literal["left", "right"] = "left"
+    """Front toe that carries and is dragged."""
+    toe_payload: float = 0.0
+    """Mass at that toe [kg]."""
+    drag: float = 0.0
+    """Horizontal force on that toe, in a direction drawn for each start [N]."""
+    drag_from: float = 4.0
+    """When the force begins [s]."""
+    drag_seconds: float = 3.0
+    """How long it lasts [s]."""
+    slope: float = 0.0
+    """Inclination of the ground, falling in a direction drawn for each start [deg]."""
+    imu_tilt: float = 0.0
+    """Mounting error of the IMU, about an axis drawn for each start [deg]."""
+    noise_q: float = 0.0
+    """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
+    noise_imu: float = 0.0
+    """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
+    lost_share: float = 0.0
+    """Probability that a command is dropped; the one before stays in effect."""
+
+    def __post_init__(self) -> None:
+        check_range("toe-payload", self.toe_payload, 0.0, 5.0, "kg")
+        check_range("drag", self.drag, 0.0, 100.0, "N")
+        check_range("slope", self.slope, 0.0, 30.0, "deg")
+        check_range("imu-tilt", self.imu_tilt, 0.0, 30.0, "deg")
+        check_range("noise-q", self.noise_q, 0.0, 1.0, "rad")
+        check_range("noise-imu", self.noise_imu, 0.0, 1.0, "rad")
+        check_range("lost-share", self.lost_share, 0.0, 1.0)
+
+
+NO_DISTURBANCE = Disturbance()
+"""No disturbance."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solver:
+    """Integration of the physics; the defaults are those of the robot description."""
+
+    timestep: float = 0.0025
+    """Physics step [s]; the control step must be a multiple of it."""
+    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    """Shape of the friction cones."""
+
+    def __post_init__(self) -> None:
+        check_range("timestep", self.timestep, 1e-4, 0.02, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Randomisation:
+    """Ranges of the paper's Table II and of the start; a pair is uniform between its ends.
+
+    Source: Li et al. 2024, Table II, and its public code (c2_common_config.py, c2_standdance_env.py).
+    """
+
+    joint_friction: tuple[float, float] = (0.03, 0.08)
+    """Dry friction of each joint [N m]."""
+    joint_damping: tuple[float, float] = (0.02, 0.06)
+    """Viscous friction of each joint [N m s/rad]."""
+    ground_friction: tuple[float, float] = (1.0, 3.0)
+    """Sliding friction coefficient of the ground."""
+    restitution: tuple[float, float] = (0.0, 0.4)
+    """Rebound speed over impact speed of the ground."""
+    base_mass: tuple[float, float] = (-0.5, 0.5)
+    """Added to the trunk [kg]."""
+    abad_mass: tuple[float, float] = (0.0, 0.1)
+    """Added to each abad link [kg]; the paper's 'hip'."""
+    hip_mass: tuple[float, float] = (-0.05, 0.05)
+    """Added to each hip link [kg]; the paper's 'thigh'."""
+    knee_mass: tuple[float, float] = (-0.05, 0.05)
+    """Added to each knee link [kg]; the paper's 'calf'."""
+    toe_mass: tuple[float, float] = (0.0, 0.01)
+    """Added at each toe [kg]; the paper's 'foot'."""
+    com: tuple[float, float] = (-0.01, 0.01)
+    """Shift of the trunk's centre of mass along each axis [m]."""
+    kp: tuple[float, float] = (0.8, 1.2)
+    """Factor on each joint's position gain."""
+    kd: tuple[float, float] = (0.8, 1.2)
+    """Factor on each joint's velocity gain."""
+    delay: tuple[float, float] = (0.005, 0.030)
+    """From a command's decision to its effect [s]; drawn anew for every episode, rounded to physics steps."""
+    push: tuple[float, float] = (0.0, 0.2)
+    """Speed of a horizontal push to the trunk every push_interval [m/s]."""
+    push_interval: float = 5.0
+    """Time between two pushes [s]."""
+    start_q: tuple[float, float] = (-0.1, 0.1)
+    """Added to each joint of the lying pose [rad]."""
+    start_height: tuple[float, float] = (0.0, 0.02)
+    """Added to the base height of the lying pose [m]."""
+    heading: tuple[float, float] = (-3.141592653589793, 3.141592653589793)
+    """Heading at the start [rad]."""
+
+
+NOMINAL = Randomisation(
+    joint_friction=(0.05, 0.05),
+    joint_damping=(0.04, 0.04),
+    ground_friction=(1.0, 1.0),
+    restitution=(0.0, 0.0),
+    base_mass=(0.0, 0.0),
+    abad_mass=(0.0, 0.0),
+    hip_mass=(0.0, 0.0),
+    knee_mass=(0.0, 0.0),
+    toe_mass=(0.0, 0.0),
+    com=(0.0, 0.0),
+    kp=(1.0, 1.0),
+    kd=(1.0, 1.0),
+    delay=(0.015, 0.015),
+    push=(0.0, 0.0),
+    start_q=(0.0, 0.0),
+    start_height=(0.0, 0.0),
+    heading=(0.0, 0.0),
+)
+"""No randomisation: the model of the robot description."""

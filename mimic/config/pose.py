@@ -1,0 +1,92 @@
+"""Settings of the input sources: video, recorded motion, sentences, camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PoseSettings:
+    """How landmarks are found in a video."""
+
+    min_visibility: float = 0.5
+    """Minimum visibility of a detected landmark."""
+    min_person_share: float = 0.3
+    """Minimum share of frames that show both shoulders and a wrist: 0.60-1.00 on real clips, 0.02-0.11 on clips without
+    a person."""
+    min_duration: float = 0.1
+    """Minimum length of a clip [s]."""
+    max_jump: float = 0.25
+    """Largest plausible motion of a hip or wrist between two frames [m]."""
+    max_jump_share: float = 0.05
+    """Largest share of frames with such a jump, before a warning."""
+    cutoff_hz: float = 6.0
+    """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
+
+    def __post_init__(self) -> None:
+        check_range("min-visibility", self.min_visibility, 0.0, 1.0)
+        check_range("min-person-share", self.min_person_share, 0.0, 1.0)
+        check_range("cutoff-hz", self.cutoff_hz, 0.5, 30.0, "Hz")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MocapSettings:
+    """What a file with recorded motion (.npz, .trc, .bvh) does not say itself."""
+
+    names: tuple[str, ...] = ()
+    """OURS=THEIRS for each point with a name that mimic does not know, such as left_wrist=LWRA+LWRB (the mean of
+    two)."""
+    layout: str | None = None
+    """Layout of points without names, such as coco17 or smpl24; by default found from their number."""
+    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
+    """Axis that points up; auto: from the file header, else the torso direction."""
+    fps: float = 0.0
+    """Frame rate [Hz]; 0 takes the times in the file."""
+
+    def __post_init__(self) -> None:
+        check_range("fps", self.fps, 0.0, 10_000.0)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LanguageSettings:
+    """How a sentence becomes key frames."""
+
+    planner: Literal["auto", "llm", "grammar"] = "auto"
+    """What reads the sentence; auto: llm if an endpoint or a model is given, else the built-in grammar."""
+    llm_url: str | None = None
+    """Endpoint with OpenAI's chat completions API, such as http://127.0.0.1:11434/v1; its key is read from
+    OPENAI_API_KEY."""
+    llm_model: str | None = None
+    """Name of the language model."""
+    llm_timeout: float = 120.0
+    """Timeout of an answer [s]."""
+    longest: float = 60.0
+    """Maximum length of the motion [s]."""
+
+    def __post_init__(self) -> None:
+        check_range("llm-timeout", self.llm_timeout, 0.1, 3600.0, "s")
+        check_range("longest", self.longest, 1.0, 600.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LiveSettings:
+    """How the robot follows a camera in real time."""
+
+    follow: bool = False
+    """Turn and walk slowly with the person; otherwise the robot stays where it is."""
+    lost_hold: float = 0.5
+    """How long the target of a lost hand is held before it returns to neutral [s]."""
+    min_cutoff: float = 1.5
+    """Minimum cut-off of the One-Euro filter [Hz]; lower means less jitter and more lag."""
+    beta: float = 4.0
+    """Speed coefficient of the One-Euro filter: rise of the cut-off with the speed of the hand [Hz s/m]."""
+    camera_size: tuple[int, int] = (640, 480)
+    """Requested width and height of the camera picture [px]."""
+
+    def __post_init__(self) -> None:
+        check_range("lost-hold", self.lost_hold, 0.0, 10.0, "s")
+        check_range("min-cutoff", self.min_cutoff, 0.1, 30.0, "Hz")
+        check_range("beta", self.beta, 0.0, 100.0)

@@ -1,0 +1,30 @@
+"""Settings of retargeting: wrists to toe targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RetargetSettings:
+    """How wrist positions become toe targets."""
+
+    rate: float = 0.1
+    """Time between two targets [s]."""
+    mirror: bool = False
+    """The person's left arm drives the right front leg, as in a mirror."""
+    turns: bool = False
+    """Follow slow turns of the person; otherwise the heading is constant over the clip."""
+    keep_peaks: bool = True
+    """Move each target to the nearest turning point within half a step, so that slow rates keep the peak of a punch."""
+    reach_quantile: float = 0.98
+    """Quantile of the shoulder-wrist distance that is taken as the arm length."""
+    scale: float = 1.0
+    """Scale of the motion in the robot's workspace."""
+
+    def __post_init__(self) -> None:
+        check_range("rate", self.rate, 0.05, 1.0, "s")
+        check_range("reach-quantile", self.reach_quantile, 0.5, 1.0)
+        check_range("scale", self.scale, 0.2, 2.0)

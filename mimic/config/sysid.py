@@ -1,0 +1,82 @@
+"""How a log is explained, and how one is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mimic.config.ranges import check_range
+from mimic.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrateSettings:
+    """How a log is explained."""
+
+    method: Literal["least-squares", "random"] = "least-squares"
+    """Least squares and diagnosis, or the paper's search: random samples of the baseline parameters, the best wins."""
+    baseline: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
+    """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
+    effects: tuple[str, ...] = ()
+    """Effects that may be named; empty for the whole catalogue."""
+    most_effects: int = 5
+    """Most effects that are added."""
+    torque: bool = True
+    """Explain measured torque too, where the log has it."""
+    samples: int = 8192
+    """Samples of the random search; paper: 8192."""
+    timestep: float = 0.0
+    """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
+    threads: int = 0
+    """Threads; 0 takes one for each core."""
+    device: str = "cpu"
+    """Where replays run: cpu, or cuda (cuda:1, …) for MuJoCo Warp on a GPU, which needs the extra train."""
+    seed: int = 0
+    """Seed of the random search."""
+
+    def __post_init__(self) -> None:
+        for option, names in (("baseline", self.baseline), ("effects", self.effects)):
+            if len(set(names)) < len(names):
+                raise ConfigError(f"--{option} names an effect twice: {', '.join(names)}")
+        check_range("most-effects", self.most_effects, 0, 20)
+        check_range("samples", self.samples, 1, 10_000_000)
+        check_range("threads", self.threads, 0, 1024)
+        check_range("seed", self.seed, 0, 2**63)
+        check_range("timestep", self.timestep, 0.0, 0.005, "s")
+        if self.device != "cpu" and not self.device.startswith("cuda"):
+            raise ConfigError(f"device is {self.device}; it must be cpu, cuda or, of several GPUs, cuda:0, cuda:1, …")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LogSettings:
+    """How a log is simulated."""
+
+    noise: float = 0.00035
+    """Standard deviation of a position reading [rad]."""
+    resolution: float = 2 * 12.5 / 65535
+    """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
+    torque_noise: float = 0.02
+    """Standard deviation of a torque reading [N m]; a reading is the mean since the one before."""
+    rate_hz: float = 200.0
+    """Readings a second [Hz]."""
+    lost_samples: float = 0.0
+    """Share of readings that are missing from the log."""
+    jitter: float = 0.0
+    """Standard deviation of the times of the readings [s]."""
+    timestep: float = 0.0002
+    """Physics step [s], 0.0001 to 0.005.
+
+    A calibration finds what steps without length would leave: with long ones the log is off.
+    """
+    seed: int = 0
+    """Seed of noise and losses."""
+
+    def __post_init__(self) -> None:
+        check_range("noise", self.noise, 0.0, 0.1, "rad")
+        check_range("resolution", self.resolution, 0.0, 0.1, "rad")
+        check_range("torque-noise", self.torque_noise, 0.0, 100.0, "N m")
+        check_range("seed", self.seed, 0, 2**63)
+        check_range("rate-hz", self.rate_hz, 20.0, 2000.0, "Hz")
+        check_range("lost-samples", self.lost_samples, 0.0, 0.9)
+        check_range("jitter", self.jitter, 0.0, 0.01, "s")
+        check_range("timestep", self.timestep, 0.0001, 0.005, "s")

@@ -1,0 +1,239 @@
+"""The fixed-rate loop: lie, stand up, blend from the measured toes to the first target, track, hold, sit down, damp.
+
+Every run is supervised, in simulation as on hardware: after each control step the supervisor decides how it goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+
+import numpy as np
+
+from mimic.config.play import RunSettings
+from mimic.control.damping import damping_command
+from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
+from mimic.control.plant import Plant
+from mimic.control.supervisor import Event, SafetyMode, Supervisor
+from mimic.control.tick import Run, Safety, Sink, observation_width
+from mimic.errors import ContractError, PlantError
+from mimic.geometry import heading_from_quat, smoothstep
+from mimic.io.store import plain
+from mimic.policy.contract import ObservationBuilder, PolicyContract
+from mimic.policy.runtime import Policy
+from mimic.records import (
+    PHASES,
+    Command,
+    CommandTrack,
+    HealthLog,
+    JointCommand,
+    JointSamples,
+    LiveCommands,
+    RunLog,
+)
+from mimic.robot.leg_kinematics import front_toes
+
+LIE, SIT_DOWN, DAMP = (PHASES.index(name) for name in ("lie", "sit_down", "damp"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunResult:
+    """Outcome of a run."""
+
+    log: RunLog
+    health: HealthLog
+    """How far the readings of each tick could be trusted; rows as in the log."""
+    events: tuple[Event, ...]
+    """What the supervisor found."""
+    samples: JointSamples | None
+    """Joints faster than the control rate, where the plant records them."""
+    fell_at: float | None
+    """When the robot tipped over [s]."""
+    interrupted: bool
+    """Whether Ctrl-C or SIGTERM ended it early."""
+    error: Exception | None = None
+    """What failed, where that ended it early."""
+
+
+def run_policy(
+    plant: Plant,
+    policy: Policy,
+    track: CommandTrack | LiveCommands,
+    settings: RunSettings,
+    *,
+    sit_down: Policy | None = None,
+    sink: Sink | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    safety: Safety | None = None,
+) -> RunResult:
+    """Play commands on a plant through a policy, under supervision.
+
+    A track must have the plant's control step; live commands go on until they end. The supervisor decides after every
+    tick whether the robot runs on, sits down, is damped, or is stopped. The plant is closed whatever happens.
+
+    Without ``safety`` the run is supervised by the rules of `mimic.control.safety_rules`, begins where the plant
+    starts, and is over with its last tick. The first Ctrl-C then makes the robot sit down, a second one damps it.
+
+    Args:
+        plant: A robot, simulated or real.
+        policy: Stands and tracks.
+        track: What to play.
+        settings: Times of the phases.
+        sit_down: Policy that brings the robot down at the end; without it the robot stays as it is, or is damped
+            where a rule asks for sitting down.
+        sink: Called with every tick.
+        progress: Called with the ticks done and the ticks expected.
+        safety: Supervisor, recorder, and how the run begins and ends.
+
+    Returns:
+        The log of every tick, and how the run ended. A failure after the first tick is reported in ``error``.
+
+    Raises:
+        ContractError: If the track is empty or has another control step than the policy, or a policy was trained for
+            another task.
+        Exception: Whatever fails before the first tick.
+    """
+    contract = policy.contract
+    for given, task in ((policy, "stand_track"), (sit_down, "sit_down")):
+        if given is not None and given.contract.task != task:
+            raise ContractError(f"{given.path} was trained for {given.contract.task}; expected {task}")
+    counted = safety is None
+    if safety is None:
+        supervisor = Supervisor(plant.description, sits=sit_down is not None)
+        safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
+    motion, expected = _motion(track, settings, contract, endless=safety.endless)
+    sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
+    report = None if progress is None else partial(_report, progress, expected + sit_ticks)
+    run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
+    error: Exception | None = None
+    try:
+        with safety.signals.interrupts_counted() if counted else nullcontext():
+            error = _play(run, policy, motion, sit_down, sit_ticks)
+    finally:
+        plant.close()
+    events = tuple(safety.supervisor.events)
+    fell_at = safety.supervisor.fell_at
+    metadata = {
+        "robot": plant.description.name,
+        "policy": policy.path.name,
+        "sit_down": None if sit_down is None else sit_down.path.name,
+        "settings": plain(settings),
+        "dt": contract.dt,
+        "fell_at": fell_at,
+        "events": plain(events),
+    }
+    return RunResult(
+        log=RunLog(**run.columns(), metadata=metadata),
+        health=HealthLog(**run.health_columns()),
+        events=events,
+        samples=_joined(run.samples),
+        fell_at=fell_at,
+        interrupted=run.interrupted,
+        error=error,
+    )
+
+
+def _report(progress: Callable[[int, int], None], expected: int, done: int) -> None:
+    progress(done, max(done, expected))
+
+
+def _motion(
+    track: CommandTrack | LiveCommands, settings: RunSettings, contract: PolicyContract, *, endless: bool
+) -> tuple[DesiredMotion, int]:
+    """Return the motion to play, and the control ticks that are known of it."""
+    dt, neutral = contract.dt, np.array(contract.neutral_toes).reshape(2, 3)
+    if not isinstance(track, CommandTrack):
+        known = round((settings.stand_up + settings.blend + settings.hold) / dt)
+        return LiveMotion(track, settings, dt, neutral), known
+    if not len(track.t):
+        raise ContractError("there are no commands to play; expected at least one row")
+    if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
+        given = float(np.median(np.diff(track.t)))
+        raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
+    motion = StoredMotion(track, settings, dt, neutral, endless=endless)
+    return motion, motion.ticks
+
+
+def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | None, sit_ticks: int) -> Exception | None:
+    """Ramp, follow, sit down and damp; return what failed, after damping the robot."""
+    safety = run.safety
+    try:
+        run.begin()
+        if safety.ramp > 0.0:
+            _ramp(run, policy.contract)
+        if run.mode == SafetyMode.RUN:
+            _follow(run, policy, motion)
+        if run.mode <= SafetyMode.SIT_DOWN and sit_down is not None:
+            _sit_down(run, sit_down, sit_ticks)
+        if run.mode < SafetyMode.DAMP:
+            run.decide("finished", SafetyMode.DAMP if safety.damp_at_end else SafetyMode.STOPPED, "the run is over")
+        _damp(run)
+    except (Exception, KeyboardInterrupt) as reason:
+        run.decide("exception", SafetyMode.DAMP, str(reason).strip() or type(reason).__name__)
+        run.sink = run.progress = None  # one of them may have failed
+        if not run.ticks:
+            raise
+        if isinstance(reason, KeyboardInterrupt):
+            safety.signals.interrupts += 1  # nothing else has counted it
+        if not isinstance(reason, PlantError):  # otherwise closing the plant does what can be done
+            with suppress(Exception, KeyboardInterrupt):
+                _damp(run)
+        return reason if isinstance(reason, Exception) else None
+    return None
+
+
+def _ramp(run: Run, contract: PolicyContract) -> None:
+    """Let the gains rise where the joints are, then bring the joints into the lying pose."""
+    ticks = max(2, round(run.safety.ramp / contract.dt))
+    begin, lie = run.q, run.plant.description.poses["lie"]
+    for tick in range(ticks):
+        if run.mode > SafetyMode.RUN:
+            return
+        done = 2.0 * (tick + 1) / ticks
+        gain, share = min(done, 1.0), float(np.clip(done - 1.0, 0.0, 1.0))
+        q_des = begin + smoothstep(share) * (lie - begin)
+        kp, kd = np.full(12, gain * contract.kp), np.full(12, gain * contract.kd)
+        run.hold(JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=kp, kd=kd, tau_ff=np.zeros(12)), LIE)
+
+
+def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
+    """Stand up, blend, track and hold, until the motion is over or the supervisor ends it."""
+    builder = ObservationBuilder(policy.contract)
+    heading0 = float(heading_from_quat(run.quat_WB))
+    for tick in count():
+        desired = motion.at(tick, lambda: front_toes(run.q, run.plant.description))
+        if desired is None:
+            return
+        asked = desired.command
+        run.tick(policy, builder, desired.phase, Command(v=asked.v, heading=heading0 + asked.heading, p_BE=asked.p_BE))
+        if run.mode > SafetyMode.RUN:
+            return
+
+
+def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
+    """Let a policy bring the robot from its newest state down to lying."""
+    builder = ObservationBuilder(policy.contract)
+    heading = float(heading_from_quat(run.quat_WB))
+    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+    for _ in range(ticks):
+        run.tick(policy, builder, SIT_DOWN, Command(v=np.zeros(2), heading=heading, p_BE=neutral))
+        if run.mode > SafetyMode.SIT_DOWN:
+            return
+
+
+def _damp(run: Run) -> None:
+    """Damp with the motors' highest velocity gain until the supervisor finds that the robot rests."""
+    d = run.plant.description
+    kd = d.kd_max
+    while run.mode < SafetyMode.STOPPED:
+        run.hold(damping_command(np.clip(run.q, d.q_min, d.q_max), kd), DAMP)
+
+
+def _joined(samples: list[JointSamples]) -> JointSamples | None:
+    if not samples:
+        return None
+    names = ("t", "q", "dq", "tau", "q_des")
+    return JointSamples(**{name: np.concatenate([getattr(s, name) for s in samples]) for name in names})

@@ -1,0 +1,220 @@
+"""Description -> compiled MuJoCo model and its actuator law: one place for simulation, training and evaluation.
+
+The actuator law is MuJoCo's own ``dcmotor`` in the MJCF: tau = kp (q_des - q) - kd dq, through a motor whose voltage
+limit gives the torque-speed line, clipped at the peak torque. MuJoCo on a CPU and MuJoCo Warp on a GPU both run it,
+and both integrate it implicitly. With calibrated effects a bare servo at each joint takes its place, which
+`mimic.dynamics.law` drives.
+
+A command takes effect after a delay that varies from robot to robot. It is applied on the way to the motors
+(`command_in_effect`) and not by the native ``delay`` of the MJCF, so that it can be drawn anew for each episode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mimic.config.play import Randomisation
+from mimic.dynamics.machine import add_servos
+from mimic.records import JOINTS, LEGS, FloatArray
+from mimic.robot.description import RobotDescription
+from mimic.robot.model import BASE, FLOOR, is_visual, read_model
+
+GAIN_KP, GAIN_KD = 4, 6
+"""Where the gains stand in the gain parameters of a dcmotor."""
+
+
+def load_model(
+    description: RobotDescription,
+    *,
+    floor: bool = True,
+    visuals: bool = True,
+    payloads: Mapping[str, float] | None = None,
+    servos: bool = False,
+) -> mujoco.MjModel:
+    """Compile the robot.
+
+    Args:
+        description: The robot.
+        floor: Put it on a floor.
+        visuals: Keep the shapes that are only looked at.
+        payloads: Mass [kg] that the toe of a leg carries, as a ball of the toe's size.
+        servos: Instead of the motors put a bare position servo at each joint, for a law that drives it.
+    """
+    spec = read_model(description, floor=floor)
+    for actuator in spec.actuators:
+        actuator.delay = 0.0
+        actuator.nsample = 0
+    if not visuals:
+        for geom in list(spec.geoms):
+            if is_visual(geom):
+                spec.delete(geom)
+    if servos:
+        add_servos(spec, JOINTS)
+    for leg, mass in (payloads or {}).items():
+        inertia = 0.4 * mass * description.toe_radius**2
+        load = spec.body(f"{leg}_knee").add_body(pos=description.leg.toe, explicitinertial=True)
+        load.mass, load.ipos, load.inertia = mass, [0.0, 0.0, 0.0], [inertia] * 3
+    return spec.compile()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Variation:
+    """One robot out of the randomised many; joint arrays are (12,), leg arrays (4,)."""
+
+    joint_friction: FloatArray
+    """[N m]"""
+    joint_damping: FloatArray
+    """[N m s/rad]"""
+    ground_friction: float
+    restitution: float
+    base_mass: float
+    """Added to the trunk [kg]."""
+    abad_mass: FloatArray
+    """Added [kg]."""
+    hip_mass: FloatArray
+    """Added [kg]."""
+    knee_mass: FloatArray
+    """Added [kg]."""
+    toe_mass: FloatArray
+    """Added at the toes [kg]."""
+    com: FloatArray
+    """Shift of the trunk's centre of mass (3,) [m]."""
+    kp: FloatArray
+    """Factor."""
+    kd: FloatArray
+    """Factor."""
+    delay_steps: int
+    """Physics steps from a command to its effect."""
+    start_q: FloatArray
+    """Added to the start pose [rad]."""
+    start_height: float
+    """Added to the start height [m]."""
+    heading: float
+    """At the start [rad]."""
+
+
+_SHAPES = {
+    "joint_friction": (12,),
+    "joint_damping": (12,),
+    "abad_mass": (4,),
+    "hip_mass": (4,),
+    "knee_mass": (4,),
+    "toe_mass": (4,),
+    "com": (3,),
+    "kp": (12,),
+    "kd": (12,),
+    "start_q": (12,),
+}
+
+
+def draw_variation(ranges: Randomisation, timestep: float, rng: np.random.Generator) -> Variation:
+    """Return one robot drawn from the ranges."""
+    values: dict[str, Any] = {}
+    for f in fields(Variation):
+        low, high = getattr(ranges, "delay" if f.name == "delay_steps" else f.name)
+        if f.name == "delay_steps":
+            values[f.name] = int(rng.integers(round(low / timestep), round(high / timestep) + 1))
+        elif f.name in _SHAPES:
+            values[f.name] = rng.uniform(low, high, _SHAPES[f.name])
+        else:
+            values[f.name] = float(rng.uniform(low, high))
+    return Variation(**values)
+
+
+def restitution_damping(restitution: float) -> float:
+    """Return the damping ratio of a contact whose rebound speed is ``restitution`` times the impact speed.
+
+    Source: damped oscillator, e = exp(-pi z / sqrt(1 - z^2)), solved for z; 1 where there is no rebound.
+    """
+    if restitution < 1e-3:
+        return 1.0
+    a = -math.log(restitution) / math.pi
+    return a / math.sqrt(1 + a * a)
+
+
+def bouncing(time: float, restitution: float) -> tuple[float, float]:
+    """Return time constant [s] and damping ratio of a bouncing contact as stiff as one of ``time``."""
+    damping = restitution_damping(restitution)
+    return time / damping, damping
+
+
+def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variation) -> None:
+    """Write one variation into ``model``, starting from the numbers of ``nominal``; repeatable on the same model."""
+    joints = slice(6, 18)
+    model.dof_frictionloss[joints] = variation.joint_friction
+    model.dof_damping[joints] = variation.joint_damping
+    floor = model.geom(FLOOR).id
+    model.geom_friction[floor, 0] = variation.ground_friction
+    model.geom_solref[floor] = bouncing(nominal.geom_solref[floor, 0], variation.restitution)
+    model.actuator_gainprm[:, GAIN_KP] = nominal.actuator_gainprm[:, GAIN_KP] * variation.kp
+    model.actuator_gainprm[:, GAIN_KD] = nominal.actuator_gainprm[:, GAIN_KD] * variation.kd
+    added = np.zeros(model.nbody)
+    base = model.body(BASE).id
+    added[base] = variation.base_mass
+    for i, leg in enumerate(LEGS):
+        added[model.body(f"{leg}_abad").id] = variation.abad_mass[i]
+        added[model.body(f"{leg}_hip").id] = variation.hip_mass[i]
+        added[model.body(f"{leg}_knee").id] = variation.knee_mass[i] + variation.toe_mass[i]
+    mass = nominal.body_mass + added
+    ratio = np.where(nominal.body_mass > 0, mass / np.maximum(nominal.body_mass, 1e-9), 1.0)
+    model.body_mass[:] = mass
+    model.body_inertia[:] = nominal.body_inertia * ratio[:, None]
+    model.body_iquat[:] = nominal.body_iquat
+    model.body_ipos[:] = nominal.body_ipos
+    model.body_ipos[base] += variation.com
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def carry(model: mujoco.MjModel, body: str, mass: float, position: FloatArray) -> None:
+    """Add a point mass [kg] at a position (3,) [m] of a body, in ``model`` as it is."""
+    if not mass:
+        return
+    at = model.body(body).id
+    own, frame = float(model.body_mass[at]), np.zeros(9)
+    mujoco.mju_quat2Mat(frame, model.body_iquat[at])
+    turn = frame.reshape(3, 3)
+    inertia = turn @ np.diag(model.body_inertia[at]) @ turn.T
+    away = position - model.body_ipos[at]
+    inertia += own * mass / (own + mass) * (away @ away * np.eye(3) - np.outer(away, away))
+    values, axes = np.linalg.eigh(inertia)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    mujoco.mju_mat2Quat(model.body_iquat[at], axes.reshape(9))
+    model.body_inertia[at], model.body_mass[at] = values, own + mass
+    model.body_ipos[at] += away * mass / (own + mass)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def command_in_effect(
+    substep: int,
+    decimation: int,
+    delay_steps: Any,
+    newest: Any,
+    before: Any,
+    before_that: Any,
+    where: Any,
+    older: Sequence[Any] = (),
+) -> Any:
+    """Return the command that acts during a physics step.
+
+    Args:
+        substep: Index of the physics step within the control step, from 0.
+        decimation: Physics steps in a control step.
+        delay_steps: Physics steps from a command to its effect; no more than one control step less than there are
+            commands, two with the first three. Broadcasts with commands.
+        newest: Command of this control step.
+        before: Command of the control step before.
+        before_that: And of the one before that.
+        where: ``np.where`` or ``torch.where``.
+        older: Those before, newest first.
+    """
+    commands = (newest, before, before_that, *older)
+    acting = commands[-1]
+    for age in reversed(range(len(commands) - 1)):
+        acting = where(delay_steps - age * decimation <= substep, commands[age], acting)
+    return acting

@@ -1,0 +1,1 @@
+"""The robot behind its real protocols, emulated: motors, IMU, buses, faults."""

@@ -1,0 +1,68 @@
+"""One episode of an evaluation: a supervised run with rules of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from mimic.config.play import RunSettings
+from mimic.control.loop import RunResult, run_policy
+from mimic.control.plant import Plant
+from mimic.control.safety_limits import Limits
+from mimic.control.safety_rules import FALLEN, TIPPING, Alert, Rule
+from mimic.control.step_history import StepHistory, StepReport
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
+from mimic.policy.runtime import Policy
+from mimic.records import CommandTrack
+
+
+def _sits_down(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    for alert in TIPPING.check(report, history, limits):
+        yield replace(alert, outcome="SIT_DOWN", needs_upright=False)
+
+
+TRACKING_RULES = (FALLEN,)
+"""Rules of an episode in which a policy stands and tracks.
+
+It goes on until the robot has fallen. The rules of a robot on its bus would end it earlier: they stop a robot that is
+about to fall, one whose readings contradict each other (which noise and a tilted IMU bring about), and one whose
+motors are hot. An evaluation asks how far a policy gets in spite of that.
+"""
+
+SIT_DOWN_RULES = (replace(TIPPING, outcome="sit down", check=_sits_down, reads_history=False),)
+"""Rules of an episode that ends by sitting down: a robot that is about to fall sits down at once, instead of being
+damped, so that the policy that sits down is seen in that case too."""
+
+
+def play_episode(
+    plant: Plant,
+    policy: Policy,
+    track: CommandTrack,
+    settings: RunSettings,
+    *,
+    sit_down: Policy | None = None,
+) -> RunResult:
+    """Play an episode; with a policy that sits down it ends lying, without one it ends where the track does.
+
+    Args:
+        plant: A simulated robot.
+        policy: Stands and tracks.
+        track: What to play.
+        settings: Times of the phases.
+        sit_down: Brings the robot down at the end, and when it is about to fall.
+
+    Raises:
+        ContractError: If the commands or a policy do not fit.
+        PlantError: If the simulation is no longer finite.
+        Exception: Whatever else fails.
+    """
+    rules: tuple[Rule, ...] = TRACKING_RULES if sit_down is None else SIT_DOWN_RULES
+    supervisor = Supervisor(plant.description, rules=rules)
+    safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
+    result = run_policy(plant, policy, track, settings, sit_down=sit_down, safety=safety)
+    if result.error is not None:
+        raise result.error
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result

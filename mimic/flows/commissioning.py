@@ -1,0 +1,164 @@
+"""Commissioning a real robot: scan its buses, set zeros, check it, and excite its joints for calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mimic.config.hardware import BusSettings, ProbeSettings
+from mimic.errors import ConfigError
+from mimic.flows.operator import Operator, undisturbed
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.run_folder import LOG
+from mimic.io import store
+from mimic.records import FloatArray, RunLog
+
+if TYPE_CHECKING:
+    from mimic.hardware.excite import ProbeResult
+    from mimic.hardware.preflight import Check
+    from mimic.hardware.scan import BusScan
+    from mimic.hardware.wiring import Wiring
+
+
+def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusScan], Wiring, list[str]]:
+    """Find motors and IMU on the buses; nothing moves.
+
+    Returns:
+        What answered on each bus, the wiring, and what the wiring names but nobody answered to, as sentences.
+
+    Raises:
+        ConfigError, AssetError, BusError: If the buses cannot be opened.
+    """
+    from mimic.hardware.scan import scan, wiring_problems
+    from mimic.hardware.session import open_session
+
+    with open_session(bus_url, bus or BusSettings()) as robot:
+        seen = scan(robot.link, robot.wiring)
+        return seen, robot.wiring, wiring_problems(seen, robot.wiring)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Zeroed:
+    """Zeros that were set."""
+
+    file: Path
+    """Where they are kept until the power goes."""
+    off: FloatArray
+    """Joint angles minus the lying pose (12,) [rad]."""
+    warnings: Sequence[str]
+    first: bool
+    """Whether no earlier zeros were known, so that the lying pose was taken for exact."""
+
+
+def zero_robot(
+    bus_url: str, bus: BusSettings | None = None, *, again: bool = False, operator: Operator | None = None
+) -> Zeroed:
+    """Set the zeros of a robot that lies on its folded legs; its motors stay off.
+
+    Args:
+        bus_url: Buses of the robot.
+        bus: How they are driven.
+        again: Forget what was known of this robot.
+        operator: Confirms that the robot lies.
+
+    Raises:
+        PlantError: If a joint is not near the lying pose.
+        ConfigError, AssetError, BusError: If the buses cannot be opened.
+    """
+    from mimic.hardware.homing import home, uneven
+    from mimic.hardware.session import homing_file, open_session
+    from mimic.robot.description import load_description
+
+    description = load_description()
+    (operator or Operator()).confirm("Keep your hands off it from here on.")
+    with open_session(bus_url, bus or BusSettings()) as robot:
+        known = None if again else robot.homing
+        homing, q = home(robot.motor_bus(), description, known)
+    path = homing_file(robot.wiring)
+    homing.save(path)
+    return Zeroed(file=path, off=q - description.poses["lie"], warnings=uneven(q), first=known is None)
+
+
+def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool = False) -> list[Check]:
+    """Return what the pre-flight check finds; nothing moves.
+
+    Raises:
+        ConfigError, AssetError, BusError: If the buses cannot be opened.
+    """
+    from mimic.hardware.preflight import preflight
+    from mimic.hardware.session import check_watchdog, open_session
+    from mimic.robot.description import load_description
+
+    bus, description = bus or BusSettings(), load_description()
+    with open_session(bus_url, bus) as robot:
+        motor_bus = robot.motor_bus()
+        rate = 1.0 / description.dt
+        options = {"homing": robot.homing, "trust_zeros": bus.zeroed, "suspended": suspended}
+        findings = preflight(motor_bus, description, rate_hz=rate, **options)
+    findings.append(check_watchdog(findings, bus_url, bus))
+    return findings
+
+
+def probe_robot(
+    bus_url: str,
+    out: Path,
+    *,
+    motion: Path | None = None,
+    settings: ProbeSettings | None = None,
+    bus: BusSettings | None = None,
+    operator: Operator | None = None,
+    reporter: Reporter | None = None,
+) -> tuple[ProbeResult, Path, str]:
+    """Move a robot that hangs with its feet free, and write the log that calibration reads.
+
+    Args:
+        bus_url: Buses of the robot.
+        out: Parquet or CSV file to write.
+        motion: Play the targets of this run folder or log.parquet instead.
+        settings: The motion.
+        bus: How the robot is driven.
+        operator: Sees the pre-flight check and confirms that the robot may move.
+        reporter: Receives notes.
+
+    Returns:
+        What was measured, the file written, and how the robot was left.
+
+    Raises:
+        PlantError, BusError, ConfigError, AssetError: If something stands against it.
+    """
+    from mimic.control.signals import Signals
+    from mimic.hardware.excite import probe
+    from mimic.hardware.excite_motion import asked_rates, probe_motion, recorded_motion
+    from mimic.hardware.session import robot_session
+    from mimic.io.joint_log import write_log
+    from mimic.robot.description import load_description
+
+    if out.suffix.lower() not in (".parquet", ".csv"):
+        raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
+    settings, bus = settings or ProbeSettings(), bus or BusSettings()
+    operator, reporter = operator or Operator(), reporter or SilentReporter()
+    store.check_writable(out.parent)
+    description, signals = load_description(), Signals()
+    if motion is None:
+        targets = probe_motion(description, settings)
+    else:
+        log = store.load(motion / LOG if motion.is_dir() else motion, RunLog)
+        targets = recorded_motion(log.t, log.q_des, description, settings)
+    seconds = len(targets) / settings.rate_hz
+    with robot_session(
+        bus_url,
+        bus,
+        description,
+        rate_hz=asked_rates(targets, settings, description),
+        report=operator.show_findings,
+        go=lambda: operator.confirm(
+            f"It moves {settings.joints} joints for {seconds:.0f} s; feet free, nobody within reach."
+        ),
+        suspended=True,
+    ) as plant:
+        reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")
+        with signals.caught(), undisturbed():
+            result = probe(plant, targets, settings, signals)
+    return result, write_log(result.log, out), plant.ending

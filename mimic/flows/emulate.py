@@ -1,0 +1,220 @@
+"""Serving the emulated robot to other processes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.play import EffectsSettings
+from mimic.errors import ConfigError
+from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.reporter import Reporter, SilentReporter
+
+FRAME_INTERVAL = 1 / 30
+"""Time between two pictures in the viewer [s]."""
+
+CLOSE_TIMEOUT = 5.0
+"""Longest wait for the viewer's window to close [s]."""
+
+RANDOM_FAULT = (0.5, 8.0)
+"""A random fault begins this long after the first motor was switched on [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions:
+    """Where and how long the robot is served."""
+
+    listen: str = "127.0.0.1:29536"
+    """HOST:PORT for socketcand; port 0 takes a free one."""
+    slcan: int | None = None
+    """Port on which the first bus is also served as slcan, the others on the ports after it; 0 takes free ones."""
+    buses: int = 1
+    """Number of buses that the motors are on."""
+    wiring: Path | None = None
+    """Wiring file; None takes the shipped one."""
+    faults: Sequence[str] = ()
+    """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
+    fault_seed: int | None = None
+    """Also inject a random fault, drawn with this seed."""
+    seconds: float | None = None
+    """End after this [s]; None serves until Ctrl-C or SIGTERM."""
+    every: float = 10.0
+    """Interval of the status lines [s]; 0 for none."""
+    view: bool = False
+    """Open MuJoCo's viewer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Served:
+    """What was served."""
+
+    seconds: float
+    """Time of the emulation [s]."""
+    frames: int
+    bits_per_frame: float
+    load: tuple[float, ...]
+    """Share of each bus's time that was used."""
+    late: int
+    """Frames delivered more than 2 ms late."""
+    stood_still: float
+    """For how long the emulation stood still because this computer was too slow [s]."""
+
+
+def _address(listen: str) -> tuple[str, int]:
+    host, colon, port = listen.rpartition(":")
+    if not colon or not host or not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"--listen is {listen!r}; expected HOST:PORT, such as 127.0.0.1:29536")
+    return host, int(port)
+
+
+def serve_robot(
+    options: ServeOptions | None = None,
+    settings: EmulateSettings | None = None,
+    effects: EffectsSettings | None = None,
+    *,
+    reporter: Reporter | None = None,
+) -> Served:
+    """Serve an emulated robot on emulated CAN buses until Ctrl-C, SIGTERM or the given time.
+
+    Args:
+        options: Where and how long.
+        settings: How the robot behaves.
+        effects: What a calibration found.
+        reporter: Receives addresses, events and status lines.
+
+    Raises:
+        ConfigError: If an address, a fault or the effects cannot be used.
+        AssetError: If a file cannot be read.
+    """
+    from mimic.dynamics.effect_set import read_effects
+    from mimic.dynamics.servo import read_standing
+    from mimic.emulator.faults import parse_fault, random_fault
+    from mimic.emulator.robot import EmulatedRobot
+    from mimic.emulator.server import EmulatorServer
+    from mimic.hardware.wiring import load_wiring
+    from mimic.robot.description import load_description
+
+    options, settings = options or ServeOptions(), settings or EmulateSettings()
+    effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
+    host, port = _address(options.listen)
+    faults = [parse_fault(text) for text in options.faults]
+    if options.fault_seed is not None:
+        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
+    held = None
+    if effects.effects is not None:
+        if not settings.suspended:
+            warn_of_stand_effects(effects, reporter)
+        held = (read_effects if settings.suspended else read_standing)(Path(effects.effects))
+    emulated = EmulatedRobot(
+        load_description(),
+        load_wiring(options.wiring, buses=options.buses),
+        settings,
+        effects=held,
+        faults=faults,
+        timestep=effects.timestep,
+        visuals=options.view,
+    )
+    shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
+    server = EmulatorServer(emulated, host=host, port=port, slcan=options.slcan)
+    for fault in faults:
+        reporter.note(f"fault        {fault}")
+    begin = time.monotonic()
+    reported, late, stood = begin, 0, 0.0
+
+    def each() -> None:
+        nonlocal reported, late, stood
+        while emulated.events:
+            t, text = emulated.events.popleft()
+            reporter.note(f"{t:9.3f} s  {text}")
+        if options.every and time.monotonic() - reported >= options.every:
+            reported = time.monotonic()
+            status = server.status()
+            late, stood = late + status.late, stood + status.stood_still
+            reporter.note(_line(status))
+        if shown is not None:
+            shown.show()
+
+    try:
+        with _until_signal() as signalled:
+
+            def ended() -> bool:
+                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
+                return signalled() or over or (shown is not None and not shown.open())
+
+            for address in server.addresses:
+                reporter.note(f"ready        {address}")
+            server.run(ended, each)
+    finally:
+        server.close()
+        if shown is not None:
+            shown.close()
+    status = server.status()
+    bits, frames = sum(bus.bits for bus in emulated.buses), sum(bus.frames for bus in emulated.buses)
+    return Served(
+        seconds=emulated.now,
+        frames=frames,
+        bits_per_frame=bits / max(frames, 1),
+        load=tuple(emulated.load(i) for i in range(len(emulated.buses))),
+        late=late + status.late,
+        stood_still=stood + status.stood_still,
+    )
+
+
+def _line(status: Any) -> str:
+    buses = ", ".join(
+        f"{load:.1%} at {rate:.0f} frames/s" for load, rate in zip(status.load, status.frames, strict=True)
+    )
+    late = f"; {status.late} frames late, {1e3 * status.latest:.1f} ms at most" if status.late else ""
+    still = f"; stood still for {status.stood_still:.2f} s" if status.stood_still else ""
+    clients = f"{status.clients} client{'s' if status.clients != 1 else ''}"
+    return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
+
+
+@contextmanager
+def _until_signal() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C or SIGTERM has come."""
+    came: list[int] = []
+    before = {n: signal.signal(n, lambda n, _: came.append(n)) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Viewer:
+    """MuJoCo's viewer of the running emulation."""
+
+    def __init__(self, model: Any, data: Any) -> None:
+        from mimic.view.scene.viewer import display_available
+
+        if not display_available():
+            raise ConfigError("--view needs a display, and there is none here")
+        import mujoco.viewer
+
+        if not model.nlight:  # hung up there is no scene around the robot
+            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.7
+        before = set(threading.enumerate())
+        self._handle = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._next = 0.0
+
+    def open(self) -> bool:
+        return self._handle.is_running()
+
+    def close(self) -> None:
+        self._handle.close()
+        for thread in self._threads:  # its window must be gone before the process ends, or that ends in a crash
+            thread.join(CLOSE_TIMEOUT)
+
+    def show(self) -> None:
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + FRAME_INTERVAL
+            self._handle.sync()

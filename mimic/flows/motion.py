@@ -1,0 +1,332 @@
+"""Any source of motion -> a Motion that can be played: videos, recorded motion, key frames, records, sentences.
+
+A new source is a reader in `mimic.sources` and a row in SOURCES.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mimic.config.pose import LanguageSettings, MocapSettings, PoseSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.errors import AssetError, SourceError
+from mimic.flows.provenance import provenance
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.io import store
+from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
+
+if TYPE_CHECKING:
+    from mimic.io.keyframes import KeyFrames
+    from mimic.robot.description import RobotDescription
+    from mimic.robot.reach import Reach
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class InputSettings:
+    """How an input becomes commands."""
+
+    pose: PoseSettings = field(default_factory=PoseSettings)
+    stored: MocapSettings = field(default_factory=MocapSettings)
+    retarget: RetargetSettings = field(default_factory=RetargetSettings)
+    language: LanguageSettings = field(default_factory=LanguageSettings)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Motion:
+    """What the robot is asked to do, whatever it was made from."""
+
+    commands: CommandTrack
+    """One row for each control step."""
+    targets: TargetTrack | None = None
+    """The toe targets behind the commands and how they were clamped; None where only commands were stored."""
+    pose: PoseTrack | None = None
+    """The person, where there is one."""
+    video: Path | None = None
+    """The video in which the person was seen."""
+    script: KeyFrames | None = None
+    """The key frames, where it was made from such."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Loading:
+    """What every reader needs besides the file."""
+
+    settings: InputSettings
+    reporter: Reporter
+    description: RobotDescription | None
+    """Robot whose workspace the targets are clamped to; None for the shipped one."""
+
+    def reach(self) -> Reach:
+        from mimic.robot.reach import Reach
+
+        return Reach(self.description)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A kind of file that can be played."""
+
+    name: str
+    endings: tuple[str, ...]
+    """Lower-case file endings, with their dot."""
+    read: Callable[[Path, _Loading], Motion]
+    """Reads a file of this kind."""
+    in_folders: Callable[[Path], bool] = lambda path: True
+    """Whether a file with such an ending, found in a folder, is meant to be played."""
+
+
+def load_motion(
+    source: str | Path,
+    settings: InputSettings | None = None,
+    *,
+    description: RobotDescription | None = None,
+    reporter: Reporter | None = None,
+) -> Motion:
+    """Load a motion from a file.
+
+    The ending of the file names its reader (see SOURCES); a file with any other ending is read as a video.
+
+    Args:
+        source: A video of one person, recorded motion (.npz, .trc, .bvh), key frames (.yaml), or a record that mimic
+            wrote (.parquet).
+        settings: How the input becomes commands.
+        description: Robot whose workspace the targets are clamped to; by default the shipped CyberDog 2.
+        reporter: Receives notes, warnings and progress.
+
+    Returns:
+        The motion, with commands at the robot's control rate (50 Hz), toe targets in base axes [m].
+
+    Raises:
+        SourceError: If there is no such file, or it holds no motion that can be played.
+        AssetError: If a record cannot be read.
+    """
+    path = Path(source)
+    if not path.exists():
+        raise SourceError(f"there is no file {path}")
+    if path.is_dir():
+        raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
+    loading = _Loading(
+        settings=settings or InputSettings(), reporter=reporter or SilentReporter(), description=description
+    )
+    ending = path.suffix.lower()
+    reader = next((kind for kind in SOURCES if ending in kind.endings), VIDEO)
+    return reader.read(path, loading)
+
+
+def motion_from_text(
+    sentence: str,
+    settings: InputSettings | None = None,
+    *,
+    description: RobotDescription | None = None,
+    reporter: Reporter | None = None,
+) -> Motion:
+    """Plan a motion from a sentence, such as "step forward, then wave the left hand".
+
+    Raises:
+        SourceError: If the sentence is not understood, or the robot cannot do what it asks.
+        ConfigError, MissingExtra: If a language model is asked for and not named, or its client is not installed.
+    """
+    from mimic.sources.text.planner import plan, uses_model
+
+    settings, reporter = settings or InputSettings(), reporter or SilentReporter()
+    loading = _Loading(settings=settings, reporter=reporter, description=description)
+    reach = loading.reach()
+    if uses_model(settings.language):
+        reporter.note(f"planner      asking {settings.language.llm_model or 'a language model'}")
+    script = plan(sentence, reach, settings.language)
+    reporter.note(f"planner      {script.planner}: {len(script.frames)} key frames, {script.seconds:.1f} s")
+    return _of_script(script, reach, loading)
+
+
+def track_video(
+    video: str | Path,
+    settings: PoseSettings | None = None,
+    *,
+    cache: bool = True,
+    reporter: Reporter | None = None,
+) -> PoseTrack:
+    """Find the person's 33 landmarks in every frame of a video.
+
+    Args:
+        video: A video file of one person.
+        settings: How frames become landmarks.
+        cache: Reuse the track of an earlier call with the same video (by content) and settings.
+        reporter: Receives progress.
+
+    Returns:
+        Landmarks relative to the middle of the hips [m], camera axes (x right, y down, z away), NaN where nothing was
+        seen; one row for each decoded frame.
+
+    Raises:
+        SourceError: If the file is no video, or shows no person.
+    """
+    from mimic.sources.video.video import pose_cache_key
+    from mimic.sources.video.video import track_video as track
+
+    path, settings, reporter = Path(video), settings or PoseSettings(), reporter or SilentReporter()
+    if not path.is_file():
+        raise SourceError(f"there is no video {path}")
+    cached = _pose_cache() / f"{pose_cache_key(path, settings)}.parquet" if cache else None
+    if cached is not None and cached.is_file():
+        reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
+        return store.load(cached, PoseTrack)
+    with reporter.progress("pose") as progress:
+        found = track(path, settings, progress=progress)
+    if cached is not None:
+        store.save(found, cached, made_by=provenance(settings, {"video": path}))
+    return found
+
+
+def retarget(
+    track: PoseTrack | WristTrack,
+    settings: RetargetSettings | None = None,
+    *,
+    description: RobotDescription | None = None,
+    reporter: Reporter | None = None,
+) -> TargetTrack:
+    """Scale a person's wrists into the robot's workspace, sample, clamp and limit them.
+
+    Args:
+        track: Landmarks of a person, or wrist vectors from the shoulders in torso axes.
+        settings: Sampling interval, scale, mirroring.
+        description: The robot; by default the shipped CyberDog 2.
+        reporter: Receives warnings.
+
+    Returns:
+        Toe targets in the robot's base axes [m], reachable inside its joint and speed limits; ``report`` tells how much
+        was moved.
+
+    Raises:
+        SourceError: If the track shows no usable arm.
+    """
+    loading = _Loading(
+        settings=InputSettings(retarget=settings or RetargetSettings()),
+        reporter=reporter or SilentReporter(),
+        description=description,
+    )
+    motion = _of_pose(track, loading) if isinstance(track, PoseTrack) else _of_wrists(track, loading)
+    assert motion.targets is not None
+    return motion.targets
+
+
+def as_motion(
+    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack, *, reporter: Reporter | None = None
+) -> Motion:
+    """Return a motion of whatever can be played, retargeted with default settings where that is needed."""
+    if isinstance(commands, Motion):
+        return commands
+    if isinstance(commands, CommandTrack):
+        return Motion(commands=commands)
+    if isinstance(commands, TargetTrack):
+        return _of_targets(commands)
+    loading = _Loading(settings=InputSettings(), reporter=reporter or SilentReporter(), description=None)
+    return _of_pose(commands, loading) if isinstance(commands, PoseTrack) else _of_wrists(commands, loading)
+
+
+def is_video(path: Path) -> bool:
+    """Return whether a file is read as a video: by its ending, or because no other kind has that ending."""
+    return next((kind for kind in SOURCES if path.suffix.lower() in kind.endings), VIDEO) is VIDEO
+
+
+def playable(path: Path) -> bool:
+    """Return whether a file in a folder is meant to be played."""
+    ending = path.suffix.lower()
+    return any(ending in kind.endings and kind.in_folders(path) for kind in SOURCES)
+
+
+def _of_targets(targets: TargetTrack) -> Motion:
+    from mimic.retargeting.commands import command_track
+
+    return Motion(commands=command_track(targets), targets=targets)
+
+
+def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
+    from mimic.retargeting.targets import target_track
+
+    targets = target_track(wrists, loading.reach(), loading.settings.retarget)
+    for text in targets.warnings:
+        loading.reporter.warn(text)
+    return _of_targets(targets)
+
+
+def _of_pose(pose: PoseTrack, loading: _Loading, *, video: Path | None = None) -> Motion:
+    from mimic.retargeting.wrists import pose_report, wrist_track
+
+    motion = _of_wrists(wrist_track(pose, loading.settings.retarget), loading)
+    assert motion.targets is not None
+    figures = dict(pose_report(pose, loading.settings.retarget))
+    if not any(pose.size):  # no camera
+        figures = {name: value for name, value in figures.items() if name not in ("camera_axis", "unseen")}
+    targets = replace(motion.targets, report={**motion.targets.report, "pose": figures})
+    return replace(motion, targets=targets, pose=pose, video=video)
+
+
+def _of_script(script: KeyFrames, reach: Reach, loading: _Loading) -> Motion:
+    from mimic.retargeting.keyframes import keyframe_commands
+
+    commands, targets = keyframe_commands(script, reach, loading.settings.retarget)
+    return Motion(commands=commands, targets=targets, script=script)
+
+
+def _read_video(path: Path, loading: _Loading) -> Motion:
+    pose = track_video(path, loading.settings.pose, reporter=loading.reporter)
+    return _of_pose(pose, loading, video=path)
+
+
+def _read_mocap(path: Path, loading: _Loading) -> Motion:
+    from mimic.sources.mocap.load import track_mocap
+
+    return _of_pose(track_mocap(path, loading.settings.stored, loading.settings.pose), loading)
+
+
+def _read_keyframes(path: Path, loading: _Loading) -> Motion:
+    from mimic.io.keyframes import read_keyframes
+    from mimic.sources.text.planner import check
+
+    script, reach = read_keyframes(path), loading.reach()
+    check(script, reach, loading.settings.language, f"{path.name} asks for what this robot cannot do")
+    return _of_script(script, reach, loading)
+
+
+def _read_record(path: Path, loading: _Loading) -> Motion:
+    record = store.header(path)["record"]
+    if record == "CommandTrack":
+        return Motion(commands=store.load(path, CommandTrack))
+    if record == "TargetTrack":
+        return _of_targets(store.load(path, TargetTrack))
+    if record == "WristTrack":
+        return _of_wrists(store.load(path, WristTrack), loading)
+    if record == "PoseTrack":
+        return _of_pose(store.load(path, PoseTrack), loading)
+    raise SourceError(f"{path} holds a {record}, which cannot be played; expected one of {', '.join(RECORDS)}")
+
+
+def _holds_playable_record(path: Path) -> bool:
+    try:
+        return store.header(path)["record"] in RECORDS
+    except AssetError:
+        return False
+
+
+def _pose_cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
+
+
+RECORDS = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")
+"""Records that can be played."""
+
+VIDEO = Source("video", (".mp4", ".mkv", ".mov", ".m4v", ".avi", ".webm", ".mpg", ".mpeg", ".wmv", ".gif"), _read_video)
+"""Videos; a single file may have any other ending, too."""
+
+SOURCES: tuple[Source, ...] = (
+    VIDEO,
+    Source("recorded motion", (".npz", ".trc", ".bvh"), _read_mocap),
+    Source("key frames", (".yaml", ".yml"), _read_keyframes),
+    Source("record of mimic", (".parquet",), _read_record, _holds_playable_record),
+)
+"""All kinds of files that can be played; a new kind is a row here."""

@@ -1,0 +1,294 @@
+"""Commands -> a plant -> a log: one flow for simulation, camera and robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mimic.config.play import EffectsSettings, RunSettings
+from mimic.errors import ConfigError, SourceError
+from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
+from mimic.flows.preload import PreloadingReporter
+from mimic.flows.provenance import provenance
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.run_folder import SavedRun, check_not_overwritten, new_run_folder, save_run
+from mimic.io import store
+from mimic.records import CommandTrack, HealthLog, LiveCommands, PoseTrack, RunLog, TargetTrack, WristTrack
+
+if TYPE_CHECKING:
+    from mimic.control.loop import RunResult
+    from mimic.control.plant import Plant
+    from mimic.control.supervisor import Event
+    from mimic.control.tick import Safety, Sink
+    from mimic.policy.runtime import Policy
+    from mimic.robot.description import RobotDescription
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """What came of playing a motion."""
+
+    motion: Motion | None
+    """What was played; None where commands came live or the robot just stood."""
+    result: RunResult
+    description: RobotDescription
+    inputs: Mapping[str, Path] = field(default_factory=dict)
+    """Files that decided it besides the source: policies, effects."""
+
+    @property
+    def log(self) -> RunLog:
+        """Every control tick."""
+        return self.result.log
+
+    @property
+    def health(self) -> HealthLog:
+        """What the robot reported about itself, a row for each tick."""
+        return self.result.health
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What the supervisor found."""
+        return self.result.events
+
+    @cached_property
+    def complete_log(self) -> RunLog:
+        """The log with sensor dropouts filled in, for metrics and pictures."""
+        from mimic.control.dropouts import fill_dropouts
+
+        return fill_dropouts(self.result.log, self.description)
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of the run: toe error [cm], lag [s], torque [N m], heat, falls; see mimic.metrics.run_metrics."""
+        from mimic.metrics import run_metrics
+
+        return run_metrics(self.complete_log, self.description)
+
+    def save(self, folder: str | Path, reporter: Reporter | None = None) -> SavedRun:
+        """Write the run folder: logs, motion, metrics.json and the Rerun scene.
+
+        Args:
+            folder: Run folder; files of an earlier run in it are replaced.
+            reporter: Receives progress.
+
+        Raises:
+            AssetError: If nothing can be written there.
+        """
+        store.check_writable(Path(folder))
+        return save_run(self, Path(folder), provenance(inputs=self.inputs), reporter or SilentReporter())
+
+
+def load_robot(name: str | Path = "cyberdog2") -> RobotDescription:
+    """Return the description of a robot: joints, limits, poses, motors, each number with its source.
+
+    Args:
+        name: A shipped robot, or the folder of another one, or its robot.toml (docs/manual/add-a-robot.md).
+
+    Raises:
+        AssetError: If there is no such robot, or its file lacks a number.
+    """
+    from mimic.robot.description import load_description
+
+    return load_description(name)
+
+
+def load_policy(policy: str | Path | None = None, robot: RobotDescription | None = None) -> Policy:
+    """Return a low-level policy, ready to run.
+
+    Args:
+        policy: ONNX file with its contract inside, or the name of a shipped policy; by default stand_track.
+        robot: Robot that it must fit; by default the CyberDog 2.
+
+    Raises:
+        AssetError: If there is no such policy, or it is no ONNX model.
+        ContractError: If it declares no contract, or one that does not fit the robot.
+    """
+    from mimic.policy.runtime import Policy, find_policy
+
+    return Policy(find_policy("stand_track" if policy is None else policy), robot or load_robot())
+
+
+def play(
+    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
+    *,
+    plant: Plant | None = None,
+    policy: Policy | str | Path | None = None,
+    sit_down: Policy | None = None,
+    settings: RunSettings | None = None,
+    effects: EffectsSettings | None = None,
+    safety: Safety | None = None,
+    sink: Sink | None = None,
+    reporter: Reporter | None = None,
+) -> Run:
+    """Stand up, play commands through a policy, sit down. Writes no files.
+
+    Args:
+        commands: A motion, a track at any stage (it is retargeted as needed), or live commands.
+        plant: Robot that plays them; by default the simulated CyberDog 2. It is closed at the end.
+        policy: Low-level policy or its ONNX file; by default the shipped one.
+        sit_down: Policy that brings the robot down at the end; by default the shipped one.
+        settings: Times of the phases, seed of the simulated start; its ``policy`` counts where none is given.
+        effects: What a calibration found, for the simulated robot.
+        safety: Supervision of the run; by default every rule at its usual limit, without a recorder.
+        sink: Called after each control tick; must not block.
+        reporter: Receives progress.
+
+    Returns:
+        The run, with its log and what the supervisor found. A fall ends it early (``result.fell_at``); so does a
+        failure after the first tick (``result.error``), after which the robot is damped.
+
+    Raises:
+        AssetError, ConfigError, ContractError: If policy, effects or commands do not fit.
+        PlantError: If the plant fails before the first tick.
+    """
+    from mimic.control.loop import run_policy
+    from mimic.policy.runtime import Policy
+    from mimic.policy.runtime import load_policy as policy_for
+
+    settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporter or SilentReporter()
+    motion: Motion | None = None
+    asked: CommandTrack | LiveCommands
+    if isinstance(commands, LiveCommands):
+        asked = commands
+    else:
+        motion = as_motion(commands, reporter=reporter)
+        asked = motion.commands
+    description = load_robot() if plant is None else plant.description
+    if not isinstance(policy, Policy):
+        policy = policy_for(settings.policy if policy is None else policy, description)
+    sit_down = sit_down or policy_for(None, description, task="sit_down")
+    inputs = {"policy": policy.path, "sit_down": sit_down.path}
+    if plant is None:
+        from mimic.simulation.plant import SimulatedPlant, plant_options
+
+        plant = SimulatedPlant(description, seed=settings.seed, **plant_options(effects))
+    if effects.effects is not None:
+        inputs["effects"] = Path(effects.effects)
+    with reporter.progress("run") as progress:
+        result = run_policy(
+            plant, policy, asked, settings, sit_down=sit_down, safety=safety, sink=sink, progress=progress
+        )
+    return Run(motion=motion, result=result, description=description, inputs=inputs)
+
+
+def play_source(
+    source: Path | str,
+    settings: InputSettings | None = None,
+    *,
+    run: RunSettings | None = None,
+    effects: EffectsSettings | None = None,
+    out: Path | None = None,
+    film: Path | None = None,
+    reporter: Reporter | None = None,
+) -> SavedRun:
+    """Play a file (Path) or a sentence (str) on the simulated robot and write its run folder.
+
+    Args:
+        source: File, or a sentence.
+        settings: How the input becomes commands.
+        run: How they are played.
+        effects: What a calibration found.
+        out: Run folder; by default runs/NAME.
+        film: Also write a film (.mp4) of person and robot side by side.
+        reporter: Receives notes, warnings and progress.
+
+    Raises:
+        SourceError, AssetError, ConfigError, ContractError: If something cannot be used; nothing is written then.
+    """
+    settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
+    reporter = reporter or SilentReporter()
+    file = source if isinstance(source, Path) else None
+    if file is not None and not file.exists():
+        raise SourceError(f"there is no file {file}")
+    if film is not None and film.suffix != ".mp4":
+        raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
+    if file is not None:
+        check_not_overwritten(file, film)
+    folder = new_run_folder(source, out)
+    warn_of_stand_effects(effects, reporter)
+    with ExitStack() as stack:
+        footage = None
+        if file is not None and is_video(file):
+            from mimic.view.scene.footage import start_footage
+
+            footage = stack.enter_context(start_footage(file))
+        check_playable(run, effects)
+        motion = _load(source, settings, PreloadingReporter(reporter))
+        done = play(motion, settings=run, effects=effects, reporter=reporter)
+        made_by = provenance(
+            settings_of(settings) | {"run": run, "robot": effects},
+            {**done.inputs, **({} if file is None else {"source": file})},
+        )
+        return save_run(done, folder, made_by, reporter, film=film, footage=footage)
+
+
+def save_targets(
+    source: Path,
+    out: Path,
+    settings: InputSettings | None = None,
+    *,
+    description: RobotDescription | None = None,
+    reporter: Reporter | None = None,
+) -> Motion:
+    """Retarget a source and write its toe targets, without playing them.
+
+    Args:
+        source: A video, recorded motion, or a record of mimic.
+        out: Parquet file to write.
+        settings: How the input becomes targets.
+        description: Robot whose workspace they are clamped to; by default the shipped CyberDog 2.
+        reporter: Receives notes, warnings and progress.
+
+    Raises:
+        SourceError: If the source has no targets.
+        ConfigError: If ``out`` is the source, or no Parquet file.
+    """
+    settings = settings or InputSettings()
+    check_not_overwritten(source, out)
+    if out.suffix.lower() != ".parquet":
+        raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet")
+    store.check_writable(out.parent)
+    motion = load_motion(source, settings, description=description, reporter=reporter)
+    if motion.targets is None:
+        raise SourceError(f"{source} holds commands without targets; to play them: mimic {source} --sim")
+    store.save(motion.targets, out, made_by=provenance(settings_of(settings), {"source": source}))
+    return motion
+
+
+def _load(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+    if isinstance(source, Path):
+        return load_motion(source, settings, reporter=reporter)
+    return motion_from_text(source, settings, reporter=reporter)
+
+
+def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
+    """Raise what playing would raise of its policy and effects, before long work.
+
+    Raises:
+        AssetError, ConfigError, ContractError: If one of them cannot be used.
+    """
+    from mimic.policy.runtime import load_policy as policy_for
+    from mimic.simulation.plant import plant_options
+
+    plant_options(effects)
+    policy_for(run.policy, load_robot())
+
+
+def settings_of(settings: InputSettings) -> dict[str, Any]:
+    """Return the settings of an input by name, for provenance."""
+    return {f.name: getattr(settings, f.name) for f in fields(settings)}
+
+
+def warn_of_stand_effects(effects: EffectsSettings, reporter: Reporter) -> None:
+    """Warn of effects that belong to the stand in which the robot hung; a robot on its feet does without them."""
+    if effects.effects is None:
+        return
+    from mimic.dynamics.effect_set import read_effects
+    from mimic.dynamics.servo import of_stand
+
+    for name in of_stand(read_effects(Path(effects.effects))):
+        reporter.warn(f"effect {name!r} belongs to the stand of the calibration; the robot on its feet does without it")

@@ -1,0 +1,242 @@
+"""Playing on a real robot: pre-flight check, supervised run, run folder; and salvaging the log of a killed run."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mimic.config.hardware import BusSettings
+from mimic.config.play import RunSettings
+from mimic.config.pose import LiveSettings
+from mimic.errors import MimicError
+from mimic.flows.camera import CameraRecord, camera_name, follow_camera, save_camera_record, with_pose
+from mimic.flows.motion import InputSettings, Motion, load_motion, motion_from_text
+from mimic.flows.operator import Operator, undisturbed
+from mimic.flows.play import play
+from mimic.flows.provenance import provenance
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
+from mimic.io import store
+from mimic.records import CommandTrack, LiveCommands
+
+if TYPE_CHECKING:
+    from mimic.control.supervisor import Event, Supervisor
+    from mimic.policy.contract import PolicyContract
+
+WARM_UP = 20
+"""Inferences of a policy before the robot moves, so that the first ones are not slow."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RobotRun:
+    """A run on a real robot."""
+
+    saved: SavedRun
+    bus_url: str
+    ending: str
+    """How the robot was left, as a sentence without its full stop."""
+    load: Sequence[float]
+    """Measured share of each bus's time that was used."""
+    expected_load: Sequence[float]
+    """The same, computed from the wiring and the control rate."""
+    camera: CameraRecord | None
+    endless: bool
+    """Whether it was meant to go on until Ctrl-C."""
+
+    @property
+    def decisive(self) -> Event | None:
+        """The event that first ended the run, if any did."""
+        return next((event for event in self.saved.run.events if event.mode > 0), None)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it ended as it should: by itself, or by Ctrl-C where it was endless."""
+        rule = "finished" if self.decisive is None else self.decisive.rule
+        return rule == "finished" or (self.endless and rule == "interrupt" and not self.worse)
+
+    @property
+    def worse(self) -> list[Event]:
+        """Events that ended the run and should not have happened."""
+        fine = ("interrupt", "finished", "at_rest")
+        return [event for event in self.saved.run.events if event.mode > 0 and event.rule not in fine]
+
+    @property
+    def bug(self) -> Exception | None:
+        """The exception that ended the run, where nobody expected it."""
+        error = self.saved.run.result.error
+        return None if error is None or isinstance(error, MimicError) else error
+
+
+def play_on_robot(
+    bus_url: str,
+    source: Path | str | None = None,
+    settings: InputSettings | None = None,
+    *,
+    camera: str | None = None,
+    live: LiveSettings | None = None,
+    run: RunSettings | None = None,
+    bus: BusSettings | None = None,
+    out: Path | None = None,
+    operator: Operator | None = None,
+    reporter: Reporter | None = None,
+) -> RobotRun:
+    """Let a real robot stand up, play a source, follow a camera or stand until Ctrl-C, sit down; write the run folder.
+
+    Every tick is on disk before the next one begins. Whatever fails, the motors end damped.
+
+    Args:
+        bus_url: Buses of the robot, such as can0, several with commas, or socketcand://HOST:PORT/can0.
+        source: File (Path) or sentence (str) to play; None stands until Ctrl-C.
+        settings: How the input becomes commands.
+        camera: Follow this camera instead of a source.
+        live: How the camera is followed.
+        run: How commands are played.
+        bus: How the robot is driven.
+        out: Run folder; by default runs/NAME.
+        operator: Who sees the pre-flight check and confirms that the robot may move.
+        reporter: Receives notes, warnings and progress.
+
+    Raises:
+        PlantError: If something stands against moving; nothing was moved then.
+        BusError: If a bus cannot be opened.
+        SourceError, AssetError, ConfigError, ContractError: If something cannot be used.
+    """
+    from mimic.control.recorder import RunRecorder
+    from mimic.control.signals import Signals
+    from mimic.control.supervisor import Supervisor
+    from mimic.control.tick import Safety, observation_width
+    from mimic.hardware.can.load import expected_load
+    from mimic.hardware.session import robot_session
+    from mimic.policy.runtime import load_policy
+    from mimic.robot.description import load_description
+
+    settings, live, run, bus = (
+        settings or InputSettings(),
+        live or LiveSettings(),
+        run or RunSettings(),
+        bus or BusSettings(),
+    )
+    operator, reporter = operator or Operator(), reporter or SilentReporter()
+    description = load_description()
+    policy = load_policy(run.policy, description)
+    sit_down = load_policy(None, description, task="sit_down")
+    motion = _motion(source, settings, policy.contract, reporter)
+    standing = source is None and camera is None
+    file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
+    name = name if camera is None else f"camera {camera}"
+    for one in (policy, sit_down):
+        for _ in range(WARM_UP):
+            one.act(np.zeros(one.contract.observation_size))
+    folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
+    supervisor, signals = Supervisor(description), Signals()
+    what = "It stands up now." if standing else f"It stands up now and plays {name}."
+    commands: CommandTrack | LiveCommands = motion.commands
+    record: CameraRecord | None = None
+    with ExitStack() as stack:
+        if camera is not None:  # opened before anything moves
+            zero = bus.ramp + run.stand_up
+            commands, record = stack.enter_context(
+                follow_camera(camera, settings, live, zero=zero, low_priority=True, reporter=reporter)
+            )
+        plant = stack.enter_context(
+            robot_session(
+                bus_url,
+                bus,
+                description,
+                rate_hz=1.0 / description.dt,
+                report=operator.show_findings,
+                go=lambda: operator.confirm(f"{what} Ctrl-C sits down, a second one damps at once."),
+            )
+        )
+        recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})
+        safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=standing)
+        try:
+            with signals.caught(), _shown(supervisor, operator.show_event), undisturbed():
+                done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
+        finally:
+            recorder.abandon()
+        load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, 1.0 / description.dt))
+    inputs = {**done.inputs, **({} if file is None else {"source": file})}
+    made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
+    more: dict[str, Any] = {}
+    if record is not None:
+        more = {"live": save_camera_record(record, folder, made_by)}
+        done = with_pose(done, record, run)
+    else:
+        done = replace(done, motion=None if standing else motion)
+    saved = save_run(done, folder, made_by, reporter, more=more)
+    recorder.discard()
+    ended = RobotRun(
+        saved=saved,
+        bus_url=bus_url,
+        ending=plant.ending,
+        load=load[0],
+        expected_load=load[1],
+        camera=record,
+        endless=source is None,
+    )
+    if ended.bug is not None:
+        text = "".join(traceback.format_exception(ended.bug))
+        (folder / ERROR).write_text(text, encoding="utf-8")
+    return ended
+
+
+def _motion(source: Path | str | None, settings: InputSettings, contract: PolicyContract, reporter: Reporter) -> Motion:
+    """Return what is played; without a source, commands that keep the toes where they are neutral."""
+    if source is None:
+        toes = np.array(contract.neutral_toes).reshape(1, 2, 3)
+        return Motion(commands=CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=toes))
+    if isinstance(source, Path):
+        return load_motion(source, settings, reporter=reporter)
+    return motion_from_text(source, settings, reporter=reporter)
+
+
+@contextmanager
+def _shown(supervisor: Supervisor, show: Callable[[Event], None]) -> Iterator[None]:
+    """Show what a supervisor finds, from a thread of its own, so that a slow terminal delays nothing."""
+    over, shown = threading.Event(), 0
+
+    def watch() -> None:
+        nonlocal shown
+        while True:
+            last = over.wait(0.1)
+            for event in supervisor.events[shown:]:
+                show(event)
+                shown += 1
+            if last:
+                return
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(2.0)
+
+
+def salvage(folder: Path) -> tuple[Path, int]:
+    """Turn what a killed run left on disk into its logs.
+
+    Returns:
+        The log that was written and its number of ticks.
+
+    Raises:
+        AssetError: If the folder holds no rows.
+    """
+    from mimic.control.recorder import ROWS
+    from mimic.control.recorder import salvage as read
+
+    log, health = read(folder)
+    made_by = provenance(inputs={"rows": folder / ROWS})
+    store.save(log, folder / LOG, made_by=made_by)
+    store.save(health, folder / HEALTH, made_by=made_by)
+    (folder / ROWS).unlink()
+    return folder / LOG, len(log.t)

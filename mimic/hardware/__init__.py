@@ -1,0 +1,1 @@
+"""Real robots: buses, motors, IMU, pre-flight checks, watchdog, shutdown."""

@@ -1,0 +1,1 @@
+"""Xiaomi CyberGear motors: bytes and messages."""

@@ -1,0 +1,205 @@
+"""Homing: finds the joint angles of a lying robot and sets the zeros of its motors.
+
+A motor forgets its zero when the power goes, and then knows its angle only within one turn of its rotor. A robot that
+lies on its folded legs has each joint within less than half a rotor turn (23 deg) of the lying pose, so the turn is
+known. The first homing takes the lying pose for the true angles. It stores where each rotor stood within its turn,
+and every later homing returns to the same angles, however the robot lies.
+
+The motors remember that the zero is set: register POWER_UP_MARK gets a number, and reads 0 again after a loss of
+power. Two things follow from the maker's manual and have not been tried on motors: that a reading at power-up repeats
+within a rotor turn, and that the mark is forgotten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import AssetError, PlantError
+from mimic.hardware.motor import Register
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.wiring import Wiring
+from mimic.io.store import load_json, save_json
+from mimic.records import JOINTS, FloatArray, IntArray
+from mimic.robot.description import RobotDescription
+
+LYING_TOLERANCE = 0.35
+"""How far a joint may be from the lying pose so that its rotor turn is certain [rad]; half a turn is 0.405."""
+
+LIMIT_TOLERANCE = 0.1
+"""How far beyond a joint limit a reading may be [rad]: half of what stops a robot that runs."""
+
+ZERO_TOLERANCE = 0.01
+"""A motor whose zero was just set must read less than this [rad]."""
+
+FIRST_MARK, MARK_STEP, LAST_MARK = 1.0, 0.37, 20.0
+"""Mark of the first homing, increase at each later one, and where it starts again."""
+
+UNEVEN = 0.25
+"""Difference between a joint and the same joint on the other side that is reported [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Homing:
+    """The zeros of one robot. Joint arrays are (12,)."""
+
+    uid: tuple[int, ...]
+    """Unique number of the motor of each joint."""
+    mark: float
+    """Number that the motors keep in POWER_UP_MARK as long as they have power."""
+    offset: FloatArray
+    """Joint angle where each motor reads zero now [rad]."""
+    phase: FloatArray
+    """Joint angle less signed motor angle at power-up, within a rotor turn [rad]; NaN where not known yet."""
+
+    def save(self, path: Path) -> None:
+        """Write the zeros to a JSON file.
+
+        Raises:
+            AssetError: If the file cannot be written.
+        """
+        offset, phase = self.offset.tolist(), self.phase.tolist()
+        try:
+            save_json({"uid": list(self.uid), "mark": self.mark, "offset": offset, "phase": phase}, path)
+        except OSError as reason:
+            raise AssetError(
+                f"the zeros cannot be kept in {path}: {reason.strerror}; set XDG_STATE_HOME to a writable folder and "
+                "run it again"
+            ) from None
+
+
+def read_homing(path: Path) -> Homing | None:
+    """Return the zeros in a file, or None if there is no such file.
+
+    Raises:
+        AssetError: If the file holds something else.
+    """
+    if not path.is_file():
+        return None
+    raw: Any = load_json(path)
+    try:
+        offset, phase = (
+            np.array([np.nan if v is None else v for v in raw[name]], dtype=np.float64) for name in ("offset", "phase")
+        )
+        found = Homing(uid=tuple(map(int, raw["uid"])), mark=float(raw["mark"]), offset=offset, phase=phase)
+        if not len(found.uid) == len(offset) == len(phase) == len(JOINTS):
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise AssetError(f"{path} does not hold the zeros of a robot; remove it and run: mimic robot zero") from None
+    return found
+
+
+def zero_problems(motor_bus: MotorBus, homing: Homing | None) -> list[str]:
+    """Return why the zeros cannot be trusted, joint by joint; empty if they can."""
+    if homing is None:
+        return ["no zeros were set on this computer"]
+    mark = motor_bus.read(Register.POWER_UP_MARK)
+    uid = motor_bus.uids()
+    problems = []
+    for joint, name in enumerate(JOINTS):
+        if uid.get(joint) != homing.uid[joint]:
+            problems.append(f"{name} has another motor than when its zero was set")
+        elif not abs(mark[joint] - homing.mark) < 1e-3:
+            problems.append(f"{name} has lost its zero (was the power off?)")
+    return problems
+
+
+def with_homing(wiring: Wiring, homing: Homing) -> Wiring:
+    """Return the wiring with the zeros of this power-up."""
+    return replace(wiring, offset=homing.offset)
+
+
+def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | None) -> tuple[Homing, FloatArray]:
+    """Set the zero of every motor of a robot that lies, and return the zeros and the joint angles (12,) [rad].
+
+    Args:
+        motor_bus: The motors, which are off.
+        description: The robot.
+        before: Zeros of an earlier homing.
+
+    Raises:
+        PlantError: If a motor does not answer or does not accept its zero, or a joint is not near the lying pose.
+    """
+    wiring = motor_bus.wiring
+    uid, silent = motor_bus.uids(), motor_bus.stop()
+    if silent or len(uid) < len(JOINTS):
+        names = ", ".join(JOINTS[j] for j in range(len(JOINTS)) if j in silent or j not in uid)
+        raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
+    turned = wiring.sign * np.array([f.q for f in motor_bus.feedback if f is not None])
+    mark = motor_bus.read(Register.POWER_UP_MARK)
+    fresh = np.abs(mark) < 1e-3  # no zero was set since power-up
+    phase = np.full(len(JOINTS), np.nan)
+    kept = phase.copy()
+    if before is not None:
+        same = np.array([before.uid[j] == uid[j] for j in range(len(JOINTS))])
+        phase = np.where(same, before.phase, np.nan)
+        kept = np.where(same & (np.abs(mark - before.mark) < 1e-3), turned + before.offset, np.nan)
+    q = joint_angles(kept, np.where(fresh, turned + phase, np.nan), description)
+    check_lying(q, description)
+    phase = np.where(fresh & np.isnan(phase), q - turned, phase)
+    mark = FIRST_MARK if before is None or before.mark + MARK_STEP > LAST_MARK else before.mark + MARK_STEP
+    motor_bus.set_zero()
+    left = np.array([np.nan if f is None else f.q for f in motor_bus.feedback])
+    wrong = np.flatnonzero(~(np.abs(left) < ZERO_TOLERANCE))
+    if len(wrong):
+        readings = ", ".join(f"{JOINTS[j]} reads {left[j]:.3f} rad" for j in wrong)
+        raise PlantError(f"zeros were set, but {readings}; was the robot moved? Run it again")
+    motor_bus.set(Register.POWER_UP_MARK, mark)
+    return Homing(uid=tuple(uid[j] for j in range(len(JOINTS))), mark=mark, offset=q, phase=phase), q
+
+
+def joint_angles(kept: FloatArray, modulo: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return where the joints of a lying robot are (12,) [rad].
+
+    Args:
+        kept: Angles of joints whose motor has kept its zero (12,) [rad]; NaN for the others.
+        modulo: Angles up to whole rotor turns, of joints whose motor lost its zero (12,) [rad]; NaN where unknown.
+        description: The robot. A joint of which nothing is known is assumed to be exactly in the lying pose.
+    """
+    lie, turn = description.poses["lie"], 2 * np.pi / description.gear_ratio
+    near = modulo + turn * np.round((lie - modulo) / turn)
+    q = np.where(np.isnan(kept), near, kept)
+    return np.where(np.isnan(q), lie, q)
+
+
+def check_lying(q: FloatArray, description: RobotDescription) -> None:
+    """Refuse joints that are far from the lying pose or beyond a limit.
+
+    Raises:
+        PlantError: With the joints, how far they are off, and what to do.
+    """
+    lie = description.poses["lie"]
+    off = q - lie
+    far = np.flatnonzero(np.abs(off) > LYING_TOLERANCE)
+    if len(far):
+        angles = ", ".join(f"{JOINTS[j]} by {np.rad2deg(off[j]):+.0f} deg" for j in far)
+        raise PlantError(
+            f"the robot does not lie on its folded legs: {angles}; lay it down with all joints within "
+            f"{np.rad2deg(LYING_TOLERANCE):.0f} deg of the pose in docs/manual/robot.md"
+        )
+    beyond = beyond_limits(q, description)
+    if len(beyond):
+        angles = ", ".join(f"{JOINTS[j]} at {q[j]:.2f} rad" for j in beyond)
+        raise PlantError(f"joints would be beyond their limits: {angles}; the sign or the first homing must be wrong")
+
+
+def beyond_limits(q: FloatArray, description: RobotDescription) -> IntArray:
+    """Return the joints that read clearly beyond their limits."""
+    return np.flatnonzero((q < description.q_min - LIMIT_TOLERANCE) | (q > description.q_max + LIMIT_TOLERANCE))
+
+
+def uneven(q: FloatArray) -> list[str]:
+    """Return the joints that differ much from the same joint on the other side, as sentences."""
+    differences = []
+    for left, right in ((0, 3), (6, 9)):
+        for part in range(3):
+            one, other = q[left + part], q[right + part]
+            apart = abs(one + other) if part == 0 else abs(one - other)
+            if apart > UNEVEN:
+                differences.append(
+                    f"{JOINTS[left + part]} and {JOINTS[right + part]} differ by {np.rad2deg(apart):.0f} deg"
+                )
+    return differences

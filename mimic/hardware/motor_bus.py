@@ -1,0 +1,252 @@
+"""Twelve motors and an IMU on a link: sends commands, matches answers to motors, reads and writes registers.
+
+Motor protocols have no sequence numbers. An answer belongs to the last command that was sent before it arrived. An
+answer that is delayed by a whole control step is taken from the link before the next commands go out, and so keeps
+its own time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mimic.errors import FrameError, PlantError
+from mimic.hardware.can.frame import CanFrame, frame_bits
+from mimic.hardware.can.link import Link, Received
+from mimic.hardware.motor import FaultReport, Feedback, Identity, MotorCommand, Register, RegisterValue
+from mimic.hardware.wiring import Wiring
+from mimic.hardware.xsens_mti import Imu, make_imu
+from mimic.records import JOINTS, FloatArray, JointCommand
+
+ALL = tuple(range(len(JOINTS)))
+
+ANSWER_TIMEOUT = 0.05
+"""A motor answers within a millisecond on a quiet bus; adapters and a busy computer take the rest [s]."""
+
+TRIES = 4
+"""How often a motor is asked before it counts as silent."""
+
+REPORTED = 64
+"""Fault bit that stands for a fault report; the bits of a feedback are below it."""
+
+_COUNT_EVERY = 16
+"""One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
+
+READ_BACK_TOLERANCE = 1e-3
+"""A register that reads back further away than this was not accepted."""
+
+
+class MotorBus:
+    """The motors of a robot and its IMU, by joint."""
+
+    def __init__(self, link: Link, wiring: Wiring) -> None:
+        self.link, self.wiring = link, wiring
+        self.motors = wiring.motors()
+        """The language of these motors."""
+        self.imu: Imu = make_imu(wiring.imu)
+        self.feedback: list[Feedback | None] = [None] * len(JOINTS)
+        """Newest feedback of each motor."""
+        self.came: FloatArray = np.full(len(JOINTS), -np.inf)
+        """When each motor's newest feedback arrived [s]."""
+        self.faults = np.zeros(len(JOINTS), dtype=int)
+        """REPORTED where a fault report is in force."""
+        self.strays = 0
+        """Frames so far that were malformed or came from an unknown sender."""
+        self._values: dict[tuple[int, Register], float] = {}
+        self._uids: dict[int, int] = {}
+        self.bits: FloatArray = np.zeros(wiring.buses)
+        """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        self._frames = 0
+        self._bits_of_kind: dict[tuple[int, int], int] = {}
+
+    # ------------------------------------------------------------------ frames
+
+    def send(self, joint: int, frame: CanFrame) -> None:
+        """Send a frame on the bus of a joint's motor.
+
+        Raises:
+            BusError: If the bus does not take it.
+        """
+        bus = int(self.wiring.bus[joint])
+        self.link.send(bus, frame)
+        self._count_bits(bus, frame)
+
+    def id(self, joint: int) -> int:
+        """Return the id of a joint's motor."""
+        return int(self.wiring.motor[joint])
+
+    def _count_bits(self, bus: int, frame: CanFrame) -> None:
+        kind = (len(frame.data), frame.id >> 24 if frame.extended else frame.id)
+        if kind not in self._bits_of_kind or self._frames % _COUNT_EVERY == 0:
+            self._bits_of_kind[kind] = frame_bits(frame)
+        self._frames += 1
+        self.bits[bus] += self._bits_of_kind[kind]
+
+    @property
+    def errors(self) -> int:
+        """Malformed frames so far, those that the adapter garbled among them."""
+        return self.strays + int(getattr(self.link, "garbled", 0))
+
+    def _take(self, received: Received) -> None:
+        """Keep what a frame says."""
+        bus, frame, t = received
+        self._count_bits(bus, frame)
+        try:
+            if bus == self.wiring.imu.bus and self.imu.feed(frame, t):
+                return
+            answer = self.motors.decode(frame)
+        except FrameError:
+            self.strays += 1
+            return
+        if answer is None:
+            return  # another program's command
+        joint = self.wiring.joint_of(bus, answer.motor)
+        if joint is None:
+            self.strays += 1
+            return
+        match answer:
+            case Feedback():
+                self.feedback[joint], self.came[joint] = answer, t
+            case RegisterValue():
+                self._values[joint, answer.register] = answer.value
+            case Identity():
+                self._uids[joint] = answer.uid
+            case FaultReport():
+                self.faults[joint] = REPORTED if answer.faults else 0
+
+    def drain(self) -> None:
+        """Take what has arrived already."""
+        while (received := self.link.receive(0.0)) is not None:
+            self._take(received)
+
+    def listen(self, until: float, enough: Callable[[], bool] | None = None) -> None:
+        """Take what arrives up to a time [s], or until it is enough.
+
+        Raises:
+            BusError: If a bus has failed.
+        """
+        while not (enough is not None and enough()):
+            left = until - self.link.now()
+            if left <= 0:
+                return self.drain()
+            received = self.link.receive(left)
+            if received is not None:
+                self._take(received)
+
+    # ------------------------------------------------------------------ motors
+
+    def command(self, command: JointCommand, joints: Sequence[int] = ALL) -> JointCommand:
+        """Send a command to all motors at once and return what was sent, rounded as the frames round it.
+
+        Joints that are left out keep their numbers in what is returned.
+
+        Raises:
+            BusError: If a bus does not take it.
+            FrameError: If it is not finite.
+        """
+        w = self.wiring
+        p, dp, tau = w.p_of(command.q_des), w.sign * command.dq_des, w.sign * command.tau_ff
+        kp, kd, dq_des, tau_ff = (np.array(v) for v in (command.kp, command.kd, command.dq_des, command.tau_ff))
+        for j in joints:
+            wanted = MotorCommand(float(p[j]), float(dp[j]), float(kp[j]), float(kd[j]), float(tau[j]))
+            frame, sent = self.motors.command(self.id(j), wanted)
+            self.send(j, frame)
+            p[j], dq_des[j], tau_ff[j] = sent.q, w.sign[j] * sent.dq, w.sign[j] * sent.tau
+            kp[j], kd[j] = sent.kp, sent.kd
+        return JointCommand(q_des=w.q_of(p), dq_des=dq_des, kp=kp, kd=kd, tau_ff=tau_ff)
+
+    def ask(self, question: Callable[[int], CanFrame], answered: Callable[[int], bool]) -> list[int]:
+        """Send a frame to every motor, again where no answer comes, and return the joints that stayed silent.
+
+        Args:
+            question: Frame to a motor's id.
+            answered: Whether the motor of a joint has answered.
+        """
+        silent = list(ALL)
+        for _ in range(TRIES):
+            for joint in silent:
+                self.send(joint, question(self.id(joint)))
+            waiting = tuple(silent)
+            self.listen(self.link.now() + ANSWER_TIMEOUT, lambda waiting=waiting: all(map(answered, waiting)))
+            silent = [joint for joint in silent if not answered(joint)]
+            if not silent:
+                break
+        return silent
+
+    def ask_feedback(self, question: Callable[[int], CanFrame]) -> list[int]:
+        """Send a frame that every motor answers with a feedback; return the joints that stayed silent."""
+        self.drain()
+        since = self.link.now()
+        return self.ask(question, lambda joint: self.came[joint] > since)
+
+    def stop(self) -> list[int]:
+        """Switch every motor off; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.stop)
+
+    def enable(self) -> list[int]:
+        """Switch every motor on; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.enable)
+
+    def set_zero(self) -> list[int]:
+        """Make the present position of every motor zero; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.set_zero)
+
+    def uids(self) -> dict[int, int]:
+        """Return the unique number of the motor of each joint that answers."""
+        self._uids.clear()
+        self.ask(self.motors.ask_identity, lambda joint: joint in self._uids)
+        return dict(self._uids)
+
+    # ------------------------------------------------------------------ registers
+
+    def read(self, register: Register) -> FloatArray:
+        """Return a register of every motor (12,); NaN where none answered, or the motors do not have it."""
+        for joint in ALL:
+            self._values.pop((joint, register), None)
+        if register in self.motors.facts.registers:
+            self.ask(lambda motor: self.motors.read(motor, register), lambda joint: (joint, register) in self._values)
+        return np.array([self._values.get((joint, register), np.nan) for joint in ALL])
+
+    def request(self, joint: int, register: Register) -> None:
+        """Ask one motor for a register without waiting for the answer; `value` has it later."""
+        if register in self.motors.facts.registers:
+            self.send(joint, self.motors.read(self.id(joint), register))
+
+    def value(self, joint: int, register: Register) -> float:
+        """Return the newest value of a register that arrived; NaN where none did."""
+        return self._values.get((joint, register), float("nan"))
+
+    def write(self, register: Register, value: float) -> FloatArray:
+        """Write a register of every motor and return what each reads back (12,); NaN if there is no such register."""
+        if register in self.motors.facts.registers:
+            self.ask_feedback(lambda motor: self.motors.write(motor, register, value))
+        return self.read(register)
+
+    def set(self, register: Register, value: float) -> None:
+        """Write a register of every motor and check that it was accepted.
+
+        Raises:
+            PlantError: If a motor does not read back what was written.
+        """
+        got = self.write(register, value)
+        wrong = np.flatnonzero(~(np.abs(got - value) <= READ_BACK_TOLERANCE))
+        if len(wrong):
+            name = self.motors.facts.registers.get(register, f"{register}, which these motors do not have,")
+            readings = ", ".join(f"{JOINTS[j]} reads {got[j]:g}" for j in wrong)
+            raise PlantError(f"{name} was set to {value:g}, but {readings}; expected all twelve motors to accept it")
+
+    # ------------------------------------------------------------------ readings
+
+    def readings(self, since: float | FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return q, dq and tau (12,) of feedback after a time, or after one time each (12,); NaN without any."""
+        rows, newer = np.full((3, len(JOINTS)), np.nan), self.came > since
+        for joint, feedback in enumerate(self.feedback):
+            if feedback is not None and newer[joint]:
+                rows[:, joint] = feedback.q, feedback.dq, feedback.tau
+        w = self.wiring
+        return w.q_of(rows[0]), w.sign * rows[1], w.sign * rows[2]
+
+    def temperature(self) -> FloatArray:
+        """Return the newest temperature of each motor (12,) [degC]."""
+        return np.array([np.nan if f is None else f.temperature for f in self.feedback])

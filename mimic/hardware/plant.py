@@ -1,0 +1,218 @@
+"""The robot on its buses: a plant whose joints are twelve motors of any maker."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from mimic.errors import MimicError, PlantError
+from mimic.hardware.can.link import Link
+from mimic.hardware.motor import MotorMode, Register
+from mimic.hardware.motor_bus import ALL, MotorBus
+from mimic.hardware.shutdown import damp, shutdown_report, switch_off
+from mimic.hardware.wiring import Wiring
+from mimic.records import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick
+from mimic.robot.description import RobotDescription
+
+ANSWER_WINDOW = 0.005
+"""A step listens for answers at least this long, even if it started late [s]; twelve motors take 3.4 ms."""
+
+
+class Watchdog(Protocol):
+    """Damps the robot when this process cannot; see `mimic.hardware.watchdog`."""
+
+    def arm(self) -> None:
+        """Start watching: from now on the robot is damped when no beat comes."""
+        ...
+
+    def beat(self) -> None:
+        """Report that this process is alive."""
+        ...
+
+    def alive(self) -> bool:
+        """Return whether it is still watching; False also once it has taken over."""
+        ...
+
+    def disarm(self) -> None:
+        """Stop watching: the motors are off."""
+        ...
+
+    def take_over(self) -> None:
+        """Damp the robot now, because this process cannot."""
+        ...
+
+
+def idle_command(q: FloatArray) -> JointCommand:
+    """Return the command without gains and without torque."""
+    zeros = np.zeros(len(JOINTS))
+    return JointCommand(q_des=np.nan_to_num(q), dq_des=zeros, kp=zeros, kd=zeros, tau_ff=zeros)
+
+
+def set_host_timeout(motor_bus: MotorBus) -> bool:
+    """Ask the motors to stop by themselves when no host sends anything; return whether all of them read it back."""
+    value = motor_bus.motors.facts.host_timeout
+    return bool(np.all(np.abs(motor_bus.write(Register.HOST_TIMEOUT, value) - value) < 0.5))
+
+
+class CanRobot:
+    """Twelve motors and an IMU in real time: a step lasts one control step of the link's clock.
+
+    The state holds what the motors answered during the step. A joint that did not answer is NaN, and its age grows in
+    the health. The position of the base is not measured.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        wiring: Wiring,
+        description: RobotDescription,
+        *,
+        torque_limit: float | None = None,
+        watchdog: Watchdog | None = None,
+    ) -> None:
+        """Prepare the plant; nothing is sent yet.
+
+        Args:
+            link: The buses of the robot.
+            wiring: Which motor moves which joint, with the offsets of this power-up.
+            torque_limit: Largest torque of each motor [N m]; by default its peak torque.
+            watchdog: Damps the robot when this process cannot.
+        """
+        self._description = description
+        self.motor_bus = MotorBus(link, wiring)
+        self._link = link
+        self._watchdog = watchdog
+        self._torque_limit = description.torque_max if torque_limit is None else torque_limit
+        self._on = self._closed = False
+        self._missed = np.zeros(len(JOINTS), dtype=int)
+        self._bits = self.motor_bus.bits.copy()
+        self._began = self._ended = self._due = self._link.now()
+        self.timeout_taken = False
+        """Whether the motors stop by themselves when this computer sends nothing."""
+        self.ending = "nothing was switched on"
+        """How the robot was left, as a sentence without a full stop."""
+
+    @property
+    def description(self) -> RobotDescription:
+        """The description of the robot."""
+        return self._description
+
+    def start(self) -> RobotState:
+        """Switch the motors on where they are, without gains, and return the state.
+
+        Raises:
+            PlantError: If a motor does not answer, or does not accept its settings.
+            BusError: If a bus fails.
+        """
+        motor_bus = self.motor_bus
+        self._closed = False
+        self._need(motor_bus.stop())
+        if Register.CONTROL_MODE in motor_bus.motors.facts.registers:  # only a motor that is off may change it
+            motor_bus.set(Register.CONTROL_MODE, motor_bus.motors.facts.impedance_mode)
+        motor_bus.set(Register.TORQUE_LIMIT, self._torque_limit)
+        self.timeout_taken = set_host_timeout(motor_bus)
+        if self._watchdog is not None:
+            self._watchdog.arm()
+        self._on = True
+        self._need(motor_bus.enable())
+        off = [JOINTS[j] for j, f in enumerate(motor_bus.feedback) if f is not None and f.mode != MotorMode.RUNNING]
+        if off:
+            raise PlantError(f"{', '.join(off)} did not switch on; to see why, run: mimic robot check")
+        self._missed[:] = 0
+        self._began = self._ended = self._due = self._link.now()
+        self._bits = self.motor_bus.bits.copy()
+        q, _, _ = self.motor_bus.readings(-np.inf)
+        return self.step(idle_command(q)).state
+
+    def _need(self, silent: list[int]) -> None:
+        if silent:
+            names = ", ".join(JOINTS[j] for j in silent)
+            raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
+
+    def step(self, command: JointCommand) -> Tick:
+        """Send a command, collect the answers, and wait for the end of the control step.
+
+        Raises:
+            BusError: If a bus fails.
+            PlantError: If the watchdog process has taken over.
+        """
+        link, motor_bus, dt = self._link, self.motor_bus, self._description.dt
+        self.beat()
+        motor_bus.drain()
+        asked = link.now()
+        compute = asked - self._ended
+        sent = motor_bus.command(command)
+        self._due += dt
+        motor_bus.listen(max(self._due, asked + ANSWER_WINDOW))
+        now = link.now()
+        late, self._ended = now - self._due, now
+        if late > dt:
+            self._due = now  # missed time is not caught up
+        self.count(asked)
+        return Tick(state=self.state(asked, now), sent=sent, health=self.health(compute, late, now))
+
+    def beat(self) -> None:
+        """Report to the watchdog that this process is alive."""
+        if self._watchdog is not None:
+            self._watchdog.beat()
+
+    def count(self, since: float) -> None:
+        """Count the steps in which a motor did not answer; call once a step with the time of its commands [s]."""
+        self._missed = np.where(self.motor_bus.came > since, 0, self._missed + 1)
+
+    def state(self, since: float | FloatArray, now: float) -> RobotState:
+        """Return the state from the answers that came after a time [s], or after one time for each joint (12,)."""
+        q, dq, tau = self.motor_bus.readings(since)
+        reading = self.motor_bus.imu.reading(now)
+        nothing = np.full(3, np.nan)
+        return RobotState(
+            t=now - self._began,
+            q=q,
+            dq=dq,
+            tau=tau,
+            quat_WB=reading.quat_WB,
+            omega_B=reading.omega_B,
+            p_WB=nothing,
+            v_WB=nothing,
+        )
+
+    def health(self, compute: float, late: float, now: float) -> Health:
+        """Return age and faults of the readings: how far they can be trusted now."""
+        motor_bus = self.motor_bus
+        newest, imu = motor_bus.feedback, motor_bus.imu.reading(now)
+        faults = [0 if f is None else int(f.faults) for f in newest]
+        return Health(
+            age=now - motor_bus.came,
+            missed=self._missed.copy(),
+            faults=np.bitwise_or(faults, motor_bus.faults).astype(np.int64),
+            running=np.array([f is not None and f.mode == MotorMode.RUNNING for f in newest]),
+            temperature=motor_bus.temperature(),
+            imu_age=imu.age,
+            imu_unchanged=imu.unchanged,
+            imu_count=imu.count,
+            imu_valid=imu.valid,
+            compute=compute,
+            late=max(late, 0.0),
+            bus_errors=motor_bus.errors,
+            guarded=self._watchdog is None or self._watchdog.alive(),
+        )
+
+    def load(self) -> FloatArray:
+        """Return the share of time that each bus was busy since the start, from the frames seen here (buses,)."""
+        seconds = max(self._link.now() - self._began, self._description.dt)
+        return (self.motor_bus.bits - self._bits) / self.motor_bus.wiring.bitrate / seconds
+
+    def close(self) -> None:
+        """Damp the robot until it rests, then switch its motors off. Safe to call twice; never raises MimicError."""
+        if self._closed or not self._on:
+            return
+        self._closed, self._on = True, False
+        try:
+            damp(self.motor_bus, self._description, self.beat)
+            left = switch_off(self.motor_bus, self._description, self.beat)
+            self.ending = shutdown_report(left)
+        except MimicError as reason:
+            left, self.ending = list(ALL), f"the motors could not be stopped: {reason}"
+        if self._watchdog is not None:
+            self._watchdog.take_over() if left else self._watchdog.disarm()

@@ -1,0 +1,257 @@
+"""Pre-flight: checks buses, motors, zeros, pose, IMU and the watchdog before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mimic.errors import FrameError
+from mimic.geometry import rotation_from_quat
+from mimic.hardware.can.load import MAX_LOAD, expected_load
+from mimic.hardware.homing import LYING_TOLERANCE, Homing, beyond_limits, uneven, zero_problems
+from mimic.hardware.motor import MotorMode, Register
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.plant import set_host_timeout
+from mimic.records import JOINTS, FloatArray
+from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import all_toes
+
+WARM, HOT = 45.0, 60.0
+"""Pre-flight mentions a motor this warm, and refuses to start with one this hot [degC]: a run ends at 72."""
+
+VOLTAGE_SPREAD = 1.5
+"""Difference of supply voltage between motors that suggests a bad wire [V]."""
+
+IMU_LISTEN = 0.5
+"""How long to listen to the IMU [s]."""
+
+IMU_TRIES = 3
+"""How often to listen to it."""
+
+MAX_TILT = 0.26
+"""Largest tilt of a lying robot [rad]: 15 deg."""
+
+MAX_LEGS_TILT = 0.2
+"""Largest angle between up by the IMU and by the four feet [rad]; 0.1 rad in a joint tilts the feet by 0.06."""
+
+MAX_TURN_RATE = 0.1
+"""Largest rate of turn of a robot that nobody moves [rad/s]."""
+
+IMU_RATE_TOLERANCE = 0.2
+"""Share by which an IMU's rate may differ from the wiring's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """The result of one check."""
+
+    name: str
+    verdict: Literal["ok", "note", "stop"]
+    text: str
+
+
+def preflight(
+    motor_bus: MotorBus,
+    description: RobotDescription,
+    *,
+    rate_hz: float | FloatArray,
+    homing: Homing | None,
+    trust_zeros: bool,
+    suspended: bool = False,
+) -> list[Check]:
+    """Check a robot whose motors are off; nothing moves.
+
+    Args:
+        motor_bus: Its motors and IMU.
+        description: The robot.
+        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        homing: What is known about its zeros.
+        trust_zeros: Use the zeros as the wiring has them.
+        suspended: The robot hangs in the air instead of lying on the floor.
+    """
+    found = [_load(motor_bus, rate_hz)]
+    silent = motor_bus.stop()
+    if silent:
+        names = ", ".join(JOINTS[j] for j in silent)
+        return [*found, Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
+    found += [_motors(motor_bus), _temperature(motor_bus), _voltage(motor_bus), _range(motor_bus)]
+    zeros = _zeros(motor_bus, homing, trust_zeros)
+    q, _, _ = motor_bus.readings(-np.inf)
+    known = zeros.verdict != "stop"
+    if not known:
+        q = np.full_like(q, np.nan)
+    found += [zeros, _limits(q, description) if suspended or not known else _pose(q, description)]
+    found += _imu(motor_bus, q, description, suspended or not known)
+    return [*found, _timeout(motor_bus)]
+
+
+def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
+    parts = np.atleast_2d(np.broadcast_to(rate_hz, (*np.shape(rate_hz)[:-1], len(JOINTS))))
+    load = np.max([expected_load(motor_bus.wiring, rates) for rates in parts], axis=0)
+    shares = ", ".join(f"{share:.0%}" for share in load)
+    rates = f"{parts.max():g} Hz"
+    if parts.min() < parts.max():
+        rates = f"{rates} for legs that move and {parts.min():.3g} Hz for the others"
+    if load.max() > MAX_LOAD:
+        text = f"{rates} would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
+        return Check(name="bus load", verdict="stop", text=text)
+    return Check(name="bus load", verdict="ok", text=f"{shares} at {rates} (estimated)")
+
+
+def _motors(motor_bus: MotorBus) -> Check:
+    names = motor_bus.motors.fault_names
+    faults = [f"{JOINTS[j]}: {names(f.faults)}" for j, f in enumerate(motor_bus.feedback) if f is not None and f.faults]
+    faults += [f"{JOINTS[j]}: fault report" for j in np.flatnonzero(motor_bus.faults)]
+    if faults:
+        text = f"faults: {', '.join(faults)}; fix the cause, then switch the power off and on"
+        return Check(name="motors", verdict="stop", text=text)
+    on = [JOINTS[j] for j, f in enumerate(motor_bus.feedback) if f is not None and f.mode != MotorMode.OFF]
+    if on:
+        return Check(name="motors", verdict="stop", text=f"{', '.join(on)} did not switch off")
+    return Check(name="motors", verdict="ok", text="all twelve answer, are off and have no fault")
+
+
+def _temperature(motor_bus: MotorBus) -> Check:
+    temperature = motor_bus.temperature()
+    if np.isnan(temperature).all():
+        return Check(name="temperature", verdict="note", text="these motors do not report it")
+    hottest = int(np.nanargmax(temperature))
+    text = f"{np.nanmin(temperature):.0f} to {temperature[hottest]:.0f} degC, {JOINTS[hottest]} the warmest"
+    if temperature[hottest] >= HOT:
+        return Check(name="temperature", verdict="stop", text=f"{text}; let it cool below {HOT:g} degC")
+    return Check(name="temperature", verdict="note" if temperature[hottest] >= WARM else "ok", text=text)
+
+
+def _voltage(motor_bus: MotorBus) -> Check:
+    facts, volts = motor_bus.motors.facts, motor_bus.read(Register.SUPPLY_VOLTAGE)
+    if np.isnan(volts).any():
+        names = ", ".join(JOINTS[j] for j in np.flatnonzero(np.isnan(volts)))
+        since = f"; their firmware is older than {facts.voltage_since}" if facts.voltage_since else ""
+        return Check(name="voltage", verdict="note", text=f"{names} do not report it{since}")
+    low, high = float(volts.min()), float(volts.max())
+    text = f"{low:.1f} to {high:.1f} V"
+    if facts.voltage_since:
+        text += f"; the firmware is {facts.voltage_since} or newer, as it reports this"
+    least, most = facts.voltage
+    if low < least or high > most:
+        return Check(name="voltage", verdict="stop", text=f"{text}; motors need {least:g} to {most:g} V")
+    if low < facts.low_voltage or high - low > VOLTAGE_SPREAD:
+        return Check(name="voltage", verdict="note", text=f"{text}; charge the battery, or check the wires")
+    return Check(name="voltage", verdict="ok", text=text)
+
+
+def _range(motor_bus: MotorBus) -> Check:
+    name, motors = "position range", motor_bus.motors
+    used, exact = motor_bus.wiring.position_range, motor_bus.read(Register.POSITION)
+    register = motors.facts.registers.get(Register.POSITION, "no register")
+    confirmed, wrong = 0, []
+    for joint, feedback in enumerate(motor_bus.feedback):
+        if feedback is None or np.isnan(exact[joint]):
+            continue
+        try:
+            end = motors.check_range(feedback.q, float(exact[joint]))
+        except FrameError as reason:
+            return Check(name=name, verdict="stop", text=f"{JOINTS[joint]}: {reason}")
+        confirmed += end is not None
+        if end is not None and abs(end - used) > 1e-3:
+            wrong.append(f"{JOINTS[joint]} {end:.3f}")
+    if wrong:
+        text = f"the wiring says {used:.3f} rad, but {register} says {', '.join(wrong)}; correct position_range there"
+        return Check(name=name, verdict="stop", text=text)
+    if confirmed:
+        return Check(name=name, verdict="ok", text=f"{used:.3f} rad, confirmed by {register} of {confirmed} motors")
+    text = f"{used:.3f} rad as the wiring says; so close to zero the motors' two readings cannot confirm it"
+    return Check(name=name, verdict="note", text=text)
+
+
+def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Check:
+    if trust:
+        return Check(name="zeros", verdict="note", text="used as the wiring has them (--zeroed)")
+    problems = zero_problems(motor_bus, homing)
+    if problems:
+        more = f" and {len(problems) - 2} more" if len(problems) > 2 else ""
+        text = f"{'; '.join(problems[:2])}{more}. Lay it on its folded legs and run: mimic robot zero"
+        return Check(name="zeros", verdict="stop", text=text)
+    return Check(name="zeros", verdict="ok", text="set since the power was switched on; the same motors")
+
+
+def _limits(q: FloatArray, description: RobotDescription) -> Check:
+    if np.isnan(q).all():
+        return Check(name="pose", verdict="note", text="unknown without the zeros")
+    beyond = beyond_limits(q, description)
+    if len(beyond):
+        angles = ", ".join(f"{JOINTS[j]} at {q[j]:.2f} rad" for j in beyond)
+        return Check(name="pose", verdict="stop", text=f"beyond the joint limits: {angles}")
+    return Check(name="pose", verdict="ok", text="all joints inside their limits")
+
+
+def _pose(q: FloatArray, description: RobotDescription) -> Check:
+    inside = _limits(q, description)
+    if inside.verdict == "stop":
+        return inside
+    off = q - description.poses["lie"]
+    worst = int(np.argmax(np.abs(off)))
+    text = f"{JOINTS[worst]} is {np.rad2deg(off[worst]):+.0f} deg from the lying pose, the others less"
+    if abs(off[worst]) > LYING_TOLERANCE:
+        return Check(name="pose", verdict="stop", text=f"{text}; lay it on its folded legs")
+    differences = uneven(q)
+    if differences:
+        return Check(name="pose", verdict="note", text=f"{text}; {differences[0]}")
+    return Check(name="pose", verdict="ok", text=text)
+
+
+def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, suspended: bool) -> list[Check]:
+    imu, link = motor_bus.imu, motor_bus.link
+    rate, reading, wanted = 0.0, imu.reading(link.now()), motor_bus.wiring.imu.rate["quaternion"]
+    for _ in range(IMU_TRIES):  # a busy computer may itself lose messages
+        begin = reading.count
+        motor_bus.listen(link.now() + IMU_LISTEN)
+        reading = imu.reading(link.now())
+        rate = (reading.count - begin) / IMU_LISTEN
+        if reading.problem is None and abs(rate - wanted) <= IMU_RATE_TOLERANCE * wanted:
+            break
+    if reading.problem is not None:
+        return [Check(name="IMU", verdict="stop", text=reading.problem)]
+    text = f"{rate:.0f} orientations a second"
+    if abs(rate - wanted) > IMU_RATE_TOLERANCE * wanted:
+        text += f", where the wiring says {wanted:g}"
+        return [Check(name="IMU", verdict="stop", text=f"{text}; set the IMU or the wiring")]
+    turning = float(np.linalg.norm(reading.omega_B))
+    if turning > MAX_TURN_RATE and not suspended:
+        return [
+            Check(name="IMU", verdict="stop", text=f"{text}; it turns at {turning:.2f} rad/s; keep the robot still")
+        ]
+    found = [
+        Check(name="IMU", verdict="ok", text=f"{text}, valid" if reading.valid else f"{text}; it sends no status word")
+    ]
+    if suspended:
+        return found
+    up = rotation_from_quat(reading.quat_WB)[2]
+    tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
+    if tilt > MAX_TILT:
+        text = f"tilted by {np.rad2deg(tilt):.0f} deg; a lying robot is level within {np.rad2deg(MAX_TILT):.0f} deg"
+        return [*found, Check(name="IMU and legs", verdict="stop", text=text)]
+    apart = float(np.arccos(np.clip(up @ feet_normal(q, description), -1.0, 1.0)))
+    text = f"up by IMU and by the four feet differ by {np.rad2deg(apart):.0f} deg"
+    verdict = "stop" if apart > MAX_LEGS_TILT else "ok"
+    more = "; is the IMU mounted as the wiring says, and does every foot touch the ground?" if verdict == "stop" else ""
+    return [*found, Check(name="IMU and legs", verdict=verdict, text=text + more)]
+
+
+def feet_normal(q: FloatArray, description: RobotDescription) -> FloatArray:
+    """Return the unit normal of the plane through the four feet, upward, base axes (3,)."""
+    toes = all_toes(q, description)
+    _, _, axes = np.linalg.svd(toes - toes.mean(axis=0))
+    normal = axes[-1]
+    return normal if normal[2] > 0 else -normal
+
+
+def _timeout(motor_bus: MotorBus) -> Check:
+    register = motor_bus.motors.facts.registers.get(Register.HOST_TIMEOUT, "a host timeout")
+    if set_host_timeout(motor_bus):
+        text = f"the motors accepted {register}: they stop by themselves without a host"
+        return Check(name="own timeout", verdict="ok", text=text)
+    text = f"the motors do not accept {register}: without a host they continue with their last command"
+    return Check(name="own timeout", verdict="note", text=text)

@@ -1,0 +1,167 @@
+"""A session with the robot: starts the watchdog, opens the buses, runs the pre-flight, and only then gives a plant."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from mimic.config.hardware import BusSettings
+from mimic.errors import PlantError
+from mimic.hardware.can.link import Link
+from mimic.hardware.homing import Homing, read_homing, with_homing
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.preflight import Check, preflight
+from mimic.hardware.watchdog import WatchdogProcess, allows_second_socket, open_buses
+from mimic.hardware.wiring import Wiring, load_wiring
+from mimic.records import FloatArray
+from mimic.robot.description import RobotDescription
+
+Report = Callable[[list[Check]], None]
+"""Receives the results of the pre-flight."""
+
+
+def homing_file(wiring: Wiring) -> Path:
+    """Return the file with the zeros of a robot: one for each wiring file."""
+    base = os.environ.get("XDG_STATE_HOME")
+    folder = (Path(base) if base else Path.home() / ".local" / "state") / "mimic"
+    return folder / f"zeros-{wiring.path.parent.name}-{wiring.path.stem}.json"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BusSession:
+    """The open buses of a robot."""
+
+    link: Link
+    wiring: Wiring
+    """With the zeros of this power-up, if they are known."""
+    homing: Homing | None
+
+    def motor_bus(self) -> MotorBus:
+        """Return its motors and IMU."""
+        return MotorBus(self.link, self.wiring)
+
+
+def wiring_of(bus_url: str, settings: BusSettings) -> Wiring:
+    """Return the wiring of the robot on these buses, several separated by commas."""
+    path = None if settings.wiring is None else Path(settings.wiring)
+    return load_wiring(path, buses=len(bus_url.split(",")))
+
+
+@contextmanager
+def open_session(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
+    """Open buses, and close them at the end.
+
+    Args:
+        bus_url: The buses; see `mimic.hardware.can.python_can`.
+        settings: Wiring and zeros.
+
+    Raises:
+        ConfigError, AssetError, BusError: If that is not possible.
+    """
+    wiring = wiring_of(bus_url, settings)
+    homing = None if settings.zeroed else read_homing(homing_file(wiring))
+    link = open_buses(bus_url, wiring)
+    try:
+        yield BusSession(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
+    finally:
+        link.close()
+
+
+def check_watchdog(checks: list[Check], bus_url: str, settings: BusSettings) -> Check:
+    """Check that something damps the robot when this process cannot.
+
+    Args:
+        checks: Of the pre-flight, the motors' own timeout among them.
+        bus_url: The buses.
+        settings: Whether a watchdog is wanted.
+    """
+    own = any(check.name == "own timeout" and check.verdict == "ok" for check in checks)
+    if settings.watchdog and allows_second_socket(bus_url):
+        return Check(
+            name="watchdog", verdict="ok", text="a second process watches this one and damps the robot if it ends"
+        )
+    if own:
+        return Check(name="watchdog", verdict="note", text="none; the motors stop by themselves if this process ends")
+    if settings.watchdog:
+        text = (
+            f"a second process cannot open {bus_url}, and the motors have no timeout of their own: if this process is "
+            "killed or the adapter is unplugged, they continue with their last command. "
+            "Add --no-watchdog to accept that"
+        )
+        return Check(name="watchdog", verdict="stop", text=text)
+    return Check(
+        name="watchdog", verdict="note", text="none (--no-watchdog): nothing damps the robot if this process is killed"
+    )
+
+
+def refuse(checks: list[Check]) -> None:
+    """Raise if a check forbids moving.
+
+    Raises:
+        PlantError: With all checks that do.
+    """
+    against = [f"{check.name}: {check.text}" for check in checks if check.verdict == "stop"]
+    if against:
+        raise PlantError("nothing was moved. " + "; ".join(against))
+
+
+@contextmanager
+def robot_session(
+    bus_url: str,
+    settings: BusSettings,
+    description: RobotDescription,
+    *,
+    rate_hz: float | FloatArray,
+    report: Report,
+    go: Callable[[], None],
+    suspended: bool = False,
+) -> Iterator[CanRobot]:
+    """Give a robot that passed its pre-flight. At the end it is damped and off, and its watchdog has ended.
+
+    Args:
+        bus_url: Its buses.
+        settings: Wiring, zeros, watchdog and torque limit.
+        description: The robot.
+        rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
+        report: Receives the results of the pre-flight, also if they forbid moving.
+        go: Returns when the user wants the robot to move; may raise.
+        suspended: The robot hangs in the air instead of lying on the floor.
+
+    Raises:
+        PlantError: If a check forbids moving; or whatever was raised meanwhile, with how the robot was left.
+        BusError: If a bus fails before anything was switched on.
+    """
+    wiring = wiring_of(bus_url, settings)
+    wanted = settings.watchdog and allows_second_socket(bus_url)
+    watchdog = WatchdogProcess(bus_url, wiring.path) if wanted else None
+    try:
+        with open_session(bus_url, settings) as robot:
+            checks = preflight(
+                robot.motor_bus(),
+                description,
+                rate_hz=rate_hz,
+                homing=robot.homing,
+                trust_zeros=settings.zeroed,
+                suspended=suspended,
+            )
+            checks.append(check_watchdog(checks, bus_url, settings))
+            report(checks)
+            refuse(checks)
+            go()
+            plant = CanRobot(
+                robot.link, robot.wiring, description, torque_limit=settings.torque_limit, watchdog=watchdog
+            )
+            try:
+                yield plant
+            except PlantError as reason:  # such as a motor that does not switch on while others are on already
+                plant.close()
+                raise PlantError(f"{reason}; {plant.ending}") from reason
+            finally:
+                plant.close()
+    finally:
+        if watchdog is not None:
+            watchdog.close()

@@ -1,0 +1,1 @@
+"""Records on disk: Parquet tracks and logs, key frames, shipped files."""

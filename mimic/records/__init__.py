@@ -1,0 +1,50 @@
+"""Frozen records that flow from a source to a log; the vocabulary of mimic.
+
+Arrays are copied, made read-only and checked for shape when a record is made. Each array field declares its axes after
+the first; `mimic.io.store` names its columns by them.
+"""
+
+from mimic.records.base import (
+    AXES,
+    JOINTS,
+    LANDMARKS,
+    LEGS,
+    SIDES,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Provenance,
+    Record,
+    array,
+)
+from mimic.records.motion import Command, CommandTrack, LiveCommands, LiveTrack, PoseTrack, TargetTrack, WristTrack
+from mimic.records.run import PHASES, Health, HealthLog, JointCommand, JointSamples, RobotState, RunLog, Tick
+
+__all__ = [
+    "AXES",
+    "JOINTS",
+    "LANDMARKS",
+    "LEGS",
+    "PHASES",
+    "SIDES",
+    "BoolArray",
+    "Command",
+    "CommandTrack",
+    "FloatArray",
+    "Health",
+    "HealthLog",
+    "IntArray",
+    "JointCommand",
+    "JointSamples",
+    "LiveCommands",
+    "LiveTrack",
+    "PoseTrack",
+    "Provenance",
+    "Record",
+    "RobotState",
+    "RunLog",
+    "TargetTrack",
+    "Tick",
+    "WristTrack",
+    "array",
+]

@@ -1,0 +1,143 @@
+"""What a source shows and what becomes of it: pose, wrists, toe targets, commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from mimic.errors import ContractError
+from mimic.records.base import AXES, LANDMARKS, BoolArray, FloatArray, IntArray, Record, array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PoseTrack(Record):
+    """A person's landmarks, one row for every frame of the source."""
+
+    t: FloatArray = array()
+    """Time of the frame since the first [s], strictly increasing."""
+    landmarks: FloatArray = array("landmark", "xyz")
+    """Mid-hip -> landmark, camera axes [m]; NaN where nothing was seen."""
+    image: FloatArray = array("landmark", "uv")
+    """Position in the upright image, as a fraction of its width and height; NaN where nothing was seen."""
+    score: FloatArray = array("landmark")
+    """Visibility, 0 to 1; 0 where nothing was seen."""
+    valid: BoolArray = array("landmark", dtype=np.bool_)
+    """True where the landmark may be used."""
+    names: tuple[str, ...] = LANDMARKS
+    """Name of each landmark."""
+    size: tuple[int, int] = (0, 0)
+    """Width and height of the upright image [px]; zeros where there is none."""
+    swapped: BoolArray = array(dtype=np.bool_)
+    """True where left and right of the detector were exchanged."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know about this source."""
+
+    def labels(self, axis: str) -> tuple[str, ...] | None:
+        """Return the labels of an axis, or None where its length is free."""
+        return self.names if axis == "landmark" else AXES.get(axis)
+
+    def index(self, name: str) -> int:
+        """Return the column of a landmark.
+
+        Raises:
+            ContractError: If this track has no landmark of that name.
+        """
+        if name not in self.names:
+            raise ContractError(f"the track has no landmark {name!r}; it has {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WristTrack(Record):
+    """Where each hand is from its own shoulder, in a measure that does not depend on the person's size."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], strictly increasing."""
+    p_SH: FloatArray = array("side", "xyz")
+    """Shoulder -> wrist in torso axes (x forward, y left, z up) [arm lengths]; NaN where not valid."""
+    heading: FloatArray = array()
+    """Heading of the torso; 0 faces the camera, positive turns to the person's left [rad]."""
+    valid: BoolArray = array("side", dtype=np.bool_)
+    """False where the source saw nothing."""
+    arm_length: float = float("nan")
+    """The clip's own reach that was divided by [m]; NaN where the source has no metres."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know, carried over from the source."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TargetTrack(Record):
+    """Where each front toe should be, over time; every row is reachable."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], strictly increasing."""
+    p_BE: FloatArray = array("side", "xyz")
+    """Base -> toe, base axes [m]."""
+    heading: FloatArray = array()
+    """Desired heading of the robot relative to its heading at the start [rad]."""
+    valid: BoolArray = array("side", dtype=np.bool_)
+    """False where the source saw nothing and the position was filled in."""
+    moved: FloatArray = array("side")
+    """How far clamping moved the wanted position [m]."""
+    limited: BoolArray = array("side", dtype=np.bool_)
+    """True where the speed or acceleration limit moved the position."""
+    wanted: FloatArray = array("side", "xyz")
+    """Base -> toe before clamping [m]."""
+    report: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Figures of the retargeting, as plain data."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CommandTrack(Record):
+    """What the policy is asked for, at the control rate."""
+
+    t: FloatArray = array()
+    """Time since the first row [s], uniform."""
+    v: FloatArray = array("xy")
+    """Desired base velocity in the heading frame, forward and left [m/s]."""
+    heading: FloatArray = array()
+    """Desired heading relative to the heading at the start [rad]."""
+    p_BE: FloatArray = array("side", "xyz")
+    """Desired base -> toe, base axes [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LiveTrack(Record):
+    """How a camera was followed, one row for every frame that became a target."""
+
+    t: FloatArray = array()
+    """When the frame was there, since the first command [s]."""
+    latency: FloatArray = array()
+    """From then to the target [s]."""
+    detector: FloatArray = array()
+    """Of it in the detector [s]."""
+    skipped: IntArray = array(dtype=np.int64)
+    """Frames dropped since the row before, because a newer one was there."""
+    seen: BoolArray = array("side", dtype=np.bool_)
+    """Which of the person's hands were seen."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Command:
+    """What the policy is asked for at one control tick."""
+
+    v: FloatArray
+    """Desired base velocity in the heading frame, forward and left (2,) [m/s]."""
+    heading: float
+    """Desired heading relative to the heading at the start [rad]."""
+    p_BE: FloatArray
+    """Desired base -> toe, base axes (2, 3) [m]."""
+
+
+@runtime_checkable
+class LiveCommands(Protocol):
+    """Commands that are made while the robot moves, such as those of a camera."""
+
+    def newest(self) -> Command | None:
+        """Return what is asked for now; None ends the motion. Asked once a control tick; must not wait."""
+        ...

@@ -1,1 +1,0 @@
-"""From a person's landmarks to toe targets and commands of the robot."""

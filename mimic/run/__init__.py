@@ -1,1 +1,0 @@
-"""Playing commands on a plant: the loop, the plants, and the judging of policies."""

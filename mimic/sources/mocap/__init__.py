@@ -1,0 +1,1 @@
+"""Recorded motion: .npz, .trc, .bvh."""

@@ -1,0 +1,1 @@
+"""Videos and cameras: decoding, pose estimation, smoothing."""

@@ -1,0 +1,281 @@
+"""Pose from a camera (or a file in real time), in a child process that processes only the newest frame.
+
+Two threads share the process: one reads frames and keeps only the newest, the other runs the detector on it. The parent
+receives small rows through a pipe, so the detector never blocks the control loop and no backlog builds up.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.config.pose import LiveSettings, PoseSettings
+from mimic.errors import SourceError
+from mimic.records import BoolArray, FloatArray
+from mimic.sources.video.left_right import LiveSides, swap_sides
+from mimic.sources.video.quiet import quiet_stderr
+from mimic.sources.video.screening import person_rows
+
+OPEN_TIMEOUT = 60.0
+"""Time limit for the first frame of a camera [s]."""
+LOW_PRIORITY = 10
+"""Niceness of the camera process when the control loop has priority."""
+PREVIEW_WIDTH, PREVIEW_INTERVAL = 320, 0.1
+"""Width of preview pictures [px], and the shortest time between two of them [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CameraFrame:
+    """Detections in one frame; the arrays are one row of a pose track."""
+
+    t: float
+    """Arrival of the frame, on the monotonic clock [s]."""
+    landmarks: FloatArray
+    """Mid-hip -> landmark (33, 3), camera axes [m]; NaN if no person was detected."""
+    image: FloatArray
+    """Image coordinates (33, 2), fractions of width and height."""
+    score: FloatArray
+    """Visibility (33,)."""
+    valid: BoolArray
+    """Which landmarks are usable (33,); none if no person was detected."""
+    size: tuple[int, int]
+    """Width and height of the picture [px]."""
+    skipped: int
+    """Frames dropped since the previous row because a newer one had arrived."""
+    swapped: bool
+    """Whether the left and right of the detector were swapped."""
+    detector_s: float
+    """Time that the detector took [s]."""
+    jpeg: bytes | None = None
+    """Preview picture; None in most rows."""
+
+
+@dataclass(slots=True, eq=False)
+class CameraStream:
+    """An open camera; it yields one row per processed frame."""
+
+    name: str
+    _pipe: Connection
+    _process: Any
+
+    def begin(self) -> None:
+        """Start playback of a file; a camera is already running."""
+        self._pipe.send("begin")
+
+    def rows(self) -> Iterator[CameraFrame]:
+        """Yield rows until the file ends or the stream is closed; of several waiting rows, only the newest.
+
+        Raises:
+            SourceError: If the camera fails.
+        """
+        dropped, preview = 0, None
+        while True:
+            try:
+                item = self._pipe.recv()
+                preview = item.jpeg or preview if isinstance(item, CameraFrame) else preview
+                if isinstance(item, CameraFrame) and self._pipe.poll():  # a newer one has arrived
+                    dropped += item.skipped + 1
+                    continue
+            except (EOFError, OSError):
+                return
+            if isinstance(item, str):
+                raise SourceError(item)
+            if item is None:
+                return
+            yield replace(item, skipped=item.skipped + dropped, jpeg=preview)
+            dropped, preview = 0, None
+
+
+@contextmanager
+def open_camera(
+    camera: str, pose: PoseSettings, live: LiveSettings, *, previews: bool = False, low_priority: bool = False
+) -> Iterator[CameraStream]:
+    """Open a camera by number or device, or a video file to be played in real time.
+
+    Args:
+        camera: ``0``, ``/dev/video0``, or the path of a video.
+        pose: Minimum visibility of a landmark.
+        live: Requested picture size of the camera.
+        previews: Whether some rows carry a preview picture.
+        low_priority: Whether other processes, such as the control loop of a robot, have priority.
+
+    Raises:
+        SourceError: If it cannot be opened, or delivers no picture.
+    """
+    device = camera.isdigit() or camera.startswith("/dev/")
+    if not device and not Path(camera).is_file():
+        raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
+    context = get_context("spawn")
+    parent_end, child_end = context.Pipe()
+    process = context.Process(
+        target=_run_camera, args=(camera, device, pose, live, (previews, low_priority), child_end), daemon=True
+    )
+    process.start()
+    child_end.close()
+    try:
+        if not parent_end.poll(OPEN_TIMEOUT):
+            raise SourceError(f"no picture from {camera} within {OPEN_TIMEOUT:g} s; is another program using it?")
+        try:
+            answer = parent_end.recv()
+        except EOFError:
+            raise SourceError(f"the camera process of {camera} ended before its first picture") from None
+        if answer is not True:
+            raise SourceError(str(answer))
+        yield CameraStream(camera, parent_end, process)
+    finally:
+        process.terminate()
+        process.join()
+        parent_end.close()
+
+
+class _LatestFrame:
+    """Slot that holds only the newest frame and counts the frames that it replaced."""
+
+    def __init__(self) -> None:
+        self._condition = threading.Condition()
+        self._item: tuple[float, np.ndarray] | None = None
+        self._dropped, self._over = 0, False
+
+    def put(self, t: float, bgr: np.ndarray) -> None:
+        with self._condition:
+            self._dropped += self._item is not None
+            self._item = t, bgr
+            self._condition.notify()
+
+    def end(self) -> None:
+        with self._condition:
+            self._over = True
+            self._condition.notify()
+
+    def take(self) -> tuple[float, np.ndarray, int] | None:
+        """Wait for a frame and return the newest one; None at the end."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._item is not None or self._over)
+            if self._item is None:
+                return None
+            (t, bgr), dropped = self._item, self._dropped
+            self._item, self._dropped = None, 0
+            return t, bgr, dropped
+
+
+def _run_camera(
+    camera: str, device: bool, pose: PoseSettings, live: LiveSettings, options: tuple[bool, bool], pipe: Connection
+) -> None:
+    """Body of the camera process; its first message is True, or the reason why it cannot start."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
+    previews, low_priority = options
+    if low_priority:
+        os.nice(LOW_PRIORITY)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    import cv2
+
+    from mimic.sources.video.blazepose import BlazePose
+
+    with quiet_stderr():
+        capture = cv2.VideoCapture(int(camera)) if camera.isdigit() else cv2.VideoCapture(camera)
+        if device:
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, live.camera_size[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, live.camera_size[1])
+            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        ok, first = capture.read() if capture.isOpened() else (False, None)
+    if not ok or first is None:
+        pipe.send(f"cannot read a picture from {camera}; is it a camera or a video, and not used by another program?")
+        return
+    latest, go = _LatestFrame(), threading.Event()
+    with BlazePose() as detect:
+        detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
+        pipe.send(True)
+        if not device:
+            threading.Thread(target=_wait_for_begin, args=(pipe, go), daemon=True).start()
+        grab = _read_camera if device else _play_file
+        threading.Thread(target=grab, args=(capture, first, latest, go), daemon=True).start()
+        _detect(latest, detect, pose, pipe, previews)
+
+
+def _wait_for_begin(pipe: Connection, go: threading.Event) -> None:
+    try:
+        pipe.recv()
+    except (EOFError, OSError):
+        return
+    go.set()
+
+
+def _read_camera(capture: Any, first: np.ndarray, latest: _LatestFrame, go: threading.Event) -> None:
+    """Read frames as they arrive; stop after a second of failed reads."""
+    failures = 0
+    while failures < 30:
+        ok, bgr = capture.read()
+        if ok:
+            latest.put(time.monotonic(), bgr)
+            failures = 0
+        else:
+            failures += 1
+            time.sleep(1 / 30)
+    latest.end()
+
+
+def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, go: threading.Event) -> None:
+    """Deliver the frames of a file in real time, by their time stamps."""
+    import cv2
+
+    go.wait()
+    start, stamp, bgr, zero = time.monotonic(), 0.0, first, float(capture.get(cv2.CAP_PROP_POS_MSEC))
+    while True:
+        time.sleep(max(0.0, start + stamp - time.monotonic()))
+        latest.put(time.monotonic(), bgr)
+        ok, bgr = capture.read()
+        if not ok:
+            break
+        stamp = max(stamp, (float(capture.get(cv2.CAP_PROP_POS_MSEC)) - zero) / 1e3)
+    latest.end()
+
+
+def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connection, previews: bool) -> None:
+    """Detect the person in the newest frame and send a row, until there are no more frames."""
+    import cv2
+
+    sides, last_preview = LiveSides(), -np.inf
+    while (item := latest.take()) is not None:
+        t, bgr, skipped = item
+        started = time.monotonic()
+        found = detect(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+        no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
+        landmarks, image, score = found or no_person
+        swapped = found is not None and sides.decide(t, landmarks)
+        if swapped:
+            landmarks, image, score = (
+                swap_sides(a[None], np.ones(1, dtype=np.bool_))[0] for a in (landmarks, image, score)
+            )
+        person = bool(person_rows(score[None], pose.min_visibility)[0])
+        jpeg = None
+        if previews and t - last_preview >= PREVIEW_INTERVAL:
+            small = cv2.resize(bgr, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * bgr.shape[0] / bgr.shape[1])))
+            jpeg, last_preview = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes(), t
+        row = CameraFrame(
+            t=t,
+            landmarks=landmarks,
+            image=image,
+            score=score,
+            valid=(score >= pose.min_visibility) & person,
+            size=(bgr.shape[1], bgr.shape[0]),
+            skipped=skipped,
+            swapped=bool(swapped),
+            detector_s=time.monotonic() - started,
+            jpeg=jpeg,
+        )
+        try:
+            pipe.send(row)
+        except (BrokenPipeError, OSError):
+            return
+    pipe.send(None)

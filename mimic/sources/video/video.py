@@ -1,0 +1,177 @@
+"""Pose track of the person in a video file: one row per frame at its true time, with gaps marked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mimic.config.pose import PoseSettings
+from mimic.errors import SourceError
+from mimic.io.store import plain, sha256_of
+from mimic.records import BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.sources.video.blazepose import BlazePose
+from mimic.sources.video.decoding import open_video, true_times
+from mimic.sources.video.left_right import decide_sides, swap_sides
+from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
+from mimic.sources.video.smoothing import smooth
+
+log = logging.getLogger(__name__)
+
+ALGORITHM = 1
+"""Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
+
+MAX_SWAP_SHARE = 0.05
+"""A larger share of frames with swapped left and right gives a warning."""
+MIN_PERSON_SHARE = 0.8
+"""A smaller share of frames with a person gives a warning."""
+
+_DEFAULT = PoseSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Detections:
+    """Raw output of the detector, frame by frame."""
+
+    name: str
+    t: FloatArray
+    landmarks: FloatArray
+    image: FloatArray
+    score: FloatArray
+    change: FloatArray
+    size: tuple[int, int]
+    frame_count: int | None
+    repaired: int
+
+
+def track_video(
+    path: Path,
+    settings: PoseSettings = _DEFAULT,
+    *,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> PoseTrack:
+    """Return the landmarks of the person in a video, one row for every decoded frame.
+
+    Swapped sides are corrected over the whole clip, and noise is smoothed without lag. The warnings of the track list
+    what makes the motion doubtful: cuts, jumps, missing frames, frequent swaps of left and right.
+
+    Args:
+        path: A file that FFmpeg reads (mp4, mkv, mov, gif, …).
+        settings: Settings of pose estimation.
+        progress: Called after each frame with the frames done and the number of frames in the header, if any.
+
+    Raises:
+        SourceError: If the file contains no picture, is shorter than a sampling step, or shows no person.
+    """
+    detections = _detect(Path(path), progress)
+    person = _person_share(detections, settings)
+    t, shots = detections.t, shot_starts(detections.change)
+    swapped = decide_sides(t, detections.landmarks, shots)
+    landmarks, image, score = (
+        swap_sides(column, swapped) for column in (detections.landmarks, detections.image, detections.score)
+    )
+    valid: BoolArray = score >= settings.min_visibility
+    jumps = jump_share(t, landmarks, image, valid, detections.size, settings.max_jump)
+    warnings = [
+        *_file_warnings(detections),
+        *_picture_warnings(t, shots, person, jumps, settings),
+        *_side_warnings(swapped, upside_down(image, valid)),
+    ]
+    for warning in warnings:
+        log.info("%s: %s", detections.name, warning)
+    return PoseTrack(
+        t=t,
+        landmarks=smooth(t, landmarks, shots, settings.cutoff_hz),
+        image=smooth(t, image, shots, settings.cutoff_hz),
+        score=score,
+        valid=valid,
+        size=detections.size,
+        swapped=swapped,
+        warnings=tuple(warnings),
+    )
+
+
+def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
+    """Return a key (SHA-256) that stays the same while `track_video` gives the same track.
+
+    It covers the content of the file (not its name), the settings, and the versions of the detector and of this code.
+    """
+    parts = [sha256_of(path), plain(settings), f"mediapipe {version('mediapipe')}", ALGORITHM]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _detect(path: Path, progress: Callable[[int, int | None], None] | None) -> _Detections:
+    """Run the detector over every frame."""
+    stamps, change, rows = [], [], []
+    no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
+    with open_video(path) as video, BlazePose() as detect:
+        for frame in video:
+            stamps.append(frame.stamp_ms)
+            change.append(frame.change)
+            rows.append(detect(frame.rgb) or no_person)
+            if progress is not None:
+                progress(len(rows), video.frame_count)
+    t, repaired = true_times(np.array(stamps))
+    landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
+    return _Detections(path.name, t, landmarks, image, score, np.array(change), video.size, video.frame_count, repaired)
+
+
+def _person_share(detections: _Detections, settings: PoseSettings) -> float:
+    """Return the share of frames with a person.
+
+    Raises:
+        SourceError: If the clip is too short, or has too few such frames.
+    """
+    t = detections.t
+    if t[-1] < settings.min_duration:
+        raise SourceError(
+            f"{detections.name} has {len(t)} frame{'s' * (len(t) > 1)} in {t[-1]:.2f} s, shorter than a sampling step; "
+            f"use a video of at least {settings.min_duration:g} s"
+        )
+    share = float(person_rows(detections.score, settings.min_visibility).mean())
+    if share < settings.min_person_share:
+        raise SourceError(
+            f"{detections.name} shows no person: both shoulders and a wrist are visible in {share:.0%} of its frames, "
+            f"at least {settings.min_person_share:.0%} are required; "
+            "film one person whose shoulders and arms stay in the picture"
+        )
+    return share
+
+
+def _file_warnings(detections: _Detections) -> Iterator[str]:
+    frames, expected = len(detections.t), detections.frame_count
+    if expected is not None and frames < expected:
+        yield f"the file header says {expected} frames, but only {frames} could be decoded; the end may be missing"
+    if detections.repaired:
+        yield f"{detections.repaired} of {frames} time stamps do not increase; these frames got interpolated times"
+
+
+def _picture_warnings(
+    t: FloatArray, shots: IntArray, person: float, jumps: float, settings: PoseSettings
+) -> Iterator[str]:
+    if person < MIN_PERSON_SHARE:
+        yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
+    if len(shots):
+        at = ", ".join(f"{t[row]:.2f} s" for row in shots[:5]) + ", …" * (len(shots) > 5)
+        yield f"the video has a cut at {at} and may show another person after it; use a clip without cuts"
+    if jumps > settings.max_jump_share:
+        yield (
+            f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "
+            "the arms are hard to see; use a clip of one person, without cuts, from the front or a three-quarter view"
+        )
+
+
+def _side_warnings(swapped: BoolArray, inverted: bool) -> Iterator[str]:
+    if swapped.mean() > MAX_SWAP_SHARE:
+        yield (
+            f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, "
+            "but errors may remain: film from the front or a three-quarter view, in good light"
+        )
+    if inverted:
+        yield "the shoulders are below the hips; if the video is upside down, rotate it"

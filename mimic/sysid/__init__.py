@@ -1,0 +1,1 @@
+"""System identification: what a model lacks, from a log of the machine."""

@@ -1,0 +1,1 @@
+"""What a log holds: checks, noise, gaps, encoder steps, blocks of time."""

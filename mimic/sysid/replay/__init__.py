@@ -1,0 +1,1 @@
+"""Replays of a log on the model, on the CPU and on a GPU."""

@@ -1,0 +1,1 @@
+"""Model selection: which effect is missing, with evidence."""

@@ -1,0 +1,37 @@
+"""What a policy that is trained here promises."""
+
+from __future__ import annotations
+
+from mimic.config.training import MdpSettings
+from mimic.policy.contract import (
+    TERMS,
+    PolicyContract,
+)
+from mimic.records import JOINTS
+from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import front_toes
+
+
+def make_contract(description: RobotDescription, settings: MdpSettings, training: str = "") -> PolicyContract:
+    """Return what a policy trained with these settings promises."""
+    neutral = front_toes(description.poses["upright"], description)
+    sits = settings.task == "sit_down"
+    return PolicyContract(
+        robot=description.name,
+        joints=JOINTS,
+        default_q=tuple(description.poses["upright"].tolist()),
+        action_scale=(settings.action_scale,) * len(JOINTS),
+        action_clip=settings.action_clip,
+        q_min=tuple((description.q_min + settings.command_margin).tolist()),
+        q_max=tuple((description.q_max - settings.command_margin).tolist()),
+        kp=description.kp,
+        kd=description.kd,
+        dt=description.dt,
+        history=settings.history,
+        terms=TERMS,
+        clock_hz=settings.sit_down.clock_hz if sits else settings.clock_hz,
+        neutral_toes=tuple(neutral.reshape(-1).tolist()),
+        stand_up_steps=settings.stand_up_steps,
+        training=training,
+        task=settings.task,
+    )

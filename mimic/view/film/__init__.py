@@ -1,0 +1,1 @@
+"""Film of person and robot side by side."""

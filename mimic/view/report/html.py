@@ -1,0 +1,266 @@
+"""Calibration report as one self-contained page: effects, evidence, and the unexplained residual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.dynamics.catalogue import CATALOGUE, unit_of
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.io.store import written_whole
+from mimic.records import FloatArray
+from mimic.sysid.result import Calibration, Errors
+from mimic.view.report.evidence import evidence
+from mimic.view.report.plots import Unit, against_state, over_time, spectra, stage_errors, torque_over_time, unit_for
+from mimic.view.report.sections import fixed, pretty, section, table, title_of
+from mimic.view.report.style import STYLE
+from mimic.view.report.svg import figure, number
+
+_VERDICTS = {
+    "explained": "explained down to the noise floor",
+    "state-dependent": "depends on the state: an effect outside the catalogue",
+    "moving base": "moving base: hold it more stiffly",
+    "periodic": "periodic, independent of the motion: an external disturbance",
+    "broadband": "broadband: disturbance or timing",
+    "events": "isolated events: delayed or lost targets, impacts, mechanical catching",
+}
+
+
+def write_report(calibration: Calibration, path: Path) -> Path:
+    """Write the report; the file is complete or not written at all."""
+    page = html_report(calibration)
+    with written_whole(path) as part:
+        part.write_text(page, encoding="utf-8")
+    return path
+
+
+def html_report(calibration: Calibration) -> str:
+    """Return the report as self-contained HTML."""
+    unit = unit_for(calibration)
+    title = f"Calibration of {calibration.metadata.get('name') or 'a machine'}"
+    sections = [
+        _header(calibration, title),
+        _tiles(calibration, unit),
+        _effects(calibration),
+        _errors(calibration, unit),
+        evidence(calibration),
+        _unexplained(calibration),
+        _baseline(calibration),
+        _residuals(calibration, unit),
+        _footer(calibration),
+    ]
+    body = "\n".join(s for s in sections if s)
+    head = (
+        "<meta charset='utf-8'><meta name='viewport' content='width=device-width,initial-scale=1'>"
+        f"<title>{escape(title)}</title>"
+    )
+    return (
+        f"<!doctype html>\n<html lang='en'><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _header(c: Calibration, title: str) -> str:
+    alarm = ""
+    if not c.log_matches_model:
+        alarm = (
+            "<p class='alarm'>The log does not match the model. No effect is reported;"
+            " check joints, units and gains.</p>"
+        )
+    return (
+        f"<header><p class='kicker'>mimic calibrate</p><h1>{escape(title)}</h1>{alarm}"
+        f"<p class='verdict'>{escape(c.sentence)}</p></header>"
+    )
+
+
+def _tiles(c: Calibration, unit: Unit) -> str:
+    last = c.stages[-1].errors if c.stages else c.nominal
+    baseline = c.stages[0].errors if c.stages else c.nominal
+    found = [s.added for s in c.stages if s.added not in ("", "baseline")]
+    tiles = {
+        "held-out error of the model as given": unit.text(Errors.total(c.nominal.held_out)),
+        "with the baseline parameters fitted": unit.text(Errors.total(baseline.held_out)),
+        "with the effects found": unit.text(Errors.total(last.held_out)),
+        "noise floor": unit.text(Errors.total(c.noise)),
+        "effects found": str(len(found)),
+    }
+    return (
+        "<div class='tiles'>"
+        + "".join(f"<div class='tile'><b>{v}</b><span>{k}</span></div>" for k, v in tiles.items())
+        + "</div>"
+    )
+
+
+def _effects(c: Calibration) -> str:
+    effects: EffectSet = c.effects
+    stages = {s.added: s for s in c.stages}
+    found = [e for e in effects if e.name in stages]
+    parts = []
+    for e in found:
+        spec, alternatives = CATALOGUE[e.name], ", ".join(title_of(r) for r in stages[e.name].alternatives)
+        note = (
+            f"<p class='lead'>Alternatives this log cannot rule out: <b>{escape(alternatives)}</b>.</p>"
+            if alternatives
+            else ""
+        )
+        equation = f"<p class='key'><code>{escape(spec.equation)}</code></p>"
+        parts.append(f"<h3>{escape(spec.title)}</h3>{equation}{note}{_values([e], e.joints, c.unit)}")
+    if not found:
+        parts.append("<p class='lead'>No effect improved on the baseline model.</p>")
+    return section("What the model lacked", "With 95 % intervals." if found else "", *parts)
+
+
+def _baseline(c: Calibration) -> str:
+    added = {s.added for s in c.stages}
+    baseline = [e for e in c.effects if e.name not in added]
+    whole = [e for e in baseline if not e.joints]
+    by_joint = [e for e in baseline if e.joints]
+    tables = [_values(by_joint, c.joints, c.unit)] if by_joint else []
+    tables += [_values(whole, (), c.unit)] if whole else []
+    return section(
+        "Baseline model, fitted",
+        "The parameters that every model has, with 95 % intervals; ▸| marks one at its bound.",
+        *tables,
+    )
+
+
+def _values(effects: Sequence[EffectValues], joints: Sequence[str], positions: str) -> str:
+    """Return a table with a row for each joint and a column for each parameter."""
+    columns = [(e, n) for e in effects for n in e.values]
+    headings = ["joint"]
+    for e, n in columns:
+        of = f"{escape(CATALOGUE[e.name].title)}<br>" if len(effects) > 1 or not joints else ""
+        headings.append(f"{of}<small>{escape(n)}{_in(unit_of(e.name, n, positions))}</small>")
+    rows = []
+    for joint in joints or ("whole machine",):
+        cells = [
+            _value(e, n, e.joints.index(joint) if e.joints else 0) if joint in e.joints or not e.joints else ""
+            for e, n in columns
+        ]
+        rows.append(("", [escape(joint), *cells]))
+    return table(headings, rows, kind="narrow" if len(columns) < 4 else "")
+
+
+def _in(unit: str) -> str:
+    return f" [{escape(pretty(unit))}]" if unit else ""
+
+
+def _value(e: EffectValues, parameter: str, i: int) -> str:
+    value, spec = float(e.values[parameter][i]), CATALOGUE[e.name].parameter(parameter)
+    text = figure(value)
+    if value != 0.0 and (value <= spec.low or value >= spec.high) and not spec.fixed:
+        text = f"<span class=bad title='at its bound: do not trust it'>{text} ▸|</span>"
+    if parameter not in e.intervals:
+        return text
+    low, high = (float(v) for v in e.intervals[parameter][i])
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return text
+    return f"{text} <small>{figure(low)} … {figure(high)}</small>"
+
+
+def _errors(c: Calibration, unit: Unit) -> str:
+    columns = [("as given", c.nominal)]
+    if c.stages:
+        columns.append(("baseline fitted", c.stages[0].errors))
+    if len(c.stages) > 1:
+        columns.append(("final", c.stages[-1].errors))
+    last = columns[-1][1]
+    floors = {"noise floor": c.noise} | ({} if c.repeatability is None else {"repeats within": c.repeatability})
+    shown = (f"{name}<br><small>train / held out</small>" for name, _ in columns)
+    headings = ["joint", *shown, *floors, "final / noise"]
+
+    def row(pick: Callable[[FloatArray], float]) -> list[str]:
+        cells = [
+            f"{figure(pick(e.train) * unit.factor)} / <b>{figure(pick(e.held_out) * unit.factor)}</b>"
+            for _, e in columns
+        ]
+        ratio = pick(last.held_out) / max(pick(c.noise), 1e-300)
+        explained = f"<span class=good>{figure(ratio)}</span>" if ratio < 1.2 else figure(ratio)
+        return [*cells, *(figure(pick(v) * unit.factor) for v in floors.values()), explained]
+
+    rows = [("", [escape(joint), *row(lambda v, i=i: float(v[i]))]) for i, joint in enumerate(c.joints)]
+    if len(c.joints) > 1:
+        rows.append(("total", ["all", *row(Errors.total)]))
+    names = ["as given", *(title_of(s.added) for s in c.stages)]
+    lead = (
+        f"Root mean square of measured − predicted [{unit.name}]. The held-out blocks were used neither for fitting"
+        " nor for selection."
+    )
+    if c.repeatability is not None:
+        lead += " The same excitation occurs twice in this log; no model can explain the difference between the two."
+    return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows))
+
+
+def _unexplained(c: Calibration) -> str:
+    rows = []
+    for r in c.unexplained:
+        verdict = escape(_VERDICTS.get(r.verdict, r.verdict))
+        if r.depends_on:
+            verdict += f" <small>(on {escape(' and '.join(r.depends_on))})</small>"
+        if r.verdict in ("periodic", "moving base"):
+            verdict += f" <small>(near {number(r.peak_hz)} Hz)</small>"
+        kind = "good" if r.verdict == "explained" else ""
+        rows.append(
+            f"<tr><td class=name>{escape(r.joint)}</td><td class=n>{figure(r.ratio)}</td>"
+            f"<td class=n>{fixed(r.state_r2, 2)}</td>"
+            f"<td class=n>{figure(r.peak_ratio)} <small>at {number(r.peak_hz)} Hz</small></td>"
+            f"<td class='why {kind}'>{verdict}</td></tr>"
+        )
+    head = (
+        "<tr><th>joint</th><th class=n>error / noise</th><th class=n>predicted by the state, R²</th>"
+        "<th class=n>peak / median</th><th>verdict</th></tr>"
+    )
+    table = (
+        f"<div class='wide'><table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table></div>" if rows else ""
+    )
+    lists = (
+        ("What to log next", c.experiments),
+        ("Not determined by this log", c.not_identifiable),
+        ("Warnings", c.warnings),
+    )
+    texts = "".join(
+        f"<h3>{title}</h3><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>" for title, lines in lists if lines
+    )
+    return section("Unexplained residual", "", table, texts)
+
+
+def _residuals(c: Calibration, unit: Unit) -> str:
+    lines = (
+        "<span><i class='before' style='--c:var(--before)'></i>baseline model</span>"
+        "<span><i class='after' style='--c:var(--after)'></i>final model</span>"
+    )
+    key, timed = f"<p class='key'>{lines}</p>", f"<p class='key'>{lines}<span><i class='held'></i>held out</span></p>"
+    noisy = f"<p class='key'>{lines}<span><i class='noise'></i>noise floor</span></p>"
+    torques = torque_over_time(c)
+    return "".join(
+        (
+            section("Residual over time", "Measured − predicted.", timed, *over_time(c, unit)),
+            section("Residual of the measured torque", "", timed, *torques) if torques else "",
+            section(
+                "Residual against the state",
+                "Median and middle 80 % of the readings. An explained residual is flat at zero.",
+                key,
+                f"<div class='grid3'>{''.join(against_state(c, unit))}</div>",
+            ),
+            section("Residual over frequency", "", noisy, f"<div class='grid3'>{''.join(spectra(c, unit))}</div>"),
+        )
+    )
+
+
+def _footer(c: Calibration) -> str:
+    rows = [("replays", f"{c.replays:,}".replace(",", " ")), ("time", f"{c.seconds:.0f} s"), *_flat(c.metadata)]
+    cells = "".join(f"<tr><th>{escape(str(k))}</th><td>{escape(str(v))}</td></tr>" for k, v in rows)
+    return f"<footer><table>{cells}</table></footer>"
+
+
+def _flat(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows = []
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{prefix}{key} ")
+        else:
+            rows.append((f"{prefix}{key}", number(value) if isinstance(value, float) else str(value)))
+    return rows

@@ -1,0 +1,41 @@
+"""Sections, tables and number formats shared by the parts of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mimic.dynamics.catalogue import CATALOGUE
+
+
+def title_of(name: str) -> str:
+    """Return the title of an effect or a stage, for use in a sentence."""
+    return {"baseline": "baseline model", "": "nothing more"}.get(name) or CATALOGUE[name].title
+
+
+def section(title: str, lead: str, *parts: str) -> str:
+    """Return a section with a lead paragraph."""
+    text = f"<p class='lead'>{lead}</p>" if lead else ""
+    return f"<section><h2>{title}</h2>{text}{''.join(parts)}</section>"
+
+
+def table(headings: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], kind: str = "") -> str:
+    """Return a table; each row has a class and cells of HTML. All cells except the first are numbers."""
+    head = "".join(f"<th{' class=n' if i else ''}>{h}</th>" for i, h in enumerate(headings))
+    lines = []
+    for row_kind, cells in rows:
+        texts = "".join(f"<td class={'n' if i else 'name'}>{c}</td>" for i, c in enumerate(cells))
+        lines.append(f"<tr{f' class={row_kind}' if row_kind else ''}>{texts}</tr>")
+    opening = f"<table class={kind}>" if kind else "<table>"
+    return f"<div class='wide'>{opening}<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+
+
+def pretty(unit: str) -> str:
+    """Return a unit in typographic form."""
+    return unit.replace("^2", "²")
+
+
+def fixed(value: float, digits: int) -> str:
+    """Return a number with this many decimals, or a dash if it is not finite."""
+    return f"{value:.{digits}f}".replace("-", "−") if np.isfinite(value) else "–"

@@ -1,0 +1,1 @@
+"""The Rerun scene, recorded or live."""

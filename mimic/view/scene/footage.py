@@ -1,0 +1,107 @@
+"""Encodes the human video for a scene in a background thread, during pose estimation or simulation."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from mimic.records import FloatArray
+from mimic.view.film.footage import Progress, encode_av1, read_frames
+
+VIDEO_WIDTH = 640
+"""Maximum width of the video in a scene [px]."""
+
+_REPORT_EVERY = 0.1
+"""Interval of progress reports while a caller waits [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Clip:
+    """An encoded video."""
+
+    path: Path
+    """AV1 in MP4, one frame per decoded frame of the source."""
+    stamps: FloatArray
+    """Time stamps of the frames in the source (F,) [s]."""
+    size: tuple[int, int]
+    """Width and height of the upright picture [px]."""
+
+
+class Footage:
+    """A video that is being encoded for a scene; the ``with`` block ends the thread and removes the file."""
+
+    def __init__(self, video: Path) -> None:
+        """Start decoding and encoding ``video``."""
+        import av  # noqa: F401  # imported here, because imports in the thread could run in parallel with others
+        import cv2  # noqa: F401
+
+        self.video = video
+        self._folder = tempfile.TemporaryDirectory(prefix="mimic-footage-")
+        self._stamps: list[float] = []
+        self._size = (0, 0)
+        self._error: Exception | None = None
+        self._cancelled = threading.Event()
+        self._thread = threading.Thread(target=self._encode, name=f"footage of {video.name}")
+        self._thread.start()
+
+    @property
+    def _path(self) -> Path:
+        return Path(self._folder.name) / "video.mp4"
+
+    def clip(self, progress: Progress | None = None, total: int | None = None) -> Clip:
+        """Wait until the video is encoded and return it; the file exists until `close`.
+
+        Args:
+            progress: Called at intervals with the number of encoded frames and ``total``.
+            total: Number of frames, if known.
+
+        Raises:
+            SourceError: If the video cannot be decoded.
+        """
+        while self._thread.is_alive():
+            self._thread.join(_REPORT_EVERY)
+            if progress is not None:
+                progress(len(self._stamps), total)
+        if self._error is not None:
+            raise self._error
+        return Clip(path=self._path, stamps=np.array(self._stamps), size=self._size)
+
+    def close(self) -> None:
+        """Stop encoding and remove the file."""
+        self._cancelled.set()
+        self._thread.join()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _encode(self) -> None:
+        try:
+            encode_av1(self._pictures(), self._path)
+        except Exception as error:  # raised again in the thread that calls clip()
+            self._error = error
+
+    def _pictures(self) -> Iterator[np.ndarray]:
+        for stamp, rgb in read_frames(self.video, width=VIDEO_WIDTH):
+            if self._cancelled.is_set():
+                return
+            self._stamps.append(stamp)
+            self._size = rgb.shape[1], rgb.shape[0]
+            yield rgb
+
+
+def start_footage(video: Path) -> Footage:
+    """Start to encode a video for `mimic.view.scene.scene.save_scene`; returns at once.
+
+    Decoding and encoding run in C++ without Python's global lock, in parallel with other work.
+    """
+    return Footage(video)

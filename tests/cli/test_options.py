@@ -1,0 +1,136 @@
+"""Options as a person types them: several values, options from a file, mistakes, and an unusable environment."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from mimic.cli import main
+from mimic.cli.app import COMMANDS, GROUPS
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path) -> list[tuple[tuple, dict]]:
+    """Calls of the flows instead of their work."""
+    calls: list[tuple[tuple, dict]] = []
+
+    def reached(*arguments: object, **options: object) -> None:
+        calls.append((arguments, options))
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    for flow in (
+        "play.play_source",
+        "play.save_targets",
+        "calibrate.calibrate",
+        "calibrate.predict_log",
+        "evaluate.train",
+    ):
+        monkeypatch.setattr(f"mimic.flows.{flow}", reached)
+    return calls
+
+
+def test_bare_mimic_prints_the_help(capsys):
+    assert main([]) == 0
+    assert "Usage: mimic SOURCE --sim" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "command", [[name] for name in COMMANDS] + [[group, name] for group, (_, names) in GROUPS.items() for name in names]
+)
+def test_every_help_has_groups_and_examples_and_no_markup(command, capsys):
+    assert main([*command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert "Examples:" in shown
+    for marker in ("``", ":class:", "--empty-", ":mod:"):
+        assert marker not in shown
+
+
+def test_a_mistyped_command_is_no_file(capsys):
+    assert main(["evalute", "policy.onnx"]) == 2
+    assert capsys.readouterr().err == "mimic: there is no command and no file 'evalute'; did you mean: mimic evaluate\n"
+
+
+def test_several_names_follow_one_option(asked):
+    main(["motion.npz", "--sim", "--names", "left_wrist=LWRA", "right_wrist=RWRA", "--mirror"])
+    _, settings = asked[0][0]
+    assert settings.stored.names == ("left_wrist=LWRA", "right_wrist=RWRA")
+    assert settings.retarget.mirror
+
+
+def test_several_effects_follow_one_option_of_calibrate(asked):
+    main(["calibrate", "log.parquet", "--effects", "stribeck", "backlash"])
+    assert asked[0][0][2].effects == ("stribeck", "backlash")
+
+
+def test_several_files_follow_one_option_of_replay(asked):
+    main(["log", "replay", "log.parquet", "--effects", "a.toml", "b.toml", "--whole"])
+    assert asked[0][0][1] == (Path("a.toml"), Path("b.toml"))
+
+
+def test_several_snapshots_and_settings_follow_one_option_of_train(asked):
+    main(["train", "out", "--snapshots", "1", "2.5", "--set", "rewards.slip=-0.4", "noise_q=0.02"])
+    arguments, options = asked[0]
+    assert arguments[2].snapshots == (1.0, 2.5)
+    assert options["overrides"] == ["rewards.slip=-0.4", "noise_q=0.02"]
+
+
+def test_options_come_from_a_file_and_the_command_line_wins(asked, tmp_path):
+    (tmp_path / "mimic.toml").write_text("rate = 0.2\nmirror = true\n\n[retarget]\nrate = 0.3\nturns = true\n")
+    main(["clip.mp4", "--sim", "--config", "mimic.toml"])
+    main(["clip.mp4", "--sim", "--config=mimic.toml", "--rate", "0.5"])
+    main(["retarget", "clip.mp4", "-o", "t.parquet", "--config", "mimic.toml"])
+    first, second, third = asked[0][0][1].retarget, asked[1][0][1].retarget, asked[2][0][2].retarget
+    assert (first.rate, first.mirror) == (0.2, True)
+    assert second.rate == 0.5
+    assert (third.rate, third.mirror, third.turns) == (0.3, False, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "there is no file mimic.toml"),
+        ("rate = = 2", "is not a TOML file"),
+        ("raet = 0.2", "raet"),
+    ],
+)
+def test_a_bad_file_of_options_is_one_line(text, said, asked, tmp_path, capsys):
+    if text is not None:
+        (tmp_path / "mimic.toml").write_text(text)
+    assert main(["clip.mp4", "--sim", "--config", "mimic.toml"]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not asked
+
+
+def test_a_bad_mujoco_gl_is_one_line(monkeypatch, capsys):
+    monkeypatch.setenv("MUJOCO_GL", "vulkan")
+    assert main(["clip.mp4", "--sim"]) == 2
+    assert "MUJOCO_GL is 'vulkan'; set it to egl" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "runs/x/log.parquet"), "runs/x/log.parquet: No space left"),
+        (PermissionError(errno.EACCES, "Permission denied", "runs"), "runs: Permission denied"),
+        (EOFError(), "add --yes"),
+    ],
+)
+def test_a_full_disk_missing_rights_and_no_input_are_one_line(error, said, monkeypatch, capsys):
+    def fails(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("mimic.flows.play.play_source", fails)
+    assert main(["clip.mp4", "--sim"]) == 2
+    shown = capsys.readouterr().err
+    assert said in shown
+    assert shown.count("\n") == 1
+
+
+def test_completion_can_be_installed(capsys):
+    assert main(["--help"]) == 0
+    assert "--install-completion" in capsys.readouterr().out

@@ -1,0 +1,82 @@
+"""The pages of docs/: their links, the command reference and the navigation of the site."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+
+from mimic.cli.app import DEFAULTS, app
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "policies").glob("*.md")])
+
+
+@pytest.fixture(scope="module")
+def site() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs" / "site_pages.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def navigation(entry: object) -> list[str]:
+    """Return the pages that a part of the navigation names."""
+    if isinstance(entry, str):
+        return [entry]
+    parts = entry.values() if isinstance(entry, dict) else entry
+    return [page for part in parts for page in navigation(part)]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_relative_link_of_a_page_leads_to_a_file(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.S)
+    links = [
+        link for link in re.findall(r"\]\(([^)\s#]+)", text) if "://" not in link and not link.startswith("mailto:")
+    ]
+    missing = [link for link in links if not (page.parent / link).exists() and link not in ("TARGET",)]
+    assert missing == []
+
+
+def test_the_command_reference_has_every_command_and_every_option(site: ModuleType) -> None:
+    reference = site.command_reference()
+    options = 0
+    for name in [(), *((command,) for command in app if not command.startswith("-"))]:
+        command = app[name[0]] if name else app
+        subcommands = [command[sub] for sub in command if name and not sub.startswith("-")]
+        for leaf in subcommands or [command]:
+            for argument in (
+                leaf.assemble_argument_collection(default_parameter=DEFAULTS) if leaf.default_command else ()
+            ):
+                for option in argument.names:
+                    assert option.startswith("-") is False or option in reference, option
+                    options += 1
+        assert f"## {' '.join(('mimic', *name))}\n" in reference
+    assert options > 100, "the walk over the commands found too little"
+
+
+def test_the_table_of_commands_names_each_command() -> None:
+    table = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    missing = [name for name in app if not name.startswith("-") and f"`mimic {name}" not in table]
+    assert missing == []
+
+
+def test_the_navigation_of_the_site_has_every_page(site: ModuleType) -> None:
+    configuration = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    assert written | {"changelog.md"} == set(navigation(configuration["nav"]))
+
+
+def test_links_that_leave_docs_become_pages_of_the_site_or_plain_paths(site: ModuleType) -> None:
+    text = (
+        "[log](../../CHANGELOG.md) [robot](robot.md#zeros) [law](../../mimic/dynamics/law.py) ![](../images/boxing.jpg)"
+    )
+    assert site.site_links(text, "manual/live.md") == (
+        "[log](../changelog.md) [robot](robot.md#zeros) `law` ![](../images/boxing.jpg)"
+    )

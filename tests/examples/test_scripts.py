@@ -1,0 +1,65 @@
+"""Each script and the notebook in examples/ runs as it is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+SCRIPTS = {
+    "calibrate_any_machine": (["out"], "coulomb {'level': [0.4", "out/report.html"),
+    "disturbed_policy": ([], "toe error [cm]", None),
+    "own_motion": ([], "falls: 0", None),
+    "play_and_plot": ([str(EXAMPLES / "motions" / "step_and_wave.yaml"), "toes.png"], "stood up in 0.3", "toes.png"),
+    "rerun_scene": (["scene.rrd"], "mean power", "scene.rrd"),
+    "video_to_targets": ([str(EXAMPLES / "videos" / "waving.mp4"), "t.parquet"], "targets", "t.parquet"),
+}
+"""Script -> its arguments, what it prints, a file that it writes."""
+
+
+def environment() -> dict[str, str]:
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    return {"MUJOCO_GL": "egl", **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+def test_every_script_of_examples_is_run_here() -> None:
+    assert set(SCRIPTS) == {path.stem for path in EXAMPLES.glob("*.py")}
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_runs(name: str, tmp_path: Path) -> None:
+    if name == "play_and_plot":
+        pytest.importorskip("matplotlib")
+    arguments, printed, written = SCRIPTS[name]
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *arguments]
+    done = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert printed in done.stdout
+    assert written is None or (tmp_path / written).stat().st_size > 0
+
+
+def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    nbformat = pytest.importorskip("nbformat", reason="running the notebook needs the extra 'docs'")
+    nbclient = pytest.importorskip("nbclient", reason="running the notebook needs the extra 'docs'")
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    notebook = nbformat.read(EXAMPLES / "first_steps.ipynb", as_version=4)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
+    printed = [
+        out["text"] for cell in notebook.cells for out in cell.get("outputs", ()) if out["output_type"] == "stream"
+    ]
+    assert any("toe error" in text for text in printed)
+
+
+def test_the_notebook_is_stored_without_outputs() -> None:
+    import json
+
+    cells = json.loads((EXAMPLES / "first_steps.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert [cell["outputs"] for cell in cells if cell["cell_type"] == "code" and cell["outputs"]] == []

@@ -1,0 +1,72 @@
+"""The public library: what ``import mimic`` gives, and that it is cheap."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mimic
+from mimic.config.play import RunSettings
+from mimic.records import CommandTrack
+
+FUNCTIONS = ("calibrate", "evaluate", "load_motion", "load_policy", "load_robot", "play", "retarget", "track_video")
+
+
+def test_importing_mimic_loads_no_other_library():
+    code = "import sys, mimic\nprint([m for m in ('numpy', 'mujoco', 'rich', 'cyclopts', 'rerun') if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert told.strip() == "[]"
+
+
+def test_the_library_runs_without_the_libraries_of_the_command_line():
+    code = (
+        "import sys, mimic\n"
+        "for name in mimic.__all__: getattr(mimic, name)\n"
+        "import mimic.flows.robot, mimic.flows.commissioning, mimic.flows.batch, "
+        "mimic.flows.emulate, mimic.flows.camera\n"
+        "print([m for m in ('rich', 'cyclopts') if m in sys.modules])"
+    )
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert told.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", sorted(set(mimic.__all__) - {"__version__"}))
+def test_every_public_name_exists_and_says_what_it_is(name):
+    thing = getattr(mimic, name)
+    assert inspect.getdoc(thing)
+    if name in FUNCTIONS:
+        text = inspect.getdoc(thing) or ""
+        assert "Args:" in text
+        assert "Raises:" in text
+        assert all(p.annotation is not inspect.Parameter.empty for p in inspect.signature(thing).parameters.values())
+
+
+def test_an_unknown_name_lists_what_there_is():
+    with pytest.raises(AttributeError, match="track_video"):
+        mimic.nothing_like_this
+
+
+def test_an_own_array_of_toe_positions_is_played_and_saved(tmp_path):
+    robot, policy = mimic.load_robot(), mimic.load_policy()
+    neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
+    t = robot.dt * np.arange(50)
+    sway = 0.04 * np.sin(2 * np.pi * t)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    track = CommandTrack(t=t, v=np.zeros((50, 2)), heading=np.zeros(50), p_BE=neutral + sway)
+    run = mimic.play(track, policy=policy, settings=RunSettings(hold=0.0))
+    assert run.result.fell_at is None
+    assert run.metrics["standing_share"] > 0.9
+    saved = run.save(tmp_path / "run")
+    assert {p.name for p in saved.folder.iterdir()} >= {"log.parquet", "commands.parquet", "metrics.json", "scene.rrd"}
+
+
+def test_a_policy_is_found_by_its_name_from_any_folder(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("stand_track", "stand_track.onnx", "policies/stand_track.onnx"):
+        assert mimic.load_policy(name).contract.task == "stand_track"
+    with pytest.raises(mimic.MimicError, match="stand_track, sit_down"):
+        mimic.load_policy("elsewhere/stand_track.onnx")
