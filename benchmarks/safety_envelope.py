@@ -1,4 +1,4 @@
-"""Extremes of healthy robots: the measurements behind mimic/control/safety_limits.py.
+"""Extremes of healthy robots: the measurements behind [safety] in robot.toml.
 
 python benchmarks/safety_envelope.py [episodes]
 

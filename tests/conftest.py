@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.control.loop import RunResult, run_policy
-from mimic.control.safety_limits import LIMITS
+from mimic.control.safety_limits import limits_for
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.policy.contract import METADATA_KEY, PolicyContract
@@ -57,7 +57,14 @@ def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
     return write
 
 
-FORGIVING = replace(LIMITS, turn_mismatch=10.0, toes_apart=10.0, toes_apart_moving=10.0, front_above=-10.0, jump=100.0)
+FORGIVING = replace(
+    limits_for(load_description()),
+    turn_mismatch=10.0,
+    toes_apart=10.0,
+    toes_apart_moving=10.0,
+    front_above=-10.0,
+    jump=100.0,
+)
 """Limits for the robot in memory: its base pitches whatever its legs do, and its joints jump with their commands."""
 
 FRESH = Health(

@@ -20,13 +20,12 @@ class BusSettings:
     """Start without waiting for Enter; for rehearsals."""
     watchdog: bool = True
     """Start the watchdog process, which damps the robot when this one no longer can."""
-    torque_limit: float = 12.0
-    """Largest torque of each motor [N m]; written to the motors and read back."""
+    torque_limit: float | None = None
+    """Largest torque of each motor [N m]; written to the motors and read back. By default their peak torque."""
     ramp: float = 2.0
     """Time in which the gains rise and the joints move into the lying pose [s]."""
 
     def __post_init__(self) -> None:
-        check_range("torque-limit", self.torque_limit, 1.0, 12.0, "N m")
         check_range("ramp", self.ramp, 0.5, 30.0, "s")
 
 

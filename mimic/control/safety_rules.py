@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from mimic.control.safety_limits import LIMITS, Limits
+from mimic.control.safety_limits import Limits
 from mimic.control.step_history import MOVING, STANDING, StepHistory, StepReport
 from mimic.geometry import up_cosine
 from mimic.metrics import uprightness
@@ -37,8 +37,8 @@ class Rule:
     """A row of the table in docs/manual/robot.md."""
 
     name: str
-    limit: str
-    """The limit, in words."""
+    limit: Callable[[Limits], str]
+    """Says the limit in words."""
     within: str
     """How soon it is detected."""
     outcome: str
@@ -209,75 +209,82 @@ def _watchdog_ended(report: StepReport, history: StepHistory, limits: Limits) ->
 
 
 _SIT = "sit down if upright and at most one motor is lost, else damp"
-_L = LIMITS
+
+_ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
+    (_interrupt, lambda L: "Ctrl-C; again", "1 tick", "sit down; damp"),
+    (_terminated, lambda L: "SIGTERM", "1 tick", "damp"),
+    (_motor_silent, lambda L: f"{L.silent_ticks} ticks without an answer", "60 ms", _SIT),
+    (_motor_fault, lambda L: "any fault bit", "1 tick", _SIT),
+    (_motor_off, lambda L: "not in run mode, without a fault", "1 tick", _SIT),
+    (_motor_hot, lambda L: f"{L.temperature_warning:g} °C; {L.temperature:g} °C", "1 tick", f"announce; {_SIT}"),
+    (
+        _winding_hot,
+        lambda L: f"{L.rise_warning:.0%}; {L.rise:.0%} of the winding's limit by the thermal model",
+        "1 tick",
+        f"announce; {_SIT}",
+    ),
+    (
+        _joint_impossible,
+        lambda L: f"{L.outside:g} rad beyond a joint limit, or {L.jump:g} rad in one tick",
+        "1 tick",
+        _SIT,
+    ),
+    (_imu_silent, lambda L: f"older than {1e3 * L.imu_age:g} ms", "60 ms", "damp"),
+    (
+        _imu_frozen,
+        lambda L: (
+            f"{L.imu_repeats + 1} equal readings, or nothing new for {1e3 * L.imu_age:g} ms, "
+            "while a policy moves the robot"
+        ),
+        "60 ms",
+        "damp",
+    ),
+    (_imu_invalid, lambda L: "its status says so", "1 tick", "damp"),
+    (
+        _imu_contradicts_itself,
+        lambda L: f"orientation and rate of turn differ by {L.turn_mismatch:g} rad in a tick",
+        "1 tick",
+        "damp",
+    ),
+    (
+        _imu_contradicts_legs,
+        lambda L: (
+            f"for {L.legs_ticks} ticks, hind toes {100 * L.toes_apart:g} cm apart in height while standing, "
+            f"{100 * L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
+            f"{100 * L.front_above:g} cm above them while standing"
+        ),
+        "60 ms",
+        "damp",
+    ),
+    (
+        _tipping,
+        lambda L: f"cosine to upright below {L.upright:g} ({_degrees(L.upright)} deg) while standing",
+        "1 tick",
+        "damp",
+    ),
+    (
+        _rolling_over,
+        lambda L: f"sine of the roll above {L.side_tilt:g}, or base z below {L.backward:g}, while getting up or down",
+        "1 tick",
+        "damp",
+    ),
+    (
+        _tick_overrun,
+        lambda L: (
+            f"one of {1e3 * L.overrun:g} ms, or {L.small_overruns_logged} in a row of {1e3 * L.small_overrun:g} "
+            f"ms; {L.overrun_ticks} in a row of {1e3 * L.overrun:g} ms, {L.small_overrun_ticks} in a row of "
+            f"{1e3 * L.small_overrun:g} ms, or one of {1e3 * L.longest_overrun:g} ms"
+        ),
+        "1 tick",
+        "log; damp",
+    ),
+    (_bus_errors, lambda L: f"any; {L.bus_errors} within 0.1 s", "0.1 s", "log; damp"),
+    (_watchdog_ended, lambda L: "it has ended", "1 tick", "sit down"),
+)
 
 RULES = tuple(
     Rule(name=check.__name__[1:], limit=limit, within=within, outcome=outcome, check=check)
-    for check, limit, within, outcome in (
-        (_interrupt, "Ctrl-C; again", "1 tick", "sit down; damp"),
-        (_terminated, "SIGTERM", "1 tick", "damp"),
-        (_motor_silent, f"{_L.silent_ticks} ticks without an answer", "60 ms", _SIT),
-        (_motor_fault, "any fault bit", "1 tick", _SIT),
-        (_motor_off, "not in run mode, without a fault", "1 tick", _SIT),
-        (_motor_hot, f"{_L.temperature_warning:g} °C; {_L.temperature:g} °C", "1 tick", f"announce; {_SIT}"),
-        (
-            _winding_hot,
-            f"{_L.rise_warning:.0%}; {_L.rise:.0%} of the winding's limit by the thermal model",
-            "1 tick",
-            f"announce; {_SIT}",
-        ),
-        (
-            _joint_impossible,
-            f"{_L.outside:g} rad beyond a joint limit, or {_L.jump:g} rad in one tick",
-            "1 tick",
-            _SIT,
-        ),
-        (_imu_silent, f"older than {1e3 * _L.imu_age:g} ms", "60 ms", "damp"),
-        (
-            _imu_frozen,
-            f"{_L.imu_repeats + 1} equal readings, or nothing new for {1e3 * _L.imu_age:g} ms, "
-            "while a policy moves the robot",
-            "60 ms",
-            "damp",
-        ),
-        (_imu_invalid, "its status says so", "1 tick", "damp"),
-        (
-            _imu_contradicts_itself,
-            f"orientation and rate of turn differ by {_L.turn_mismatch:g} rad in a tick",
-            "1 tick",
-            "damp",
-        ),
-        (
-            _imu_contradicts_legs,
-            f"for {_L.legs_ticks} ticks, hind toes {100 * _L.toes_apart:g} cm apart in height while standing, "
-            f"{100 * _L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
-            f"{100 * _L.front_above:g} cm above them while standing",
-            "60 ms",
-            "damp",
-        ),
-        (
-            _tipping,
-            f"cosine to upright below {_L.upright:g} ({_degrees(_L.upright)} deg) while standing",
-            "1 tick",
-            "damp",
-        ),
-        (
-            _rolling_over,
-            f"sine of the roll above {_L.side_tilt:g}, or base z below {_L.backward:g}, while getting up or down",
-            "1 tick",
-            "damp",
-        ),
-        (
-            _tick_overrun,
-            f"one of {1e3 * _L.overrun:g} ms, or {_L.small_overruns_logged} in a row of {1e3 * _L.small_overrun:g} ms; "
-            f"{_L.overrun_ticks} in a row of {1e3 * _L.overrun:g} ms, {_L.small_overrun_ticks} in a row of "
-            f"{1e3 * _L.small_overrun:g} ms, or one of {1e3 * _L.longest_overrun:g} ms",
-            "1 tick",
-            "log; damp",
-        ),
-        (_bus_errors, f"any; {_L.bus_errors} within 0.1 s", "0.1 s", "log; damp"),
-        (_watchdog_ended, "it has ended", "1 tick", "sit down"),
-    )
+    for check, limit, within, outcome in _ROWS
 )
 """Every rule that checks readings, in the order in which they are checked."""
 
@@ -297,7 +304,7 @@ TIPPING = next(rule for rule in RULES if rule.name == "tipping")
 
 FALLEN = Rule(
     name="fallen",
-    limit=f"cosine of base x to up below {_L.fallen:g} while standing",
+    limit=lambda L: f"cosine of base x to up below {L.fallen:g} while standing",
     within="1 tick",
     outcome="stop",
     check=_fallen,

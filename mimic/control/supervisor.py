@@ -12,7 +12,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from mimic.control.safety_limits import LIMITS, Limits
+from mimic.control.safety_limits import Limits, limits_for
 from mimic.control.safety_rules import FALLS, RULES, Alert, Rule
 from mimic.control.step_history import STANDING, StepHistory, StepReport
 from mimic.metrics import uprightness
@@ -48,7 +48,7 @@ class Supervisor:
     def __init__(
         self,
         description: RobotDescription,
-        limits: Limits = LIMITS,
+        limits: Limits | None = None,
         *,
         rules: Sequence[Rule] = RULES,
         sits: bool = True,
@@ -57,10 +57,11 @@ class Supervisor:
 
         Args:
             description: The robot.
-            limits: Limits of the rules.
+            limits: Limits of the rules; by default those of the robot.
             rules: The rules to apply.
             sits: Whether the robot can sit down; if not, a rule that asks for it damps.
         """
+        limits = limits_for(description) if limits is None else limits
         self._description, self._limits, self._rules, self._sits = description, limits, rules, sits
         self._history = StepHistory(description, limits)
         self._keeps_history = any(rule.reads_history for rule in rules)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.codec import TORQUE, Codec
 from mimic.hardware.cybergear.messages import (
     CAN_TIMEOUT,
     IQ_REF,
@@ -80,7 +80,7 @@ class Drive(NamedTuple):
     q: float = 0.0
     dq: float = 0.0
     tau: float = 0.0
-    limit: float = 12.0
+    limit: float = TORQUE[1]
     """Greatest torque [N m]."""
     pace: float = math.inf
     """Speed at which the target moves to ``q`` [rad/s]."""
@@ -241,11 +241,13 @@ class EmulatedMotor:
                 return self.drive._replace(limit=v[LIMIT_TORQUE])
             case RunMode.POSITION:
                 kd = v[SPD_KP] * TORQUE_PER_AMPERE
-                return Drive(v[LOC_KP] * kd, kd, v[LOC_REF] + self.zero, limit=min(current, 12.0), pace=v[LIMIT_SPD])
+                return Drive(
+                    v[LOC_KP] * kd, kd, v[LOC_REF] + self.zero, limit=min(current, TORQUE[1]), pace=v[LIMIT_SPD]
+                )
             case RunMode.SPEED:
-                return Drive(kd=v[SPD_KP] * TORQUE_PER_AMPERE, dq=v[SPD_REF], limit=min(current, 12.0))
+                return Drive(kd=v[SPD_KP] * TORQUE_PER_AMPERE, dq=v[SPD_REF], limit=min(current, TORQUE[1]))
             case RunMode.CURRENT:
-                return Drive(tau=v[IQ_REF] * TORQUE_PER_AMPERE, limit=12.0)
+                return Drive(tau=v[IQ_REF] * TORQUE_PER_AMPERE, limit=TORQUE[1])
 
     # ------------------------------------------------------------------ faults
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mimic.config.hardware import ProbeSettings
-from mimic.control.safety_limits import LIMITS
+from mimic.control.safety_limits import limits_for
 from mimic.control.safety_rules import SUSPENDED_RULES
 from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
@@ -79,11 +79,12 @@ def probe(
     Raises:
         PlantError: If it ended before the first row.
     """
+    limits = limits_for(robot.description)
     limits = replace(
-        LIMITS,
-        silent_ticks=round(LIMITS.silent_ticks * robot.description.dt * settings.rate_hz),
-        small_overrun_ticks=round(LIMITS.small_overrun_ticks * robot.description.dt * settings.rate_hz),
-        overrun_ticks=round(LIMITS.overrun_ticks * robot.description.dt * settings.rate_hz),
+        limits,
+        silent_ticks=round(limits.silent_ticks * robot.description.dt * settings.rate_hz),
+        small_overrun_ticks=round(limits.small_overrun_ticks * robot.description.dt * settings.rate_hz),
+        overrun_ticks=round(limits.overrun_ticks * robot.description.dt * settings.rate_hz),
     )
     supervisor = Supervisor(robot.description, limits, rules=SUSPENDED_RULES, sits=False)
     rows = _Rows(robot, supervisor, signals, settings)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mimic.config.hardware import BusSettings
+from mimic.config.ranges import check_range
 from mimic.errors import PlantError
 from mimic.hardware.can.link import Link
 from mimic.hardware.homing import Homing, read_homing, with_homing
@@ -132,9 +133,12 @@ def robot_session(
         suspended: The robot hangs in the air instead of lying on the floor.
 
     Raises:
+        ConfigError: If the torque limit is not one of this robot.
         PlantError: If a check forbids moving; or whatever was raised meanwhile, with how the robot was left.
         BusError: If a bus fails before anything was switched on.
     """
+    if settings.torque_limit is not None:
+        check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
     wiring = wiring_of(bus_url, settings)
     wanted = settings.watchdog and allows_second_socket(bus_url)
     watchdog = WatchdogProcess(bus_url, wiring.path) if wanted else None

@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 
 from mimic.control.damping import damping_command
-from mimic.control.safety_limits import LIMITS
+from mimic.control.safety_limits import limits_for
 from mimic.errors import BusError
 from mimic.hardware.motor import MotorMode
 from mimic.hardware.motor_bus import ALL, MotorBus
@@ -20,7 +20,7 @@ STOP_TRIES = 10
 
 
 def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], None]) -> None:
-    """Damp every motor as much as it can until all that answer rest, for ``LIMITS.damp_seconds`` at most.
+    """Damp every motor as much as it can until all that answer rest, for at most the robot's ``damp_seconds``.
 
     If one bus fails, the others are still served, and the failed one is tried again until the end.
 
@@ -32,13 +32,13 @@ def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], 
     Raises:
         BusError: If no frame could be sent in all that time.
     """
-    link, dt = motor_bus.link, description.dt
+    link, dt, limits = motor_bus.link, description.dt, limits_for(description)
     q, _, _ = motor_bus.readings(-np.inf)
     q = np.clip(np.where(np.isnan(q), description.poses["lie"], q), description.q_min, description.q_max)
     damping = damping_command(q, description.kd_max)
     began = rested = link.now()
     sent = False
-    while link.now() - began < LIMITS.damp_seconds and link.now() - rested < LIMITS.rest_seconds:
+    while link.now() - began < limits.damp_seconds and link.now() - rested < limits.rest_seconds:
         beat()
         since = link.now()
         for joint in ALL:
@@ -49,7 +49,7 @@ def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], 
             motor_bus.listen(since + dt)
         link.sleep(max(since + dt - link.now(), 0.0))
         _, dq, _ = motor_bus.readings(since)
-        if np.isnan(dq).all() or np.nanmax(np.abs(dq)) >= LIMITS.rest_speed:
+        if np.isnan(dq).all() or np.nanmax(np.abs(dq)) >= limits.rest_speed:
             rested = link.now()
     if not sent:
         raise BusError("no bus takes frames any more")

@@ -27,6 +27,7 @@ from mimic.robot.parts import (
     LegGeometry,
     ModelNames,
     ProbeRanges,
+    SafetyNumbers,
     ThermalNumbers,
     TrainingNumbers,
     Workspace,
@@ -92,6 +93,7 @@ class RobotDescription:
     """[m]"""
     workspace: Workspace
     commands: CommandLimits
+    safety: SafetyNumbers
     training: TrainingNumbers
     thermal_numbers: ThermalNumbers | None
     """None where the maker publishes none."""
@@ -136,19 +138,6 @@ class RobotDescription:
         if self.probe_ranges is None:
             raise AssetError(f"{self.folder / FILE} has no [probe]: no joint ranges are known to be free of collisions")
         return self.probe_ranges
-
-    def torque_limits(self, dq: Any, low: Any = np.minimum, high: Any = np.maximum) -> tuple[Any, Any]:
-        """Return the least and the greatest torque [N m] that a motor gives at joint speed dq [rad/s].
-
-        Full torque to speed_flat, from there on a line to none at speed_max, in the direction of motion only: braking
-        torque stays whole. Works element by element.
-
-        Source: CyberGear manual, torque-speed chart; cyberdog_locomotion actuator_model.hpp.
-        """
-        slope = self.torque_max / (self.speed_max - self.speed_flat)
-        up = low(high((self.speed_max - dq) * slope, 0.0), self.torque_max)
-        down = low(high((self.speed_max + dq) * slope, 0.0), self.torque_max)
-        return -down, up
 
 
 def _array(values: Any) -> FloatArray:
@@ -271,6 +260,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
             arm_forward=reach["forward"],
         ),
         commands=CommandLimits(velocity=_array(commands["velocity_max"]), turn_rate=commands["turn_rate_max"]),
+        safety=SafetyNumbers(**raw["safety"]),
         training=TrainingNumbers(**raw["training"]),
         thermal_numbers=_thermal(motor) if "thermal" in motor else None,
         probe_ranges=_probe(raw["probe"]) if "probe" in raw else None,

@@ -167,3 +167,33 @@ class TrainingNumbers:
     """Largest joint motion of a control step in the first control steps [rad]."""
     lying_height: float
     """Base height of lying with powered motors [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SafetyNumbers:
+    """Limits of the safety rules that follow from the size and the motors of the robot."""
+
+    temperature_warning: float
+    """Motor temperature that is announced [degC]."""
+    temperature: float
+    """… at which the robot sits down [degC]."""
+    jump: float
+    """Change of a joint between two ticks that no motor can make [rad]."""
+    turn_mismatch: float
+    """Difference between turn of the orientation and rate of turn, per tick, that no motion makes [rad]."""
+    toes_apart: float
+    """Difference in height of the hind toes by legs and IMU while standing [m]."""
+    toes_apart_moving: float
+    """… while standing up and sitting down [m]."""
+    front_above: float
+    """Height of the lower front toe over the lower hind toe while standing, at least [m]."""
+    upright: float
+    """Cosine between base x and the upright direction; below, a standing robot is about to fall."""
+    side_tilt: float
+    """Sine of the base's roll while standing up, sitting down or lying."""
+    backward: float
+    """Up component of base z while standing up or sitting down; below, the robot falls onto its back."""
+    rest_speed: float
+    """A joint slower than this rests [rad/s]."""
+    damp_seconds: float
+    """Longest time that the robot is damped before it is switched off [s]."""

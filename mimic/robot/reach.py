@@ -98,14 +98,6 @@ class Reach:
             p[row] = [self._data.oMf[frame].translation for frame in self._frames]
         return p
 
-    def centre_of_mass(self, q: FloatArray) -> FloatArray:
-        """Return base -> centre of mass of the whole robot (..., 3), base axes [m], for joints (..., 12) [rad]."""
-        q = np.asarray(q, dtype=np.float64)
-        p = np.empty((*q.shape[:-1], 3))
-        for row in np.ndindex(q.shape[:-1]):
-            p[row] = pin.centerOfMass(self._model, self._data, self._full(q[row]))
-        return p
-
     def gap(self, q: FloatArray) -> float:
         """Return the least gap between a front leg and what it must not touch, for front joints (6,) [m]."""
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._space, self._full(q))

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mimic.control.safety_limits import LIMITS
+from mimic.control.safety_limits import limits_for
 from mimic.control.safety_rules import LOOP_RULES, RULES
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.records import JOINTS, PHASES, Health, RobotState
+from mimic.robot.description import load_description
 
 DT = 0.02
+LIMITS = limits_for(load_description())
 UPRIGHT = Rotation.from_euler("Y", -np.pi / 2 + np.arctan2(0.2, 1.0))
 """Orientation in which the robot stands: base x leans forward by 11.3 deg."""
 
@@ -367,7 +369,7 @@ def test_every_decision_is_a_sentence_and_every_rule_has_a_row():
     assert len(set(names)) == len(names)
     assert not set(names) & set(LOOP_RULES)
     for rule in RULES:
-        assert rule.limit
+        assert rule.limit(LIMITS)
         assert rule.within
         assert rule.outcome
 

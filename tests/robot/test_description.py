@@ -40,31 +40,6 @@ def test_goal_boxes_have_volume_and_shares_of_one(description):
     assert np.all(description.goals.low < description.goals.high)
 
 
-def test_a_motor_gives_its_peak_torque_up_to_the_flat_speed(description):
-    low, high = description.torque_limits(np.linspace(-description.speed_flat, description.speed_flat, 50))
-    assert np.allclose(high, description.torque_max)
-    assert np.allclose(low, -description.torque_max)
-
-
-def test_a_motor_at_its_highest_speed_can_brake_but_not_drive(description):
-    low, high = description.torque_limits(np.array([description.speed_max, -description.speed_max]))
-    assert np.allclose(high, [0.0, description.torque_max])
-    assert np.allclose(low, [-description.torque_max, 0.0])
-
-
-def test_driving_torque_falls_steadily_between_the_two_speeds(description):
-    speeds = np.linspace(description.speed_flat, description.speed_max, 100)
-    _, high = description.torque_limits(speeds)
-    assert np.all(np.diff(high) < 0)
-    assert np.allclose(np.diff(high, 2), 0)
-
-
-def test_both_directions_of_motion_are_alike(description):
-    speeds = np.linspace(-40, 40, 161)
-    low, high = description.torque_limits(speeds)
-    assert np.allclose(low, -high[::-1])
-
-
 def test_the_overload_table_goes_from_little_to_much(description):
     assert np.all(np.diff(description.thermal.overload_torque) > 0)
     assert np.all(np.diff(description.thermal.overload_time) < 0)
