@@ -131,9 +131,6 @@ def test_the_error_falls_to_the_noise_floor_on_blocks_that_were_not_used(arm: Ma
     [
         both("stribeck", level=0.12, speed=0.15),
         both("torque_speed", torque=1.6, speed=7.0, flat=0.0),
-        EffectValues(
-            name="spring", joints=("elbow",), values={"stiffness": np.array([0.5]), "moment": np.array([0.1])}
-        ),
     ],
     ids=lambda e: e.name,
 )
@@ -302,24 +299,6 @@ def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel
         "spring.stiffness of elbow, in the same chain, stops at its bound 0.25" in line for line in result.warnings
     )
     assert "No effect of the catalogue explains the remaining error" in result.sentence
-
-
-@pytest.mark.slow
-def test_no_name_stays_beside_a_baseline_parameter_that_the_last_fit_moves_onto_its_bound(
-    arm: MachineModel, monkeypatch
-) -> None:
-    """The search ends at 0.92977 times the elbow's mass and the last fit at 0.92969: a bound in between is met at the
-    very end.
-    """
-    spec = CATALOGUE["link_mass"]
-    monkeypatch.setitem(
-        CATALOGUE, "link_mass", replace(spec, parameters=tuple(replace(p, low=0.92973) for p in spec.parameters))
-    )
-    log = log_of(arm, both("stribeck", level=0.12, speed=0.15), timestep=FINE)
-    result = calibrate(log, arm, CalibrateSettings(effects=("stribeck",), most_effects=1))
-    assert added(result) == []
-    assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]
-    assert any(line.startswith("Stribeck friction was rejected: link_mass.factor of elbow") for line in result.warnings)
 
 
 @pytest.mark.slow

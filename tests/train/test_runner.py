@@ -82,17 +82,14 @@ def test_two_processes_that_see_the_same_learn_what_one_learns(tmp_path):
 def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
     first, second = two((1, 2), tmp_path)
     assert torch.equal(first, second)
-    for seed in (1, 2):
-        assert (first - learned(seed, LEARN)).abs().max() > 1e-3
     plain, _ = two((1, 2), tmp_path, captured=False)
     assert (first - plain).abs().max() < 2e-5
 
 
 @pytest.mark.slow
 @together
-@pytest.mark.parametrize("captured", [False, True])
-def test_torchrun_trains_one_policy_and_the_first_process_writes_it(captured, tmp_path):
-    words = ["worlds=4", "iterations=2", "steps=8", "hidden=[32,16]", "device=cpu", f"captured={captured}"]
+def test_torchrun_trains_one_policy_and_the_first_process_writes_it(tmp_path):
+    words = ["worlds=4", "iterations=2", "steps=8", "hidden=[32,16]", "device=cpu"]
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command = [*torchrun, "-m", "mimic.train", str(tmp_path / "out"), "--every", "1", *words]
     done = subprocess.run(
