@@ -9,7 +9,12 @@ from contextlib import AbstractContextManager, contextmanager
 
 from mimic.flows.reporter import Activity, Progress, Reporter
 
-NEEDED = ("mimic.retargeting.targets", "mimic.retargeting.wrists", "mimic.view.scene.scene")
+NEEDED = (
+    "mimic.sources.video.smoothing",
+    "mimic.retargeting.targets",
+    "mimic.retargeting.wrists",
+    "mimic.view.scene.scene",
+)
 """Modules that import SciPy, Pinocchio and Rerun: about a second together."""
 
 

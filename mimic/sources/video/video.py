@@ -20,7 +20,6 @@ from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
-from mimic.sources.video.smoothing import smooth
 
 log = logging.getLogger(__name__)
 
@@ -70,6 +69,8 @@ def track_video(
         SourceError: If the file contains no picture, is shorter than a sampling step, or shows no person.
     """
     detections = _detect(Path(path), progress)
+    from mimic.sources.video.smoothing import smooth  # SciPy takes a second: the detector need not wait for it
+
     person = _person_share(detections, settings)
     t, shots = detections.t, shot_starts(detections.change)
     swapped = decide_sides(t, detections.landmarks, shots)
