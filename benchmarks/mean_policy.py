@@ -17,8 +17,9 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
-from mimic.io.store import written_whole
 from mimic.policy.contract import METADATA_KEY, PolicyContract
+from mimic.robot.description import load_description
+from mimic.train.onnx_file import write_policy
 
 
 def contract_of(model: onnx.ModelProto) -> PolicyContract:
@@ -56,8 +57,8 @@ def main() -> None:
     parser.add_argument("policies", type=Path, nargs="+")
     arguments = parser.parse_args()
     mean = mean_policy([onnx.load(str(path)) for path in arguments.policies])
-    with written_whole(arguments.out) as part:
-        onnx.save(mean, str(part))
+    contract = contract_of(mean)
+    write_policy(mean, contract, load_description(contract.robot), arguments.out)
 
 
 if __name__ == "__main__":

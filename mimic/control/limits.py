@@ -10,9 +10,6 @@ from mimic.records import FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_legs
 
-WALK_SPEED = 0.3
-"""Fastest walk that policies are trained for, forward and sideways [m/s]."""
-
 
 def clamp_desired(
     v_des: FloatArray, p_BE_des: FloatArray, description: RobotDescription
@@ -21,7 +18,7 @@ def clamp_desired(
 
     A toe beyond the length of its leg is clamped towards the hip axis; the finer limits are those of the retargeting.
     """
-    v = np.clip(v_des, -WALK_SPEED, WALK_SPEED)
+    v = np.clip(v_des, -description.commands.velocity, description.commands.velocity)
     clamped = int(np.count_nonzero(v != v_des))
     toes = np.array(p_BE_des, dtype=np.float64)
     for side, leg in enumerate(front_legs(description)):

@@ -1,26 +1,14 @@
 """What an ONNX policy declares, and the one place where its observation is built, for training and for running.
 
-An observation is the newest frames, oldest first, each of these terms in this order (see TERMS):
-
-====================  ==  ===========================================================================================
-joint_position        12  q - default pose [rad]
-down                   3  the world's (0, 0, -1) seen from the base
-forward                3  the world's (1, 0, 0) seen from the base
-last_action           12  what the policy answered one step ago
-velocity_command       2  desired velocity forward and left in the heading frame [m/s]
-heading_error          1  desired heading - heading, wrapped, clipped to +-1 [rad]
-toe_command            6  desired base -> front toe, left then right, base axes [m]
-clock                  2  sine and cosine of the gait phase
-====================  ==  ===========================================================================================
-
-There is no base velocity and no gyro: two older frames stand in for them. Source: Li et al. 2024, section III, with
-the gait clock of its public code.
+An observation is the newest frames, oldest first, each of the terms in TERMS in this order. There is no base velocity
+and no gyro: two older frames stand in for them. Source: Li et al. 2024, section III, with the gait clock of its public
+code.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, cast
 
 import numpy as np
@@ -41,6 +29,44 @@ TERMS = (
     ("clock", 2),
 )
 """Name and width of each term of one frame."""
+
+FORMULAS = {
+    "joint_position": "q - default_q [rad], joints in the order of `joints`",
+    "down": "the world's (0, 0, -1) in base axes: (-2 (x z - w y), -2 (y z + w x), -(1 - 2 (x x + y y)))",
+    "forward": "the world's (1, 0, 0) in base axes: (1 - 2 (y y + z z), 2 (x y - w z), 2 (x z + w y))",
+    "last_action": "the action of the step before, after clipping; zeros at the first step",
+    "velocity_command": "desired velocity forward and left in the heading frame [m/s], within velocity_max",
+    "heading_error": "desired heading - heading [rad], wrapped to +-pi, then clipped to +-1; positive turns left",
+    "toe_command": "desired base -> front toe [m], base axes (x forward, y left, z up): left x y z, right x y z",
+    "clock": "sin and cos of 2 pi clock_hz dt k",
+}
+"""What each term is. w, x, y, z is the orientation of the base in a world whose z is up."""
+
+HOW_TO_PLAY = (
+    "Every dt: read joints and orientation, make a frame, run the network, send q_des with the gains kp and kd.",
+    "A frame is the terms one after another. The observation is the newest `history` frames, oldest first, 32-bit "
+    "floats; at the first step every frame is the first one. k counts the steps from 0.",
+    "action = clip(output, -action_clip, action_clip); q_des = clip(default_q + action_scale action, q_min, q_max).",
+    "The heading is atan2(-2 (x y - w z), 1 - 2 (x x + z z)): where the belly faces once the robot stands.",
+    "Each motor gives kp (q_des - q) - kd dq, at most torque_max; in the direction of motion the limit falls from "
+    "there at speed_flat to none at speed_max. A q_des takes effect after `delay` and is held until the next one.",
+)
+"""How a policy of any task is played, in sentences."""
+
+TASK_GUIDE = {
+    "stand_track": (
+        "It begins at rest on folded legs, knees under the hips. For the first stand_up_steps steps the toe command is "
+        "neutral_toes, the velocity is zero and the desired heading is the heading at the first step.",
+        "Then the toe command moves from where the toes are to the first target within blend_steps steps: with "
+        "s = (i + 1) / blend_steps in step i from 0, by the share s s (3 - 2 s).",
+        "Toe targets from toe_low to toe_high were trained, given for the left toe; the right toe mirrors y.",
+    ),
+    "sit_down": (
+        "It begins in whatever state a tracking policy has left, with a history and a clock of its own. The toe "
+        "command is neutral_toes, the velocity is zero and the desired heading is the heading at the first step.",
+    ),
+}
+"""How it begins and what it may be asked for, by task."""
 
 FRAME_SIZE = sum(width for _, width in TERMS)
 
@@ -82,6 +108,22 @@ class PolicyContract:
     """Desired base -> front toe while standing up, left then right [m]."""
     stand_up_steps: int
     """Control steps from lying until toe commands count."""
+    blend_steps: int
+    """Control steps in which the toe command then moves to the first target."""
+    velocity_max: tuple[float, ...]
+    """Fastest velocity command, forward and left [m/s]."""
+    toe_low: tuple[float, ...]
+    """Lowest target of the left toe (3,), base axes [m]."""
+    toe_high: tuple[float, ...]
+    """Highest target of the left toe (3,), base axes [m]."""
+    torque_max: float
+    """Peak torque of a motor [N m]."""
+    speed_flat: float
+    """Joint speed up to which a motor gives it [rad/s]."""
+    speed_max: float
+    """Joint speed at which a motor gives no driving torque [rad/s]."""
+    delay: float
+    """From a command to its effect [s]."""
     training: str = ""
     """SHA-256 of the training settings."""
     task: str = "stand_track"
@@ -93,8 +135,9 @@ class PolicyContract:
         return self.history * sum(width for _, width in self.terms)
 
     def to_json(self) -> str:
-        """Return the contract as JSON, at full precision."""
-        return json.dumps(asdict(self), sort_keys=True)
+        """Return the contract as JSON, at full precision, with sentences on how to play the policy."""
+        guide = {"formulas": FORMULAS, "how_to_play": HOW_TO_PLAY + TASK_GUIDE.get(self.task, ())}
+        return json.dumps(asdict(self) | guide, sort_keys=True)
 
     @staticmethod
     def from_json(text: str) -> PolicyContract:
@@ -105,6 +148,11 @@ class PolicyContract:
         """
         try:
             data: dict[str, Any] = json.loads(text)
+            for sentences in ("formulas", "how_to_play"):
+                data.pop(sentences, None)
+            missing = [f.name for f in fields(PolicyContract) if f.default is MISSING and f.name not in data]
+            if missing:
+                raise ValueError(f"it lacks {', '.join(missing)}")
             data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
             values: dict[str, Any] = {
                 k: tuple(cast("list[Any]", v)) if isinstance(v, list) else v for k, v in data.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
 from mimic.policy.contract import (
     TERMS,
@@ -32,6 +33,14 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         clock_hz=settings.sit_down.clock_hz if sits else settings.clock_hz,
         neutral_toes=tuple(neutral.reshape(-1).tolist()),
         stand_up_steps=settings.stand_up_steps,
+        blend_steps=round(RunSettings().blend / description.dt),
+        velocity_max=tuple(description.commands.velocity.tolist()),
+        toe_low=tuple(description.goals.low.min(axis=0).tolist()),
+        toe_high=tuple(description.goals.high.max(axis=0).tolist()),
+        torque_max=description.torque_max,
+        speed_flat=description.speed_flat,
+        speed_max=description.speed_max,
+        delay=description.delay,
         training=training,
         task=settings.task,
     )

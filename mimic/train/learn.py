@@ -16,8 +16,8 @@ from typing import Any
 import torch
 
 from mimic.config.training import LearnSettings, MdpSettings
-from mimic.io.store import plain, save_json, written_whole
-from mimic.policy.contract import METADATA_KEY, PolicyContract
+from mimic.io.store import plain, save_json
+from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription, load_description
 from mimic.train.contract import make_contract
 from mimic.train.mirror import with_mirrored
@@ -135,7 +135,7 @@ def train(
         if learn.reaching:
             runner.alg.reaching_coef = learn.reaching * max(1 - share / learn.reaching_share, 0.0)  # type: ignore
         if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:
-            export(runner, contract, folder / f"policy_{due.pop():g}min.onnx")
+            export(runner, contract, description, folder / f"policy_{due.pop():g}min.onnx")
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None:
@@ -157,13 +157,15 @@ def train(
         torch.distributed.destroy_process_group()
     if ranks.first:
         runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
-        export(runner, contract, folder / "policy.onnx")
+        export(runner, contract, description, folder / "policy.onnx")
     return folder / "policy.onnx"
 
 
-def export(runner: Runner, contract: PolicyContract, path: Path) -> None:
+def export(runner: Runner, contract: PolicyContract, description: RobotDescription, path: Path) -> None:
     """Write the policy as ONNX with its contract in the metadata."""
     import onnx
+
+    from mimic.train.onnx_file import write_policy
 
     model: Any = runner.alg.get_policy().as_onnx(verbose=False)
     model = model.to("cpu").eval()
@@ -180,7 +182,4 @@ def export(runner: Runner, contract: PolicyContract, path: Path) -> None:
         )
     graph = onnx.load_model_from_string(buffer.getvalue())
     graph.producer_name = "mimic"
-    onnx.helper.set_model_props(graph, {METADATA_KEY: contract.to_json()})
-    onnx.checker.check_model(graph)
-    with written_whole(path) as part:
-        onnx.save(graph, str(part))
+    write_policy(graph, contract, description, path)

@@ -1,0 +1,78 @@
+"""Play a policy without mimic: NumPy, ONNX Runtime and MuJoCo, and what the ONNX file says about itself.
+
+python examples/standalone_player.py policies/stand_track.onnx assets/cyberdog2/scene.xml
+
+The robot stands up and boxes. `play` yields time, joints, orientation and desired joints at every control step.
+"""
+
+import json
+import sys
+
+import mujoco
+import numpy as np
+import onnxruntime
+
+
+def boxing(dt, seconds=8.0, period=1.2):
+    """Return toe targets (N, 2, 3) [m]: left and right punch in turn, each out and back in a period [s]."""
+    guard, punch = np.array([[0.06, 0.10, -0.14], [0.06, -0.10, -0.14]]), np.array([0.30, 0.0, -0.06])
+    phase = np.arange(0.0, seconds, dt) / period
+    out = np.sin(np.pi * (phase % 1.0)) ** 2
+    turn = (phase.astype(int) % 2)[:, None] == np.arange(2)
+    return guard + (out[:, None] * turn)[:, :, None] * (punch * [1, 1, 1] - guard * [1, 0, 1])
+
+
+def play(policy, model_path, toes, stand_seconds=2.0):
+    """Yield (t, q, quat, q_des) while a robot lying on the ground stands up and follows toe targets (N, 2, 3)."""
+    session = onnxruntime.InferenceSession(policy, providers=["CPUExecutionProvider"])
+    c = json.loads(session.get_modelmeta().custom_metadata_map["mimic_contract"])
+    default, scale, low, high = (np.array(c[k]) for k in ("default_q", "action_scale", "q_min", "q_max"))
+    spec = mujoco.MjSpec.from_file(model_path)
+    for motor in spec.actuators:
+        motor.delay, motor.nsample = 0.0, 0  # the delay is played below, from the contract
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    folded = np.tile([0.0, 1.3963, -2.3562], 4)
+    data.qpos[:7], data.qpos[7:] = [0, 0, 0.1412, 1, 0, 0, 0], folded
+    mujoco.mj_forward(model, data)
+    substeps, late = round(c["dt"] / model.opt.timestep), round(c["delay"] / model.opt.timestep)
+    neutral = np.array(c["neutral_toes"]).reshape(2, 3)
+    stand, blend = round(stand_seconds / c["dt"]), c["blend_steps"]
+    frames, action, sent = None, np.zeros(12), folded
+    for k in range(stand + blend + len(toes)):
+        q, quat = data.qpos[7:].copy(), data.qpos[3:7].copy()
+        w, x, y, z = quat
+        heading = np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z))
+        if k == 0:
+            heading_0 = heading
+        if k < stand:
+            goal = neutral
+        elif k < stand + blend:
+            if k == stand:
+                mujoco.mj_kinematics(model, data)
+                R = data.body("base").xmat.reshape(3, 3)
+                begin = np.array([(data.site(f"{leg}_toe").xpos - data.qpos[:3]) @ R for leg in ("FL", "FR")])
+            s = (k - stand + 1) / blend
+            goal = begin + s * s * (3 - 2 * s) * (toes[0] - begin)
+        else:
+            goal = toes[k - stand - blend]
+        error = heading_0 - heading
+        error = np.clip(np.arctan2(np.sin(error), np.cos(error)), -1, 1)
+        down = -2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))
+        forward = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        clock = 2 * np.pi * c["clock_hz"] * c["dt"] * k
+        frame = [q - default, down, forward, action, [0, 0], [error], goal.ravel(), [np.sin(clock), np.cos(clock)]]
+        frame = np.concatenate(frame)
+        frames = np.tile(frame, (c["history"], 1)) if frames is None else np.vstack([frames[1:], frame])
+        (answer,) = session.run(None, {"observation": frames.reshape(1, -1).astype(np.float32)})
+        action = np.clip(answer[0].astype(float), -c["action_clip"], c["action_clip"])
+        before, sent = sent, np.clip(default + scale * action, low, high)
+        yield k * c["dt"], q, quat, sent
+        for step in range(substeps):
+            data.ctrl[:] = sent if step >= late else before
+            mujoco.mj_step(model, data)
+
+
+if __name__ == "__main__":
+    for t, _, (_, x, y, _), _ in play(*sys.argv[1:3], boxing(0.02)):
+        print(f"{t:5.2f} s  base x points {np.degrees(np.arcsin(np.clip(-(1 - 2 * (x * x + y * y)), -1, 1))):4.0f}°")

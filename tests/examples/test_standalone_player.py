@@ -1,0 +1,52 @@
+"""The player that needs no mimic does what mimic does."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.config.play import RunSettings
+from mimic.control.loop import run_policy
+from mimic.io.assets import shipped
+from mimic.policy.runtime import load_policy
+from mimic.records import CommandTrack
+from mimic.simulation.plant import SimulatedPlant
+
+SCRIPT = Path(__file__).parents[2] / "examples" / "standalone_player.py"
+
+
+@pytest.fixture(scope="module")
+def player():
+    spec = importlib.util.spec_from_file_location("standalone_player", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_it_is_short_and_needs_three_libraries():
+    text = SCRIPT.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 80
+    imported = {name.name for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import) for name in node.names}
+    assert not [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+    assert imported - set(sys.stdlib_module_names) == {"mujoco", "numpy", "onnxruntime"}
+
+
+def test_it_plays_as_mimic_does(player, description):
+    toes = player.boxing(description.dt, seconds=4.0)
+    policy, scene = shipped("policies", "stand_track.onnx"), shipped("assets", "cyberdog2") / "scene.xml"
+    _, q, quat, q_des = (np.array(column) for column in zip(*player.play(str(policy), str(scene), toes), strict=True))
+    n = len(toes)
+    track = CommandTrack(t=description.dt * np.arange(n), v=np.zeros((n, 2)), heading=np.zeros(n), p_BE=toes)
+    plant = SimulatedPlant(description, samples=False)
+    log = run_policy(plant, load_policy(None, description), track, RunSettings(hold=0.0)).log
+    assert len(q) == len(log.t)
+    for ours, theirs in ((log.q, q), (log.quat_WB, quat), (log.q_des, q_des)):
+        assert np.abs(ours - theirs).max() < 1e-5
+    assert np.ptp(log.p_BE_des[:, :, 0]) > 0.2

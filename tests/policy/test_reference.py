@@ -1,0 +1,72 @@
+"""The reference in the shipped files is what they do, read as a stranger would."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from mimic.io.assets import shipped
+from mimic.policy.contract import FORMULAS, METADATA_KEY, TERMS
+from mimic.policy.reference import REFERENCE_KEY, STEPS, reference
+from mimic.policy.runtime import SHIPPED, load_policy
+
+
+@pytest.fixture(params=SHIPPED)
+def file(request):
+    return shipped("policies", f"{request.param}.onnx")
+
+
+def test_the_network_answers_as_its_reference_says(file):
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    metadata = session.get_modelmeta().custom_metadata_map
+    contract, known = json.loads(metadata[METADATA_KEY]), json.loads(metadata[REFERENCE_KEY])
+    frames = None
+    q, quat, action = np.array(known["inputs"]["q"]), np.array(known["inputs"]["quat"]), np.zeros(12)
+    for k in range(STEPS):
+        w, x, y, z = quat[k]
+        heading = np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z))
+        error = (known["inputs"]["heading"][k] - heading + np.pi) % (2 * np.pi) - np.pi
+        clock = 2 * np.pi * contract["clock_hz"] * contract["dt"] * k
+        frame = [
+            *(q[k] - contract["default_q"]),
+            *(-2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))),
+            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            *action,
+            *known["inputs"]["velocity"][k],
+            min(max(error, -1.0), 1.0),
+            *known["inputs"]["toes"][k],
+            *(np.sin(clock), np.cos(clock)),
+        ]
+        frames = [frame] * contract["history"] if frames is None else [*frames[1:], frame]
+        observation = np.concatenate(frames)
+        assert np.allclose(observation, known["observation"][k], rtol=0, atol=1e-9), k
+        (answer,) = session.run(None, {"observation": observation.astype(np.float32)[None]})
+        action = np.clip(answer[0], -contract["action_clip"], contract["action_clip"])
+        assert np.allclose(action, known["action"][k], rtol=0, atol=1e-5)
+        sent = np.clip(contract["default_q"] + contract["action_scale"] * action, contract["q_min"], contract["q_max"])
+        assert np.allclose(sent, known["q_des"][k], rtol=0, atol=1e-5)
+
+
+def test_the_reference_tries_what_is_clipped(file):
+    metadata = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"]).get_modelmeta()
+    known = json.loads(metadata.custom_metadata_map[REFERENCE_KEY])
+    errors = np.array(known["observation"]).reshape(STEPS, -1, 41)[:, -1, 32]
+    assert errors.min() == -1.0
+    assert errors.max() == 1.0
+    assert len(known["action"]) == STEPS
+
+
+def test_it_is_the_same_each_time(description):
+    policy = load_policy(None, description)
+    assert reference(policy) == reference(policy)
+
+
+def test_every_term_is_explained_in_the_file(file):
+    metadata = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"]).get_modelmeta()
+    contract = json.loads(metadata.custom_metadata_map[METADATA_KEY])
+    assert contract["formulas"] == FORMULAS
+    assert [name for name, _ in contract["terms"]] == list(FORMULAS) == [name for name, _ in TERMS]
+    assert len(contract["how_to_play"]) > 4
