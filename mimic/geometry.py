@@ -89,6 +89,13 @@ def heading_from_quat(quat_WB: Any) -> NDArray[np.float64]:
     return np.arctan2(sine, cosine)
 
 
+def rpy_from_quat(quat_WB: Any) -> NDArray[np.float64]:
+    """Return roll, pitch and yaw (3,) [rad] of an orientation (4,), wxyz: about x, then y, then z of the world."""
+    R = rotation_from_quat(quat_WB)
+    pitch = -np.arcsin(np.clip(R[2, 0], -1.0, 1.0))
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
 def wrap_angle(angle: Any) -> Any:
     """Return the angle [rad] brought into [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -21,6 +21,7 @@ EXAMPLES = """Examples:
   mimic video.mp4 --sim --video film.mp4   also film person and robot
   mimic --text "wave the left hand" --sim  play a sentence
   mimic --robot can0                       real robot: stand until Ctrl-C
+  mimic --robot cyberdog2                  the same on a stock CyberDog 2
 
 To see the options of a command: mimic COMMAND --help
 To read options from a file: --config FILE.toml, with a table for each command
@@ -113,6 +114,7 @@ COMMANDS = {
         "mimic emulate",
         "mimic emulate --slcan 29600 --buses 2",
         "mimic emulate --fault motor_dead:FL_knee@12.5",
+        "mimic emulate --board cyberdog2",
     ),
 }
 """Name -> where the command is, what it does, and examples."""
@@ -142,7 +144,7 @@ GROUPS = {
         },
     ),
     "robot": (
-        "A real robot on its buses: scan, zero, check, probe.",
+        "A real robot: scan, zero, check, watch, probe.",
         {
             "scan": (
                 "mimic.cli.robot:scan",
@@ -154,6 +156,12 @@ GROUPS = {
                 "mimic.cli.robot:check",
                 "Run the pre-flight check alone; nothing moves.",
                 "mimic robot check can0,can1",
+                "mimic robot check cyberdog2 --interface eth0",
+            ),
+            "watch": (
+                "mimic.cli.robot:watch",
+                "Show what a stock robot says; nothing is sent.",
+                "mimic robot watch cyberdog2 --interface eth0",
             ),
             "probe": (
                 "mimic.cli.robot:probe",

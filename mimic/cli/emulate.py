@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE
@@ -11,6 +11,7 @@ from mimic.cli.exit_status import DONE
 
 def emulate(
     *,
+    board: Literal["cyberdog2"] | None = None,
     listen: str = "127.0.0.1:29536",
     slcan: int | None = None,
     buses: int = 1,
@@ -23,10 +24,12 @@ def emulate(
     settings: o.Emulate = None,
     robot: o.Effects = None,
 ) -> int:
-    """Serve an emulated robot on emulated CAN buses, for rehearsals with --robot.
+    """Serve an emulated robot on emulated CAN buses, or a stock one (--board), for rehearsals with --robot.
 
     Parameters
     ----------
+    board
+        Serve a stock CyberDog 2 over LCM on this computer instead; play on it with --robot cyberdog2 --interface lo.
     listen
         Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot.
     slcan
@@ -48,7 +51,7 @@ def emulate(
         Watch it in MuJoCo's viewer.
     """
     from mimic.cli.console import ConsoleReporter, table
-    from mimic.flows.emulate import ServeOptions, serve_robot
+    from mimic.flows.emulate import ServeOptions, serve_board, serve_robot
 
     serve = ServeOptions(
         listen=listen,
@@ -61,6 +64,18 @@ def emulate(
         every=every,
         view=view,
     )
+    if board is not None:
+        done = serve_board(serve, settings, robot, reporter=ConsoleReporter())
+        table(
+            "Emulated stock robot",
+            {
+                "time": f"{done.seconds:.1f} s",
+                "commands": f"{done.commands}; {done.late_ticks} cycles of 2 ms with one older than 10 ms",
+                "error flag": f"{done.err_flag:#04x} at the end",
+                "time stood still": f"{done.stood_still:.2f} s, because this computer was too slow",
+            },
+        )
+        return DONE
     served = serve_robot(serve, settings, robot, reporter=ConsoleReporter())
     table(
         "Emulated robot",

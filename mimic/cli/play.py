@@ -47,7 +47,7 @@ def play(
         Play it on the simulated robot.
     robot
         Play it on the real robot on these buses: can0, several with commas, slcan:/dev/ttyACM0,
-        socketcand://HOST:PORT/can0. Without a source it stands until Ctrl-C.
+        socketcand://HOST:PORT/can0; or on a stock one: cyberdog2. Without a source it stands until Ctrl-C.
     text
         Play a sentence instead, such as "step forward, then wave the left hand".
     camera

@@ -15,7 +15,10 @@ from mimic.config.hardware import BusSettings
 from mimic.flows.operator import Operator
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from mimic.control.supervisor import Event
+    from mimic.flows.commissioning import Watched
     from mimic.flows.motion import InputSettings
     from mimic.flows.robot import RobotRun
     from mimic.hardware.preflight import Check
@@ -104,12 +107,18 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
     compute, late = 1e3 * health.compute[1:], 1e3 * health.late
     lost = int(np.count_nonzero(health.missed))
     return {
-        "buses": done.bus_url,
-        "bus load": _load_row(done.load, done.expected_load),
+        "robot": done.bus_url,
+        **({"bus load": _load_row(done.load, done.expected_load)} if done.load else _command_row(done)),
         "compute time": f"{np.nanmedian(compute):.1f} ms a tick, {np.nanquantile(compute, 0.99):.1f} ms p99",
         "tick overruns": f"{(late > 2.0).sum()} by more than 2 ms, {(late > 10.0).sum()} by more than 10 ms",
         "lost answers": f"{lost} of {np.count_nonzero(np.isfinite(health.missed))}",
     }
+
+
+def _command_row(done: RobotRun) -> dict[str, str]:
+    health = done.saved.run.health
+    late, gap = int(np.count_nonzero(health.err_flag.astype(int) & 1)), 1e3 * float(np.nanmax(health.command_gap))
+    return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
 
 
 def _load_row(load: Sequence[float], expected: Sequence[float]) -> str:
@@ -185,7 +194,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     Parameters
     ----------
     bus_url
-        Buses, such as can0; see mimic --help.
+        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
     suspended
         The robot hangs instead of lying.
     """
@@ -194,6 +203,61 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     findings = check_robot(bus_url, bus, suspended=suspended)
     _show_findings(findings)
     return USER_ERROR if any(f.verdict == "stop" for f in findings) else DONE
+
+
+def watch(bus_url: str, /, *, seconds: float | None = None, every: float = 0.5, bus: o.Bus = None) -> int:
+    """Show joints, orientation, temperatures and errors of a stock robot while it is moved by hand; nothing is sent.
+
+    Parameters
+    ----------
+    bus_url
+        Name of a stock robot: cyberdog2.
+    seconds
+        End after this [s]; by default at Ctrl-C.
+    every
+        Time between two tables [s].
+    """
+    from rich.live import Live
+
+    from mimic.flows.commissioning import watch_robot
+
+    if console.is_terminal:
+        with Live(console=console, auto_refresh=False) as live:
+            watch_robot(
+                bus_url,
+                bus,
+                seconds=seconds,
+                every=every,
+                show=lambda seen: live.update(_watched(seen), refresh=True),
+            )
+    else:
+        watch_robot(bus_url, bus, seconds=seconds, every=every, show=lambda seen: console.print(_watched(seen)))
+    return DONE
+
+
+def _watched(seen: Watched) -> Table:
+    """Return a table of what a robot says."""
+    from rich.table import Table
+
+    from mimic.records import JOINTS
+
+    rates = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in seen.rates.items())
+    roll, pitch, yaw = np.rad2deg(seen.rpy)
+    board = "not in motor mode" if seen.err_flag is None else f"error flag {seen.err_flag:#04x}"
+    others = f", {seen.foreign} commands of other programs" if seen.foreign else ""
+    shown = Table(
+        title=f"{seen.t:.1f} s: {rates}",
+        caption=f"roll {roll:+.1f}, pitch {pitch:+.1f}, yaw {yaw:+.1f} deg; {board}{others}",
+        title_justify="left",
+        caption_justify="left",
+    )
+    for name in ("joint", "angle deg", "speed rad/s", "torque N m", "degC", "errors"):
+        shown.add_column(name, justify="left" if name == "joint" else "right")
+    for j, joint in enumerate(JOINTS):
+        numbers = (f"{np.rad2deg(seen.q[j]):+.1f}", f"{seen.dq[j]:+.2f}", f"{seen.tau[j]:+.1f}")
+        errors = f"{seen.errors[j]:#x}" if seen.errors[j] else ""
+        shown.add_row(joint, *numbers, f"{seen.temperature[j]:.0f}", errors)
+    return shown
 
 
 def probe(

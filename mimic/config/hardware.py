@@ -13,7 +13,10 @@ class BusSettings:
     """How the robot on its buses is driven."""
 
     wiring: str | None = None
-    """Your copy of bus.toml; by default the one that ships with the robot."""
+    """Your copy of bus.toml (CAN) or board.toml (stock robot); by default the one that ships with the robot."""
+    interface: str | None = None
+    """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default that of the multicast
+    route, if it is on the robot's network."""
     zeroed: bool = False
     """Use the zeros as the wiring has them, without checking that mimic set them since power-up."""
     yes: bool = False

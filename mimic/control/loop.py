@@ -188,7 +188,8 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
 def _ramp(run: Run, contract: PolicyContract) -> None:
     """Let the gains rise where the joints are, then bring the joints into the lying pose."""
     ticks = max(2, round(run.safety.ramp / contract.dt))
-    begin, lie = run.q, run.plant.description.poses["lie"]
+    d = run.plant.description
+    begin, lie = np.clip(run.q, d.q_min, d.q_max), d.poses["lie"]
     for tick in range(ticks):
         if run.mode > SafetyMode.RUN:
             return

@@ -68,6 +68,9 @@ def _motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> I
     health = report.health
     silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
     history.failed.update(map(int, silent))
+    if len(silent) == len(JOINTS):
+        yield Alert(outcome="SIT_DOWN", text=f"no motor has answered for {float(health.age.min()):.2f} s", about="all")
+        return
     for joint in silent:
         missed, age = int(health.missed[joint]), float(health.age[joint])
         yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
@@ -208,6 +211,22 @@ def _watchdog_ended(report: StepReport, history: StepHistory, limits: Limits) ->
         yield Alert(outcome="SIT_DOWN", text="the watchdog process has ended", needs_upright=False)
 
 
+def _board_error(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    if report.health.err_flag & BOARD_TIMED_OUT:
+        yield Alert(outcome="DAMP", text="the robot's firmware ignores commands, as none had reached it (error 0x02)")
+    elif report.health.err_flag & BOARD_LATE:
+        gap = 1e3 * report.health.command_gap
+        yield Alert(outcome="RUN", text=f"the robot got no command for {gap:.0f} ms (error 0x01)", about="once")
+
+
+def _foreign_commands(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    if report.health.foreign:
+        yield Alert(outcome="SIT_DOWN", text="another program commands this robot", needs_upright=False)
+
+
+BOARD_LATE, BOARD_TIMED_OUT = 0x01, 0x02
+"""Bits of a motion board's error flag: a late command, and commands that are ignored."""
+
 _SIT = "sit down if upright and at most one motor is lost, else damp"
 
 _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
@@ -280,6 +299,13 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
     ),
     (_bus_errors, lambda L: f"any; {L.bus_errors} within 0.1 s", "0.1 s", "log; damp"),
     (_watchdog_ended, lambda L: "it has ended", "1 tick", "sit down"),
+    (
+        _board_error,
+        lambda L: "stock robot: its firmware reports 0x01, a command later than 10 ms; 0x02, none for 500 ms",
+        "1 tick",
+        "log; damp",
+    ),
+    (_foreign_commands, lambda L: "stock robot: a command that is not ours", "1 tick", "sit down"),
 )
 
 RULES = tuple(

@@ -209,6 +209,13 @@ class EmulatedBody:
         q, dq, tau = self._readings
         return float(q[joint] + dq[joint] * (t - self.time)), float(dq[joint]), float(tau[joint])
 
+    def joints(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what `joint` returns, for all joints (12,)."""
+        self.joint(0, t)
+        assert self._readings is not None
+        q, dq, tau = self._readings
+        return q + dq * (t - self.time), dq.copy(), tau.copy()
+
     def temperature(self, joint: int) -> float:
         """Return the temperature of a motor [degC]; it reaches its fault when the winding model reaches its limit."""
         return AMBIENT + (HOT - AMBIENT) * float(self._rise[0, joint] + self._rise[1, joint])

@@ -52,6 +52,12 @@ KINDS: dict[str, FaultKind] = {
     "frames_corrupted": FaultKind(
         text="share of frames with a bit that is wrong", scope="bus", default=0.05, drawn=(0.01, 0.5)
     ),
+    "frames_reordered": FaultKind(
+        text="share of messages overtaken by later ones (stock board)", scope="bus", default=0.1, drawn=(0.05, 0.5)
+    ),
+    "mode_refused": FaultKind(
+        text="the robot stands by its own order and does not enter motor mode (stock board)", scope="robot"
+    ),
     "imu_silent": FaultKind(text="sends nothing", scope="robot"),
     "imu_frozen": FaultKind(text="repeats its last sample, counter and all", scope="robot"),
     "imu_stuck": FaultKind(text="repeats its last sample under a counter that goes on", scope="robot"),
@@ -67,6 +73,13 @@ KINDS: dict[str, FaultKind] = {
     "bus_off": FaultKind(text="nothing gets through, and no error is reported", scope="bus"),
     "unplugged": FaultKind(text="the adapter is gone: the connection breaks", scope="bus"),
 }
+
+
+BOARD_ONLY = ("frames_reordered", "mode_refused")
+"""Kinds that only the stock board has; what else it has is in `mimic.emulator.board`."""
+
+CAN_KINDS = tuple(kind for kind in KINDS if kind not in BOARD_ONLY)
+"""Kinds that the robot on CAN has."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -149,7 +162,7 @@ def parse_fault(text: str) -> EmulatedFault:
 
 
 def random_fault(
-    seed: int, *, start: tuple[float, float], after_release: bool = False, kinds: tuple[str, ...] = tuple(KINDS)
+    seed: int, *, start: tuple[float, float], after_release: bool = False, kinds: tuple[str, ...] = CAN_KINDS
 ) -> EmulatedFault:
     """Return a fault drawn by a seed: kind, place, value, begin, and whether and when it passes.
 

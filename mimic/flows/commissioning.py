@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mimic.config.hardware import BusSettings, ProbeSettings
-from mimic.errors import ConfigError
+from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import LOG
+from mimic.geometry import rpy_from_quat
 from mimic.io import store
 from mimic.records import FloatArray, RunLog
 
@@ -20,6 +23,13 @@ if TYPE_CHECKING:
     from mimic.hardware.preflight import Check
     from mimic.hardware.scan import BusScan
     from mimic.hardware.wiring import Wiring
+
+
+def _only_on_can(bus_url: str, command: str, instead: str) -> None:
+    from mimic.hardware.stock.wiring import BOARDS
+
+    if bus_url in BOARDS:
+        raise ConfigError(f"mimic robot {command} is for motors on CAN; {bus_url} is a stock robot: {instead}")
 
 
 def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusScan], Wiring, list[str]]:
@@ -31,6 +41,7 @@ def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusSc
     Raises:
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
+    _only_on_can(bus_url, "scan", "its motors have one fixed place each; to look at it: mimic robot check")
     from mimic.hardware.scan import scan, wiring_problems
     from mimic.hardware.session import open_session
 
@@ -67,6 +78,7 @@ def zero_robot(
         PlantError: If a joint is not near the lying pose.
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
+    _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
     from mimic.hardware.homing import home, uneven
     from mimic.hardware.session import homing_file, open_session
     from mimic.robot.description import load_description
@@ -82,16 +94,22 @@ def zero_robot(
 
 
 def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool = False) -> list[Check]:
-    """Return what the pre-flight check finds; nothing moves.
+    """Return what the pre-flight check finds; nothing moves, and to a stock robot nothing is sent.
 
     Raises:
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     from mimic.hardware.preflight import preflight
     from mimic.hardware.session import check_watchdog, open_session
+    from mimic.hardware.stock.preflight import board_preflight
+    from mimic.hardware.stock.session import open_board
+    from mimic.hardware.stock.wiring import BOARDS
     from mimic.robot.description import load_description
 
     bus, description = bus or BusSettings(), load_description()
+    if bus_url in BOARDS:
+        with open_board(bus, description) as (link, _, network):
+            return board_preflight(link, description, network, suspended=suspended)
     with open_session(bus_url, bus) as robot:
         motor_bus = robot.motor_bus()
         rate = 1.0 / description.dt
@@ -99,6 +117,92 @@ def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool
         findings = preflight(motor_bus, description, rate_hz=rate, **options)
     findings.append(check_watchdog(findings, bus_url, bus))
     return findings
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Watched:
+    """What a stock robot says at one moment."""
+
+    t: float
+    """Time since watching began [s]."""
+    q: FloatArray
+    """Joint angles (12,) [rad]; NaN where nothing came."""
+    dq: FloatArray
+    """Joint velocities (12,) [rad/s]."""
+    tau: FloatArray
+    """Torques (12,) [N m]; NaN before motor mode."""
+    temperature: FloatArray
+    """(12,) [degC]; NaN before motor mode."""
+    errors: Sequence[int]
+    """Error bits of each motor (12,)."""
+    rpy: FloatArray
+    """Roll, pitch and yaw of the base (3,) [rad]."""
+    omega_B: FloatArray
+    """Rate of turn, base axes (3,) [rad/s]."""
+    rates: Mapping[str, float]
+    """Messages a second of each kind."""
+    err_flag: int | None
+    """Error bits of the board; None before motor mode."""
+    foreign: int
+    """Commands of other programs so far."""
+
+
+def watch_robot(
+    bus_url: str,
+    bus: BusSettings | None = None,
+    *,
+    seconds: float | None = None,
+    every: float = 0.5,
+    show: Callable[[Watched], None] = lambda seen: None,
+) -> None:
+    """Show what a stock robot says until Ctrl-C or for a time; nothing is sent.
+
+    Args:
+        bus_url: Name of a stock robot.
+        bus: How it is reached.
+        seconds: How long; None until Ctrl-C.
+        every: Interval between two calls of ``show`` [s].
+        show: Receives the newest readings.
+
+    Raises:
+        ConfigError: If the robot is not a stock one.
+        AssetError, BusError, MissingExtra, PlantError: If it cannot be reached.
+    """
+    from mimic.hardware.stock.messages import MOTOR_ERRORS
+    from mimic.hardware.stock.readings import NO_ERR_FLAG
+    from mimic.hardware.stock.session import open_board
+    from mimic.hardware.stock.wiring import BOARDS
+    from mimic.robot.description import load_description
+
+    if bus_url not in BOARDS:
+        raise ConfigError(f"mimic robot watch shows a stock robot ({', '.join(BOARDS)}); for motors on CAN: check")
+    with open_board(bus or BusSettings(), load_description()) as (link, _, _):
+        begin, before = link.now(), None
+        while seconds is None or link.now() - begin < seconds:
+            reports = link.wait(link.now() + every)
+            if not reports:
+                raise PlantError("the process that listens to the robot has ended")
+            last = reports[-1]
+            first = reports[0] if before is None else before
+            span, before = max(float(last["t"] - first["t"]), 1e-3), last
+            counts = {"joints": "joints_count", "motors": "motors_count", "orientation": "imu_count"}
+            heard = link.now() - float(last["heard"]) < max(0.5, every)
+            nothing = np.full(12, np.nan)
+            show(
+                Watched(
+                    t=link.now() - begin,
+                    q=np.array(last["q"]) if heard else nothing,
+                    dq=np.array(last["dq"]) if heard else nothing,
+                    tau=np.array(last["tau"]) if heard else nothing,
+                    temperature=np.array(last["temperature"]) if heard else nothing,
+                    errors=[int(flags) & MOTOR_ERRORS for flags in last["flags"]],
+                    rpy=rpy_from_quat(np.array(last["quat_WB"])) if heard else np.full(3, np.nan),
+                    omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
+                    rates={name: float(last[key] - first[key]) / span for name, key in counts.items()},
+                    err_flag=None if last["err_flag"] == NO_ERR_FLAG else int(last["err_flag"]),
+                    foreign=int(last["foreign"]),
+                )
+            )
 
 
 def probe_robot(
@@ -131,12 +235,14 @@ def probe_robot(
     from mimic.control.signals import Signals
     from mimic.hardware.excite import probe
     from mimic.hardware.excite_motion import asked_rates, probe_motion, recorded_motion
+    from mimic.hardware.plant import CanRobot
     from mimic.hardware.session import robot_session
     from mimic.io.joint_log import write_log
     from mimic.robot.description import load_description
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
+    _only_on_can(bus_url, "probe", "not possible yet")
     settings, bus = settings or ProbeSettings(), bus or BusSettings()
     operator, reporter = operator or Operator(), reporter or SilentReporter()
     store.check_writable(out.parent)
@@ -159,6 +265,7 @@ def probe_robot(
         suspended=True,
     ) as plant:
         reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")
+        assert isinstance(plant, CanRobot)
         with signals.caught(), undisturbed():
             result = probe(plant, targets, settings, signals)
     return result, write_log(result.log, out), plant.ending

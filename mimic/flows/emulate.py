@@ -95,7 +95,7 @@ def serve_robot(
     """
     from mimic.dynamics.effect_set import read_effects
     from mimic.dynamics.servo import read_standing
-    from mimic.emulator.faults import parse_fault, random_fault
+    from mimic.emulator.faults import BOARD_ONLY, parse_fault, random_fault
     from mimic.emulator.robot import EmulatedRobot
     from mimic.emulator.server import EmulatorServer
     from mimic.hardware.wiring import load_wiring
@@ -105,6 +105,9 @@ def serve_robot(
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
     host, port = _address(options.listen)
     faults = [parse_fault(text) for text in options.faults]
+    for fault in faults:
+        if fault.kind in BOARD_ONLY:
+            raise ConfigError(f"{fault.kind} is a fault of the stock board; add --board cyberdog2")
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
     held = None
@@ -175,6 +178,112 @@ def _line(status: Any) -> str:
     still = f"; stood still for {status.stood_still:.2f} s" if status.stood_still else ""
     clients = f"{status.clients} client{'s' if status.clients != 1 else ''}"
     return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServedBoard:
+    """What was served."""
+
+    seconds: float
+    """Time of the emulation [s]."""
+    commands: int
+    """Commands received."""
+    late_ticks: int
+    """Cycles of 2 ms in which the newest command was older than 10 ms."""
+    err_flag: int
+    stood_still: float
+    """For how long the emulation stood still because this computer was too slow [s]."""
+
+
+def serve_board(
+    options: ServeOptions | None = None,
+    settings: EmulateSettings | None = None,
+    effects: EffectsSettings | None = None,
+    *,
+    reporter: Reporter | None = None,
+) -> ServedBoard:
+    """Serve an emulated stock CyberDog 2 over LCM on this computer until Ctrl-C, SIGTERM or the given time.
+
+    Args:
+        options: How long, and which faults.
+        settings: How the robot lies or hangs.
+        effects: What a calibration found.
+        reporter: Receives events and status lines.
+
+    Raises:
+        ConfigError: If a fault or the effects cannot be used.
+        AssetError: If a file cannot be read.
+        BusError, MissingExtra: If LCM cannot be opened.
+    """
+    from mimic.dynamics.effect_set import read_effects
+    from mimic.dynamics.servo import read_standing
+    from mimic.emulator.board import FAULTS, TICK, EmulatedBoard
+    from mimic.emulator.board_server import BoardServer
+    from mimic.emulator.faults import parse_fault, random_fault
+    from mimic.hardware.stock.lcm_bus import check_network
+    from mimic.hardware.stock.wiring import load_board
+    from mimic.robot.description import load_description
+
+    options, settings = options or ServeOptions(), settings or EmulateSettings()
+    effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
+    wiring = load_board(options.wiring)
+    check_network(wiring, "lo")
+    faults = [parse_fault(text) for text in options.faults]
+    if options.fault_seed is not None:
+        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=FAULTS))
+    held = None
+    if effects.effects is not None:
+        held = (read_effects if settings.suspended else read_standing)(Path(effects.effects))
+    board = EmulatedBoard(
+        load_description(),
+        wiring,
+        settings,
+        effects=held,
+        faults=faults,
+        timestep=TICK if effects.effects is None else effects.timestep,
+        visuals=options.view,
+    )
+    shown = _Viewer(board.body.model, board.body.data) if options.view else None
+    server = BoardServer(board, wiring)
+    for fault in faults:
+        reporter.note(f"fault        {fault}")
+    begin = reported = time.monotonic()
+
+    def each() -> None:
+        nonlocal reported
+        while board.events:
+            t, text = board.events.popleft()
+            reporter.note(f"{t:9.3f} s  {text}")
+        if options.every and time.monotonic() - reported >= options.every:
+            reported = time.monotonic()
+            status = server.status()
+            reporter.note(
+                f"{status.t:9.1f} s  {status.commands} commands, error flag {status.err_flag:#04x}, "
+                f"{status.late_ticks} cycles with a late command"
+            )
+        if shown is not None:
+            shown.show()
+
+    try:
+        with _until_signal() as signalled:
+
+            def ended() -> bool:
+                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
+                return signalled() or over or (shown is not None and not shown.open())
+
+            reporter.note("ready        cyberdog2 (on this computer: add --interface lo)")
+            server.run(ended, each)
+    finally:
+        if shown is not None:
+            shown.close()
+    status = server.status()
+    return ServedBoard(
+        seconds=status.t,
+        commands=status.commands,
+        late_ticks=status.late_ticks,
+        err_flag=status.err_flag,
+        stood_still=status.stood_still,
+    )
 
 
 @contextmanager

@@ -43,7 +43,7 @@ class RobotRun:
     ending: str
     """How the robot was left, as a sentence without its full stop."""
     load: Sequence[float]
-    """Measured share of each bus's time that was used."""
+    """Measured share of each bus's time that was used; empty for a stock robot."""
     expected_load: Sequence[float]
     """The same, computed from the wiring and the control rate."""
     camera: CameraRecord | None
@@ -92,7 +92,8 @@ def play_on_robot(
     Every tick is on disk before the next one begins. Whatever fails, the motors end damped.
 
     Args:
-        bus_url: Buses of the robot, such as can0, several with commas, or socketcand://HOST:PORT/can0.
+        bus_url: Buses of the robot, such as can0, several with commas, or socketcand://HOST:PORT/can0; or cyberdog2
+            for a stock one.
         source: File (Path) or sentence (str) to play; None stands until Ctrl-C.
         settings: How the input becomes commands.
         camera: Follow this camera instead of a source.
@@ -113,6 +114,7 @@ def play_on_robot(
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
+    from mimic.hardware.plant import CanRobot
     from mimic.hardware.session import robot_session
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
@@ -162,7 +164,9 @@ def play_on_robot(
                 done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         finally:
             recorder.abandon()
-        load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, 1.0 / description.dt))
+        load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
+        if isinstance(plant, CanRobot):
+            load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, 1.0 / description.dt))
     inputs = {**done.inputs, **({} if file is None else {"source": file})}
     made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
     more: dict[str, Any] = {}

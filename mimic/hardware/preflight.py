@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from mimic.errors import FrameError
+from mimic.errors import FrameError, PlantError
 from mimic.geometry import rotation_from_quat
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.homing import LYING_TOLERANCE, Homing, beyond_limits, uneven, zero_problems
@@ -255,3 +255,14 @@ def _timeout(motor_bus: MotorBus) -> Check:
         return Check(name="own timeout", verdict="ok", text=text)
     text = f"the motors do not accept {register}: without a host they continue with their last command"
     return Check(name="own timeout", verdict="note", text=text)
+
+
+def refuse(checks: list[Check]) -> None:
+    """Raise if a check forbids moving.
+
+    Raises:
+        PlantError: With all checks that do.
+    """
+    against = [f"{check.name}: {check.text}" for check in checks if check.verdict == "stop"]
+    if against:
+        raise PlantError("nothing was moved. " + "; ".join(against))

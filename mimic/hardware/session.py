@@ -15,7 +15,10 @@ from mimic.hardware.can.link import Link
 from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import CanRobot
-from mimic.hardware.preflight import Check, preflight
+from mimic.hardware.preflight import Check, preflight, refuse
+from mimic.hardware.stock.plant import StockRobot
+from mimic.hardware.stock.session import board_session
+from mimic.hardware.stock.wiring import BOARDS
 from mimic.hardware.watchdog import WatchdogProcess, allows_second_socket, open_buses
 from mimic.hardware.wiring import Wiring, load_wiring
 from mimic.records import FloatArray
@@ -99,17 +102,6 @@ def check_watchdog(checks: list[Check], bus_url: str, settings: BusSettings) -> 
     )
 
 
-def refuse(checks: list[Check]) -> None:
-    """Raise if a check forbids moving.
-
-    Raises:
-        PlantError: With all checks that do.
-    """
-    against = [f"{check.name}: {check.text}" for check in checks if check.verdict == "stop"]
-    if against:
-        raise PlantError("nothing was moved. " + "; ".join(against))
-
-
 @contextmanager
 def robot_session(
     bus_url: str,
@@ -120,11 +112,11 @@ def robot_session(
     report: Report,
     go: Callable[[], None],
     suspended: bool = False,
-) -> Iterator[CanRobot]:
+) -> Iterator[CanRobot | StockRobot]:
     """Give a robot that passed its pre-flight. At the end it is damped and off, and its watchdog has ended.
 
     Args:
-        bus_url: Its buses.
+        bus_url: Its buses, or the name of a stock robot.
         settings: Wiring, zeros, watchdog and torque limit.
         description: The robot.
         rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
@@ -139,6 +131,10 @@ def robot_session(
     """
     if settings.torque_limit is not None:
         check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
+    if bus_url in BOARDS:
+        with board_session(settings, description, report=report, go=go, suspended=suspended) as board:
+            yield board
+        return
     wiring = wiring_of(bus_url, settings)
     wanted = settings.watchdog and allows_second_socket(bus_url)
     watchdog = WatchdogProcess(bus_url, wiring.path) if wanted else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 from mimic.errors import AssetError, ConfigError
 from mimic.hardware.makers import make_motors
 from mimic.hardware.motor import MotorFacts, MotorProtocol
+from mimic.hardware.toml_fields import number, table, whole
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
@@ -113,26 +113,26 @@ class _Reader:
 
     def wiring(self, buses: int) -> Wiring:
         raw = self._raw
-        joints = _table(raw, "joints", "the file")
+        joints = table(raw, "joints", "the file")
         unknown, missing = [j for j in joints if j not in JOINTS], [j for j in JOINTS if j not in joints]
         if unknown:
             raise ConfigError(f"[joints] names {', '.join(unknown)}; the robot has {', '.join(JOINTS)}")
         if missing:
             raise ConfigError(f"[joints] lacks {', '.join(missing)}")
-        rows = {j: _table(joints, j, "[joints]") for j in JOINTS}
+        rows = {j: table(joints, j, "[joints]") for j in JOINTS}
         maker = raw.get("motor", DEFAULT_MAKER)
         if not isinstance(maker, str):
             raise ConfigError(f"motor is {maker!r}; expected the maker of the motors, such as {DEFAULT_MAKER!r}")
-        position_range = _number(raw, "position_range", "the file")
+        position_range = number(raw, "position_range", "the file")
         if not 1.0 < position_range < 100.0:
             raise ConfigError(f"position_range is {position_range:g} rad; expected such as 4 pi = 12.566 or 12.5")
-        host = _whole(raw, "host", "the file", 0, 0xFFFF)
+        host = whole(raw, "host", "the file", 0, 0xFFFF)
         facts = make_motors(maker, host=host, position_range=position_range).facts
         if host not in facts.host_ids:
             ids = facts.host_ids
             raise ConfigError(f"host of the file is {host}; expected a whole number from {ids[0]} to {ids[-1]}")
         motor = np.array([_motor_id(rows[j], j, facts) for j in JOINTS])
-        sign = np.array([_number(rows[j], "sign", j) for j in JOINTS])
+        sign = np.array([number(rows[j], "sign", j) for j in JOINTS])
         for joint, value in zip(JOINTS, sign, strict=True):
             if value not in (-1.0, 1.0):
                 raise ConfigError(f"sign of {joint} is {value:g}; expected 1 or -1")
@@ -142,7 +142,7 @@ class _Reader:
             if place in seen:
                 raise ConfigError(f"{seen[place]} and {joint} both have motor {place[1]} on bus {place[0]}")
             seen[place] = joint
-        bitrate = _whole(raw, "bitrate", "the file", 10_000, 1_000_000)
+        bitrate = whole(raw, "bitrate", "the file", 10_000, 1_000_000)
         return Wiring(
             path=self._path,
             maker=maker,
@@ -153,12 +153,12 @@ class _Reader:
             bus=bus,
             motor=motor,
             sign=sign,
-            offset=np.array([_number(rows[j], "offset", j) for j in JOINTS]),
+            offset=np.array([number(rows[j], "offset", j) for j in JOINTS]),
             imu=self._imu(buses),
         )
 
     def _buses_of_joints(self, buses: int) -> IntArray:
-        layouts = _table(self._raw, "layout", "the file")
+        layouts = table(self._raw, "layout", "the file")
         if str(buses) not in layouts:
             raise ConfigError(
                 f"[layout] has no line for {buses} bus{'es' if buses != 1 else ''}; it has {', '.join(layouts)}"
@@ -173,7 +173,7 @@ class _Reader:
         return np.repeat(row, len(JOINTS) // len(row))
 
     def _imu(self, buses: int) -> ImuWiring:
-        raw = _table(self._raw, "imu", "the file")
+        raw = table(self._raw, "imu", "the file")
         kind = raw.get("kind")
         if not isinstance(kind, str):
             raise ConfigError(f"kind of [imu] is {kind!r}; expected a name, such as xsens_mti")
@@ -183,43 +183,22 @@ class _Reader:
         length = float(np.linalg.norm(quat))
         if not abs(length - 1.0) < 0.01:
             raise ConfigError(f"quat_BI of [imu] has length {length:.3f}; expected 1")
-        rates = _table(raw, "rate", "[imu]")
+        rates = table(raw, "rate", "[imu]")
         for name in rates:
             if name not in IMU_MESSAGES:
                 raise ConfigError(f"rate of [imu] names {name!r}; known are {', '.join(IMU_MESSAGES)}")
-            if not 0.0 < _number(rates, name, "rate of [imu]") <= 400.0:
+            if not 0.0 < number(rates, name, "rate of [imu]") <= 400.0:
                 raise ConfigError(f"rate of {name} is {rates[name]} Hz; expected more than 0, at most 400")
         for name in IMU_MESSAGES[:2]:
             if name not in rates:
                 raise ConfigError(f"rate of [imu] lacks {name}; the robot needs it")
         return ImuWiring(
             kind=kind,
-            bus=_whole(raw, "bus", "[imu]", 0, buses - 1),
+            bus=whole(raw, "bus", "[imu]", 0, buses - 1),
             quat_BI=np.array(quat) / length,
             rate={name: float(value) for name, value in rates.items()},
         )
 
 
 def _motor_id(row: Mapping[str, Any], joint: str, facts: MotorFacts) -> int:
-    return _whole(row, "motor", joint, facts.motor_ids[0], facts.motor_ids[-1])
-
-
-def _table(raw: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
-    value = raw.get(name)
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{where} lacks the table {name}")
-    return value
-
-
-def _number(raw: Mapping[str, Any], name: str, where: str) -> float:
-    value = raw.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ConfigError(f"{name} of {where} is {value!r}; expected a number")
-    return float(value)
-
-
-def _whole(raw: Mapping[str, Any], name: str, where: str, low: int, high: int) -> int:
-    value = raw.get(name)
-    if type(value) is not int or not low <= value <= high:
-        raise ConfigError(f"{name} of {where} is {value!r}; expected a whole number from {low} to {high}")
-    return value
+    return whole(row, "motor", joint, facts.motor_ids[0], facts.motor_ids[-1])

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mimic.errors import AssetError
-from mimic.records import Provenance, Record
+from mimic.records import AXES, Provenance, Record
 from mimic.version import __version__
 
 R = TypeVar("R", bound=Record)
@@ -160,7 +160,9 @@ def load(path: Path, kind: type[R]) -> R:
     table = pq.read_table(path)
     values: dict[str, Any] = dict(head["fields"])
     for f in dataclasses.fields(kind):  # type: ignore[arg-type]
-        if "axes" in f.metadata:
+        if f.metadata.get("optional") and f.name not in head["shapes"]:
+            values[f.name] = np.full((table.num_rows, *(len(AXES[axis]) for axis in f.metadata["axes"])), np.nan)
+        elif "axes" in f.metadata:
             shape = tuple(head["shapes"][f.name])
             names = [n for n in table.column_names if n == f.name or n.startswith(f.name + ".")]
             columns = [np.asarray(table[n].to_numpy()) for n in names]

@@ -72,9 +72,12 @@ AXES: Mapping[str, tuple[str, ...]] = {
 """Labels of the axes that every record shares."""
 
 
-def array(*axes: str, dtype: type = np.float64, **kwargs: Any) -> Any:
-    """Declare an array field: one row a time, then the named axes (see AXES; other names have no fixed length)."""
-    return field(metadata={"axes": axes, "dtype": dtype}, **kwargs)
+def array(*axes: str, dtype: type = np.float64, optional: bool = False, **kwargs: Any) -> Any:
+    """Declare an array field: one row a time, then the named axes (see AXES; other names have no fixed length).
+
+    An optional field is NaN where a file of an earlier version lacks it.
+    """
+    return field(metadata={"axes": axes, "dtype": dtype, "optional": optional}, **kwargs)
 
 
 class Record:

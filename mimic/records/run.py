@@ -47,6 +47,8 @@ class JointCommand:
     """Velocity gains (12,) [N m s/rad]."""
     tau_ff: FloatArray
     """Feed-forward torques (12,) [N m]."""
+    ramp: float = 0.0
+    """Time in which q_des moves linearly from the previous command's to this one's [s]; 0: at once."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -95,6 +97,12 @@ class Health:
     """Error frames and frames that made no sense since the start."""
     guarded: bool = True
     """Whether the watchdog process that should watch is still there; True where none was wanted."""
+    err_flag: int = 0
+    """Error bits of a motion board during the step; 0 where all is well or there is no board."""
+    command_gap: float = 0.0
+    """Longest time without a command that a motion board reported during the step [s]."""
+    foreign: int = 0
+    """Commands of other programs to this robot that were seen since the start."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -125,6 +133,12 @@ class HealthLog(Record):
     """How much later than planned the step ended [s]."""
     bus_errors: FloatArray = array()
     """Error frames and frames that made no sense."""
+    err_flag: FloatArray = array(optional=True)
+    """Error bits of a motion board."""
+    command_gap: FloatArray = array(optional=True)
+    """Longest time without a command that a motion board reported [s]."""
+    foreign: FloatArray = array(optional=True)
+    """Commands of other programs."""
     clamped: FloatArray = array()
     """Numbers of this tick's targets and command that were outside their limits."""
     mode: FloatArray = array()

@@ -26,7 +26,7 @@ NOT_RUN = {
     r"--policy my_policy": "needs a policy of the reader",
     r"^mimic motion\.csv": "a format whose reader the page adds",
     r"--robot-model": "a folder that the reader writes; tests/robot plays a second robot",
-    r"--robot can0|^mimic robot ": "needs a robot",
+    r"--robot can0|--robot cyberdog2|^mimic robot ": "needs a robot",
     r"^mimic emulate|--robot socketcand": "two terminals; tests/flows/test_robot_rehearsal.py rehearses it",
     r"--camera 0": "needs a camera",
     r"--llm-url": "needs a language model",

@@ -117,6 +117,7 @@ REQUIRED = {
     "scan": ["can0"],
     "zero": ["can0"],
     "check": ["can0"],
+    "watch": ["cyberdog2"],
     "probe": ["can0", "-o", "log.parquet"],
 }
 """What a command cannot be called without."""

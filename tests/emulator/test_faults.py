@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from mimic.emulator.faults import KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.board import FAULTS
+from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, KINDS, EmulatedFault, parse_fault, random_fault
 from mimic.errors import ConfigError
 from mimic.records import JOINTS
 
@@ -60,7 +61,7 @@ def test_times_after_the_first_motor_count_from_there():
 def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
     drawn = [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
     assert drawn == [random_fault(seed, start=(1.0, 3.0)) for seed in range(400)]
-    assert {fault.kind for fault in drawn} == set(KINDS)
+    assert {fault.kind for fault in drawn} == set(CAN_KINDS)
     assert {fault.joint for fault in drawn} == {None, *range(12)}
     assert any(math.isinf(fault.until) for fault in drawn)
     assert any(math.isfinite(fault.until) for fault in drawn)
@@ -73,4 +74,10 @@ def test_a_seed_draws_a_fault_that_can_be_written_down_and_all_kinds_come_up():
 
 def test_the_manual_names_every_kind():
     manual = (Path(__file__).parents[2] / "docs" / "manual" / "robot.md").read_text(encoding="utf-8")
-    assert [kind for kind in KINDS if f"`{kind}`" not in manual] == []
+    assert [kind for kind in CAN_KINDS if f"`{kind}`" not in manual] == []
+
+
+def test_the_manual_of_the_stock_robot_names_every_kind_that_it_has():
+    manual = (Path(__file__).parents[2] / "docs" / "manual" / "stock-robot.md").read_text(encoding="utf-8")
+    assert set(BOARD_ONLY) <= set(FAULTS) <= set(KINDS)
+    assert [kind for kind in FAULTS if f"| `{kind}` |" not in manual] == []

@@ -1,0 +1,412 @@
+"""The motion board of a stock CyberDog 2, emulated: the firmware's rules, cycle by cycle, on an emulated body.
+
+Its owner advances the time, as with `mimic.emulator.robot`. Messages go in with the time of their arrival, and come out
+with the time at which they were sent.
+
+Source of the rules: MiRoboticsLab/cyberdog_locomotion, commit ad79bfd, fsm_state_motor_ctrl.cpp, leg_controller.cpp
+and command_interface.cpp. How the motors report an error to it, and what it does then, is simplified: a motor with an
+error gives no torque, and the others are damped.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mimic.config.emulator import EmulateSettings
+from mimic.dynamics.effect_set import EffectSet
+from mimic.emulator.body import EmulatedBody
+from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.motor import FREE, Drive
+from mimic.errors import ConfigError, FrameError
+from mimic.geometry import rotation_from_quat, rpy_from_quat
+from mimic.hardware.stock.messages import (
+    CUT,
+    LEG_CONTROL_DATA,
+    LOST,
+    MOTOR_CTRL,
+    MOTOR_CTRL_STATE,
+    MOTOR_RUNNING,
+    SPI_DATA,
+    STATE_ESTIMATOR,
+    TIMED_OUT,
+)
+from mimic.hardware.stock.wiring import PARTS, BoardWiring
+from mimic.records import JOINTS, LEGS, FloatArray
+from mimic.robot.description import RobotDescription
+
+TICK = 0.002
+"""The firmware's cycle [s]."""
+
+LATE, SILENT = 0.010, 0.500
+"""Ages of the newest command above which the firmware reports it as late, and as lost [s]."""
+
+RECONNECT = 5000
+"""Counts in error 0x02 before it can be cleared; four in each cycle, one for each leg."""
+
+DAMPING = 4.0
+"""Velocity gain while commands are lost [N m s/rad]."""
+
+CUTS = np.deg2rad([8.0, 10.0, 12.0])
+"""Largest distance of a desired position from the measured one, for abad, hip, knee [rad]."""
+
+INSIDE = 0.04
+"""Desired positions are held this far inside the joint limits [rad]."""
+
+SOFT, SOFT_KP, SOFT_TORQUE = 0.05, 20.0, (0.0, 0.0, 1.0)
+"""Within SOFT of a limit [rad], a torque outward beyond SOFT_TORQUE [N m] gives way to a spring of SOFT_KP
+[N m/rad]."""
+
+ZERO = 0.001
+"""Gains and torques up to this count as zero."""
+
+QUIET_EVERY = 10
+"""Before the first command, one cycle in so many is published: 50 Hz."""
+
+ENTERING = 2
+"""Cycles from the first command to motor mode."""
+
+STEP_STAMP = 1_700_000_000_000_000_000
+"""Time stamp of the emulated robot's clock at time 0 [ns]."""
+
+FAULTS = (
+    "motor_dead",
+    "motor_fault",
+    "motor_hot",
+    "frames_lost",
+    "frames_late",
+    "frames_doubled",
+    "frames_corrupted",
+    "frames_reordered",
+    "imu_silent",
+    "imu_frozen",
+    "imu_tilted",
+    "bus_off",
+    "mode_refused",
+)
+"""Kinds of faults that the board has; its network counts as bus 0."""
+
+_BODY = tuple(LEGS.index(leg) * len(PARTS) + part for leg in ("FR", "FL", "RR", "RL") for part in range(len(PARTS)))
+"""Joint of the description at each place of the firmware's order."""
+
+_ORDER = np.array(_BODY)
+
+_SIGN = np.tile([1.0, -1.0, -1.0], len(LEGS))
+"""Angle in the firmware over angle of the joint, in the firmware's order."""
+
+
+class Published(NamedTuple):
+    """A message of the board."""
+
+    t: float
+    """When it arrives [s]."""
+    channel: str
+    data: bytes
+
+
+class EmulatedBoard:
+    """A stock robot from power-up on, lying or suspended."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        wiring: BoardWiring,
+        settings: EmulateSettings | None = None,
+        *,
+        effects: EffectSet | None = None,
+        faults: Sequence[EmulatedFault] = (),
+        timestep: float = TICK,
+        visuals: bool = False,
+    ) -> None:
+        """Switch it on.
+
+        Args:
+            description: The robot.
+            wiring: Temperature unit; order and signs are the firmware's own.
+            settings: How it lies or hangs, and its noise.
+            effects: What its drives have besides.
+            faults: What goes wrong.
+            timestep: Of the physics [s].
+            visuals: Keep the shapes that are only looked at.
+
+        Raises:
+            ConfigError: If a fault does not exist on this robot.
+        """
+        settings = settings or EmulateSettings()
+        for fault in faults:
+            if fault.kind not in FAULTS:
+                raise ConfigError(f"the stock board has no fault {fault.kind!r}; it has {', '.join(FAULTS)}")
+        self._d, self._wiring, self._settings = description, wiring, settings
+        self.body = EmulatedBody(
+            description,
+            effects=effects,
+            suspended=settings.suspended,
+            timestep=timestep,
+            placement=settings.placement,
+            seed=settings.seed,
+            visuals=visuals,
+        )
+        self.body.release()
+        self._faults = list(faults)
+        self._rng = np.random.default_rng([settings.seed, 29])
+        self.now = 0.0
+        """[s]"""
+        self.ticks = 0
+        self.events: deque[tuple[float, str]] = deque()
+        """What happened, for whoever shows it."""
+        self.err_flag = 0
+        self.late_ticks = 0
+        """Cycles with error 0x01 so far."""
+        low = description.q_min[list(_BODY)] * _SIGN
+        high = description.q_max[list(_BODY)] * _SIGN
+        self._low, self._high = np.minimum(low, high), np.maximum(low, high)
+        self._command: Any = None
+        self._arrived = -math.inf
+        self._first = -1
+        self._motor_mode = False
+        self._reconnect = 0
+        self._applied: tuple[FloatArray, ...] = tuple(np.zeros(12) for _ in range(5))
+        self._limits = np.zeros(12, dtype=int)
+        self._incoming: list[tuple[float, int, bytes]] = []
+        self._outgoing: list[tuple[float, int, str, bytes]] = []
+        self._count = 0
+        self._held: dict[str, bytes] = {}
+        self._frozen: tuple[FloatArray, FloatArray, int] | None = None
+
+    # ------------------------------------------------------------------ the network
+
+    def receive(self, data: bytes, t: float) -> None:
+        """Take a motor_ctrl message that was sent at time t [s]."""
+        for at, _, damaged in self._through("", data, t):
+            self._count += 1
+            heapq.heappush(self._incoming, (at, self._count, damaged))
+
+    def published(self, t: float) -> list[Published]:
+        """Return the messages that have arrived by time t [s], in their order."""
+        out: list[Published] = []
+        while self._outgoing and self._outgoing[0][0] <= t:
+            at, _, channel, data = heapq.heappop(self._outgoing)
+            out.append(Published(at, channel, data))
+        return out
+
+    def _publish(self, channel: str, data: bytes) -> None:
+        for at, name, damaged in self._through(channel, data, self.now):
+            self._count += 1
+            heapq.heappush(self._outgoing, (at, self._count, name, damaged))
+
+    def _through(self, channel: str, data: bytes, t: float) -> list[tuple[float, str, bytes]]:
+        """Return what the network makes of a message: when it arrives, and how, once or twice or not at all."""
+        if self._value("bus_off", t) is not None or self._chance("frames_lost", t):
+            return []
+        at = t + (self._value("frames_late", t) or 0.0)
+        if self._chance("frames_reordered", t):
+            at += 0.004 + 0.004 * self._rng.random()
+        if self._chance("frames_corrupted", t):
+            bits = bytearray(data)
+            bits[int(self._rng.integers(len(bits)))] ^= 1 << int(self._rng.integers(8))
+            data = bytes(bits)
+        return [(at, channel, data)] * (2 if self._chance("frames_doubled", t) else 1)
+
+    def _value(self, kind: str, t: float) -> float | None:
+        return next((fault.value for fault in self._faults if fault.kind == kind and fault.active(t)), None)
+
+    def _chance(self, kind: str, t: float) -> bool:
+        share = self._value(kind, t)
+        return share is not None and bool(self._rng.random() < share)
+
+    def _joints_with(self, kind: str) -> dict[int, float]:
+        """Return the joints of the description that have a fault now, and its value."""
+        return {
+            int(fault.joint): fault.value
+            for fault in self._faults
+            if fault.kind == kind and fault.joint is not None and fault.active(self.now)
+        }
+
+    # ------------------------------------------------------------------ the firmware
+
+    def advance(self, t: float) -> None:
+        """Go on, cycle by cycle, up to time t [s]."""
+        while (self.ticks + 1) * TICK <= t + 1e-9:
+            self.ticks += 1
+            self.now = self.ticks * TICK
+            self._cycle()
+
+    def _cycle(self) -> None:
+        self.body.advance(self.now)
+        while self._incoming and self._incoming[0][0] <= self.now:
+            at, _, data = heapq.heappop(self._incoming)
+            try:
+                self._command = MOTOR_CTRL.decode(data)
+            except FrameError:
+                continue
+            self._arrived = at
+            if self._first < 0:
+                self._first = self.ticks
+                self._faults = [fault.released(self.now) for fault in self._faults]
+                self.events.append((self.now, "the first command came"))
+        ready = not self._motor_mode and 0 <= self._first <= self.ticks - ENTERING
+        if ready and self._value("mode_refused", self.now) is None:
+            self._enter()
+        q, dq = self._measured()
+        if self._motor_mode:
+            self._run(q, dq)
+        self._speak(q, dq)
+
+    def _enter(self) -> None:
+        self._motor_mode = True
+        self.err_flag |= TIMED_OUT
+        self._reconnect = 0
+        self.events.append((self.now, "motor mode"))
+
+    def _measured(self) -> tuple[FloatArray, FloatArray]:
+        """Return angles and velocities of the joints (12,), as the firmware has them."""
+        q, dq, _ = self.body.joints(self.now)
+        return _SIGN * q[_ORDER], _SIGN * dq[_ORDER]
+
+    def _run(self, q: FloatArray, dq: FloatArray) -> None:
+        """One cycle of motor mode."""
+        c, age, before = self._command, self.now - self._arrived, self.err_flag
+        q_des, dq_des, kp, kd, tau = (
+            c[name].astype(np.float64) for name in ("q_des", "qd_des", "kp_des", "kd_des", "tau_des")
+        )
+        zero = not (np.abs(np.concatenate([kp, kd, tau])) > ZERO).any()
+        if age > LATE:
+            dq_des, tau = dq_des * LATE / age, tau * LATE / age
+            self.err_flag |= LOST
+            self.late_ticks += 1
+            if age > SILENT:
+                self.err_flag |= TIMED_OUT
+        else:
+            self.err_flag &= ~LOST
+        for leg in range(len(LEGS)):
+            if not self.err_flag & TIMED_OUT:
+                self._reconnect = 0
+                continue
+            of_leg = slice(3 * leg, 3 * leg + 3)
+            self._reconnect += 1
+            for values in (q_des, dq_des, kp, kd, tau):
+                values[of_leg] = 0.0
+            if self._reconnect < RECONNECT:
+                kd[of_leg] = DAMPING
+            elif zero and age < SILENT:
+                self.err_flag &= ~TIMED_OUT
+        q_des = np.clip(q_des, self._low + INSIDE, self._high - INSIDE)
+        away, cuts = q_des - q, np.tile(CUTS, len(LEGS))
+        q_des = q + np.clip(away, -cuts, cuts)
+        self.err_flag &= ~CUT
+        for part, bit in enumerate((0x4, 0x8, 0x10)):
+            if abs(away[9 + part]) > CUTS[part]:  # the bits are set and cleared leg by leg: the last one counts
+                self.err_flag |= bit
+        self._apply(q, dq, q_des, dq_des, kp, kd, tau)
+        if (before ^ self.err_flag) & TIMED_OUT:
+            self.events.append((self.now, f"error flag {self.err_flag:#04x}"))
+
+    def _apply(self, q: FloatArray, dq: FloatArray, *command: FloatArray) -> None:
+        """Hand a command to the motors, with the soft joint limits before them."""
+        q_des, dq_des, kp, kd, tau = (values.copy() for values in command)
+        estimate = tau + kp * (q_des - q) + kd * (dq_des - dq)
+        outward = np.tile(SOFT_TORQUE, len(LEGS))
+        low, high = q < self._low + SOFT, q > self._high - SOFT
+        self._limits = high.astype(int) - low.astype(int)
+        for near, bound, pushed in (
+            (low, self._low + SOFT, estimate < -outward),
+            (high, self._high - SOFT, estimate > outward),
+        ):
+            soft = near & pushed
+            tau = np.where(soft, SOFT_KP * (bound - q), tau)
+            kp, kd = np.where(soft, 0.0, kp), np.where(soft, 0.0, kd)
+        dead, failed = self._joints_with("motor_dead"), self._joints_with("motor_fault")
+        if failed:
+            kp, kd, tau = np.zeros(12), np.full(12, DAMPING), np.zeros(12)
+        self._applied = q_des, dq_des, kp, kd, tau
+        for place, joint in enumerate(_BODY):
+            if joint in dead or joint in failed:
+                self.body.drive(joint, FREE, self.now)
+                continue
+            sign = _SIGN[place]
+            drive = Drive(
+                kp=float(kp[place]),
+                kd=float(kd[place]),
+                q=float(sign * q_des[place]),
+                dq=float(sign * dq_des[place]),
+                tau=float(sign * tau[place]),
+                limit=self._d.torque_max,
+            )
+            self.body.drive(joint, drive, self.now)
+
+    @property
+    def torques(self) -> FloatArray:
+        """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
+        return self.body.joints(self.now)[2]
+
+    # ------------------------------------------------------------------ what it says
+
+    def _speak(self, q: FloatArray, dq: FloatArray) -> None:
+        if self._first < 0 and self.ticks % QUIET_EVERY:
+            return
+        if self._motor_mode:
+            interval = 1e3 * (self.now - self._arrived)
+            state = MOTOR_CTRL_STATE.encode(err_flag=self.err_flag, ctrl_topic_interval=interval)
+            self._publish(MOTOR_CTRL_STATE.channel, state)
+        torque = _SIGN * self.torques[_ORDER]
+        if self._motor_mode or self._first >= 0:
+            self._publish(SPI_DATA.channel, self._spi_data(q, dq, torque))
+        limits = {f"q_{part}_limit": self._limits.reshape(len(LEGS), len(PARTS))[:, i] for i, part in enumerate(PARTS)}
+        self._publish(LEG_CONTROL_DATA.channel, LEG_CONTROL_DATA.encode(q=q, qd=dq, tau_est=torque, **limits))
+        if self._value("imu_silent", self.now) is None:
+            self._publish(STATE_ESTIMATOR.channel, self._orientation())
+
+    def _spi_data(self, q: FloatArray, dq: FloatArray, torque: FloatArray) -> bytes:
+        failed, dead = self._joints_with("motor_fault"), self._joints_with("motor_dead")
+        hot = self._joints_with("motor_hot")
+        flags, warm = np.zeros(12, dtype=np.int64), np.zeros(12)
+        for place, joint in enumerate(_BODY):
+            running = self._motor_mode and joint not in failed and joint not in dead
+            flags[place] = (MOTOR_RUNNING << 30 if running else 0) | int(failed.get(joint, 0.0))
+            warm[place] = max(self.body.temperature(joint), hot.get(joint, -math.inf))
+        values = {"q": q, "qd": dq, "tau": torque, "tmp": np.round(warm / self._wiring.temperature_unit)}
+        by_leg = {
+            f"{name}_{part}": value.reshape(len(LEGS), len(PARTS))[:, i]
+            for name, value in values.items()
+            for i, part in enumerate(PARTS)
+        }
+        return SPI_DATA.encode(flags=flags.astype(np.uint32).view(np.int32), spi_driver_status=0, **by_leg)
+
+    def _orientation(self) -> bytes:
+        quat, omega = self.body.base()
+        omega = omega + self._rng.normal(0.0, self._settings.imu_noise, 3)
+        stamp = STEP_STAMP + round(1e9 * self.now)
+        tilt = self._value("imu_tilted", self.now)
+        if tilt is not None:
+            quat = _turned(quat, tilt)
+        if self._value("imu_frozen", self.now) is not None:
+            self._frozen = self._frozen or (quat, omega, stamp)
+            quat, omega, _ = self._frozen
+        else:
+            self._frozen = None
+        R = rotation_from_quat(quat)
+        return STATE_ESTIMATOR.encode(
+            rpy=rpy_from_quat(np.asarray(quat)),
+            omegaBody=omega,
+            omegaWorld=R @ omega,
+            quat=quat,
+            aBody=R.T @ np.array([0.0, 0.0, 9.81]),
+            aWorld=(0.0, 0.0, 9.81),
+            contactEstimate=(0.5, 0.5, 0.5, 0.5),
+            timestamp=stamp,
+        )
+
+
+def _turned(quat: FloatArray, angle: float) -> FloatArray:
+    """Return an orientation turned about its own y axis by an angle [rad]."""
+    w, x, y, z = quat
+    c, s = math.cos(angle / 2), math.sin(angle / 2)
+    return np.array([w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s])
+
+
+assert len(_BODY) == len(JOINTS)
