@@ -27,7 +27,7 @@ def evaluate(
     out: o.Out = None,
     episodes: int | None = None,
     seconds: float | None = None,
-    seed: int = EvaluateSettings().seed,
+    seed: int | None = None,
     workers: int = 0,
     robot: o.Effects = None,
 ) -> int:
@@ -55,7 +55,7 @@ def evaluate(
         Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; latest policy
         switch: 10 s.
     seed
-        Seed of the first episode.
+        Seed of the first episode: 1; with --table one that no policy was chosen with.
     workers
         Processes; 0 takes one for each core.
     """
@@ -142,14 +142,17 @@ def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvalua
 def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, out: Path) -> None:
     from mimic.cli.console import matrix, table
 
-    found = {"paper": _figures(result["paper"])}
-    found |= {name: _figures(row["columns"]) for name, row in result["table"].items()}
-    rows = {name.replace("_", " "): {way: found[way][name] for way in found} for name in result["paper"]}
-    count = f"{settings.episodes} episodes x {settings.seeds} seeds"
-    matrix(f"{policy.name}: the paper's Table III, {count} of {settings.seconds:g} s, by what ends them", rows)
-    last = result["table"]["contacts"]["unweighted"]
+    rules = list(next(iter(result["table"].values())))
+    rows = {"paper": _figures(result["paper"])}
+    rows |= {name: _figures(row[rules[-1]]["columns"]) for name, row in result["table"].items()}
+    count = f"{settings.episodes} episodes x {settings.seeds} seeds of {settings.seconds:g} s"
+    matrix(f"{policy.name}: the paper's Table III, {count}, with all of its terminations", rows)
+    first = result["table"][settings.senses[0]]
+    rows = {name: _figures(row["columns"]) for name, row in first.items()}
+    matrix(f"With {settings.senses[0]}, by what ends an episode", rows)
+    last = first["contacts"]["unweighted"]
     table(
-        "Unweighted means after the 50th step, ended by contacts",
+        f"With {settings.senses[0]}, unweighted means after the 50th step, ended by contacts",
         {
             "toe error": f"{last['toe_error_cm']['mean']:.2f} cm",
             "velocity error": f"{last['velocity_error_m_s']['mean']:.3f} m/s",
@@ -157,7 +160,7 @@ def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, o
         }
         | {
             f"how they ended, {name}": ", ".join(f"{n} {kind}" for kind, n in row["ended_by"].items())
-            for name, row in result["table"].items()
+            for name, row in first.items()
         }
         | {"written": str(out)},
     )

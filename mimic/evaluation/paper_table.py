@@ -1,18 +1,23 @@
-"""Evaluation of a policy as in the paper's Table III: random robots from the lying start, over evaluation seeds."""
+"""Evaluation of a policy as in the paper's Table III: random robots from the lying start, over evaluation seeds.
+
+Each episode is played with each of SENSES. Beside the policy stands an ideal statue, which follows every command but
+that to move: a policy is worth what it has beyond the statue.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mimic.config.evaluation import TableSettings
 from mimic.config.play import RunSettings
-from mimic.dynamics.ground_contacts import GroundFacts, ground_facts
+from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
 from mimic.evaluation.episode import play_episode
 from mimic.evaluation.paper_columns import (
     COLUMNS,
@@ -26,16 +31,20 @@ from mimic.evaluation.paper_columns import (
     velocity_error,
 )
 from mimic.evaluation.policy import command_script
+from mimic.evaluation.senses import SENSES, SensingPolicy
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import JOINTS, FloatArray, RunLog
+from mimic.records import JOINTS, LEGS, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 TIMING = RunSettings(stand_up=1.0, blend=0.1, hold=0.0)
 """As in the paper the first goal is approached from the neutral toes over 3 s, after 50 steps; the run loop commands no
 velocity and no turn before, where the paper does."""
+
+STATUE = "an ideal statue"
+"""Name of the row of a robot that never moves."""
 
 SEEDS_APART = 100_000
 """Between the episode seeds of two evaluation seeds."""
@@ -48,7 +57,7 @@ class Episode:
     columns: dict[str, float]
     """Sum of each weighted term over the episode, divided by its full length."""
     reward: float
-    """Sum of all weighted terms times the control step."""
+    """Sum over the steps of all weighted terms, not less than 0 in any, times the control step, as in the paper."""
     steps: int
     ended_by: str
     """Kind of termination, ``fall`` where the run ended before one, or ``time``."""
@@ -87,7 +96,7 @@ def evaluate_episode(
     turn = wrap_angle(log.heading_des[:-1] - heading_from_quat(log.quat_WB[1:]))
     return Episode(
         columns={name: float(value.sum() / steps) for name, value in values.items()},
-        reward=float(sum(value.sum() for value in values.values()) * description.dt),
+        reward=float(np.maximum(np.sum(list(values.values()), axis=0), 0.0).sum() * description.dt),
         steps=count,
         ended_by=ended_by,
         toe_error_cm=100 * _mean(toe[rows]),
@@ -101,11 +110,42 @@ def evaluate_episode(
 class _Job:
     group: int
     seed: int
+    senses: str
     settings: TableSettings
 
 
-def _play(job: _Job, policy_path: str) -> tuple[int, dict[str, Episode]]:
-    description, policy = load_description(), cached_policy(policy_path)
+def statue(log: RunLog, description: RobotDescription) -> tuple[RunLog, GroundFacts]:
+    """Return the log of a robot that is asked the same, stands from the start without a motion, and has its toes where
+    they should be; nothing of it slips."""
+    ticks, d = len(log.t), description
+    lean = -np.arctan2(d.upright_direction[2], d.upright_direction[0])
+    turn = heading_from_quat(log.quat_WB[:1])
+    quat = Rotation.from_euler("ZY", np.stack([turn, [lean]], -1)).as_quat(scalar_first=True)
+    q = np.tile((d.q_min + d.q_max) / 2, (ticks, 1))
+    zeros, no = np.zeros((ticks, len(JOINTS))), np.zeros(ticks, dtype=bool)
+    stands = replace(
+        log,
+        q=q,
+        q_des=q,
+        dq=zeros,
+        tau=zeros,
+        quat_WB=np.tile(quat, (ticks, 1)),
+        p_WB=np.tile([0.0, 0.0, d.pose_height["upright"]], (ticks, 1)),
+        v_WB=np.zeros((ticks, 3)),
+        p_BE=np.concatenate([log.p_BE_des[:1], log.p_BE_des[:-1]]),
+    )
+    height = np.tile([d.pose_height["upright"]] * 2 + [d.toe_radius] * 2, (ticks, 1))
+    touching = {part: no for part in ground_parts(d)} | {f"{leg}_foot": ~no for leg in LEGS[2:]}
+    facts = GroundFacts(
+        toe_height=height, toe_velocity=np.zeros((ticks, 4, 2)), toe_yaw_rate=np.zeros((ticks, 4)), touching=touching
+    )
+    return stands, facts
+
+
+def _play(job: _Job, policy_path: str) -> list[tuple[int, str, dict[str, Episode]]]:
+    """Return the group, the row and the figures of an episode; the statue is asked what the first senses are."""
+    description = load_description()
+    policy = SensingPolicy(cached_policy(policy_path), SENSES[job.senses], job.seed)
     steps = round(job.settings.seconds / description.dt)
     rng = np.random.default_rng([job.seed, 5])
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
@@ -114,11 +154,20 @@ def _play(job: _Job, policy_path: str) -> tuple[int, dict[str, Episode]]:
     s = job.settings
     plant = SimulatedPlant(description, ranges=s.randomisation, seed=job.seed, samples=False, **plant_options(s.robot))
     log = play_episode(plant, policy, track, TIMING).log
-    ground = ground_facts(log, description)
-    return job.group, {
-        name: evaluate_episode(log, ground, description, steps=steps, kinds=kinds)
-        for name, kinds in TERMINATIONS.items()
-    }
+    played = [(job.senses, log, ground_facts(log, description))]
+    if job.senses == s.senses[0]:
+        played.append((STATUE, *statue(log, description)))
+    return [
+        (
+            job.group,
+            row,
+            {
+                name: evaluate_episode(log, ground, description, steps=steps, kinds=kinds)
+                for name, kinds in TERMINATIONS.items()
+            },
+        )
+        for row, log, ground in played
+    ]
 
 
 def over_seeds(groups: dict[int, list[Episode]]) -> dict[str, Any]:
@@ -156,7 +205,9 @@ def over_seeds(groups: dict[int, list[Episode]]) -> dict[str, Any]:
 
 
 def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Return the paper's Table III for a policy, for each set of terminations; the same seeds give the same figures.
+    """Return the paper's Table III for a policy; the same seeds give the same figures.
+
+    ``table`` and ``episodes`` hold, for each of the settings' senses and then the statue, each set of terminations.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
@@ -164,15 +215,22 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
     cached_policy(str(policy_path))
     plant_options(settings.robot)
     jobs = [
-        _Job(group=group, seed=settings.seed + group * SEEDS_APART + i, settings=settings)
+        _Job(group=group, seed=settings.seed + group * SEEDS_APART + i, senses=senses, settings=settings)
+        for senses in settings.senses
         for group in range(settings.seeds)
         for i in range(settings.episodes)
     ]
-    rows = run_all(partial(_play, policy_path=str(policy_path)), jobs, workers=settings.workers, progress=progress)
-    table, episodes = {}, {}
-    for name in TERMINATIONS:
-        groups = {group: [found[name] for at, found in rows if at == group] for group in range(settings.seeds)}
-        table[name] = over_seeds(groups)
-        episodes[name] = [asdict(episode) | {"group": at} for at, episode in ((at, f[name]) for at, f in rows)]
+    play = partial(_play, policy_path=str(policy_path))
+    found = run_all(play, jobs, workers=settings.workers, progress=progress)
+    rows = [row for each in found for row in each]
+    table: dict[str, Any] = {}
+    episodes: dict[str, Any] = {}
+    for senses in (*settings.senses, STATUE):
+        played = [(group, found) for group, name, found in rows if name == senses]
+        table[senses], episodes[senses] = {}, {}
+        for kinds in TERMINATIONS:
+            groups = {at: [found[kinds] for group, found in played if group == at] for at in range(settings.seeds)}
+            table[senses][kinds] = over_seeds(groups)
+            episodes[senses][kinds] = [asdict(found[kinds]) | {"group": group} for group, found in played]
     paper = {name: {"mean": mean, "std": std} for name, (mean, std) in PAPER.items()}
     return {"policy": policy_path.name, "paper": paper, "table": table, "episodes": episodes}

@@ -15,7 +15,7 @@ from mimic.config.evaluation import TableSettings
 from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
 from mimic.errors import AssetError
 from mimic.evaluation.paper_columns import COLUMNS, PAPER, STAND_STEPS, TERMINATIONS, WEIGHTS, terminations, terms
-from mimic.evaluation.paper_table import Episode, evaluate_episode, evaluate_table, over_seeds
+from mimic.evaluation.paper_table import STATUE, Episode, evaluate_episode, evaluate_table, over_seeds
 from mimic.io.assets import shipped
 from mimic.io.store import plain
 from mimic.records import LEGS, RunLog
@@ -226,6 +226,15 @@ def test_a_robot_that_falls_early_earns_nothing_for_the_rest(standing_log, still
     assert np.isnan(fell.toe_error_cm)
 
 
+def test_no_step_earns_less_than_nothing(standing_log, still, description):
+    torque = np.zeros((TICKS, 12))
+    torque[51:] = 1e4
+    found = evaluate_episode(standing_log(tau=torque), still(), description, steps=100, kinds=EVERYTHING)
+    first = evaluate_episode(standing_log(51), still(51), description, steps=100, kinds=EVERYTHING)
+    assert found.reward == pytest.approx(first.reward)
+    assert found.columns["height"] == pytest.approx(WEIGHTS["height"])
+
+
 def test_figures_of_seeds_are_averaged_and_spread(standing_log, still, description):
     one = evaluate_episode(standing_log(), still(), description, steps=100, kinds=EVERYTHING)
     none = evaluate_episode(standing_log(51), still(51), description, steps=100, kinds=EVERYTHING)
@@ -293,7 +302,8 @@ def test_toe_velocities_are_those_of_the_toes(standing_log, description):
 
 # ---------------------------------------------------------------------- a whole policy
 
-FEW = TableSettings(episodes=2, seeds=2, seconds=3.0, workers=1)
+NOISE = "the paper's noise"
+FEW = TableSettings(episodes=2, seeds=2, seconds=3.0, workers=1, senses=(NOISE, "deaf to velocity"))
 
 
 @pytest.fixture(scope="module")
@@ -301,16 +311,18 @@ def evaluated() -> dict[str, Any]:
     return evaluate_table(shipped("policies", "stand_track.onnx"), FEW)
 
 
-def test_the_table_has_the_paper_s_columns_under_each_set_of_terminations(evaluated):
-    assert set(evaluated["table"]) == set(evaluated["episodes"]) == set(TERMINATIONS)
+def test_the_table_has_the_paper_s_columns_for_each_row_and_set_of_terminations(evaluated):
+    assert list(evaluated["table"]) == list(evaluated["episodes"]) == [*FEW.senses, STATUE]
     for row in evaluated["table"].values():
-        assert set(row["columns"]) == set(PAPER) == set(evaluated["paper"])
-        assert sum(row["ended_by"].values()) == 4
-    assert [episode["group"] for episode in evaluated["episodes"]["contacts"]] == [0, 0, 1, 1]
+        assert set(row) == set(TERMINATIONS)
+        for found in row.values():
+            assert set(found["columns"]) == set(PAPER) == set(evaluated["paper"])
+            assert sum(found["ended_by"].values()) == 4
+    assert [episode["group"] for episode in evaluated["episodes"][NOISE]["contacts"]] == [0, 0, 1, 1]
 
 
 def test_more_terminations_never_make_an_episode_longer(evaluated):
-    steps = [[episode["steps"] for episode in evaluated["episodes"][name]] for name in TERMINATIONS]
+    steps = [[episode["steps"] for episode in evaluated["episodes"][NOISE][name]] for name in TERMINATIONS]
     assert np.all(np.diff(steps, axis=0) <= 0)
     assert max(steps[0]) <= 150
 
@@ -318,8 +330,18 @@ def test_more_terminations_never_make_an_episode_longer(evaluated):
 def test_the_columns_of_the_shipped_policy_lie_inside_their_weights(evaluated):
     for name in COLUMNS:
         low, high = sorted((0.0, WEIGHTS[name]))
-        value = evaluated["table"]["contacts"]["columns"][name]["mean"]
+        value = evaluated["table"][NOISE]["contacts"]["columns"][name]["mean"]
         assert (low if name != "slip" else -np.inf) <= value <= high
+
+
+def test_a_statue_earns_all_but_what_walking_and_turning_are_worth(evaluated):
+    found = evaluated["table"][STATUE]["all of the paper's"]
+    assert found["ended_by"] == {"time": 4}
+    columns = {name: value["mean"] for name, value in found["columns"].items()}
+    assert columns["height"] == pytest.approx(WEIGHTS["height"])
+    assert columns["toes"] == pytest.approx(WEIGHTS["toes"] * 100 / 150)
+    assert columns["slip"] == 0.0
+    assert columns["velocity"] < WEIGHTS["velocity"]
 
 
 @pytest.mark.slow
@@ -331,8 +353,8 @@ def test_the_same_seeds_give_the_same_table(evaluated):
 @pytest.mark.slow
 def test_a_policy_that_only_lies_has_a_table_too(tmp_path, constant_onnx):
     result = evaluate_table(constant_onnx(tmp_path / "useless.onnx"), FEW)
-    assert result["table"]["contacts"]["columns"]["toes"]["mean"] < 0.5
-    assert len(result["episodes"]["contacts"]) == 4
+    assert result["table"][NOISE]["contacts"]["columns"]["toes"]["mean"] < 0.5
+    assert len(result["episodes"][NOISE]["contacts"]) == 4
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path):
