@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE
 from mimic.config.evaluation import (
+    CalmSettings,
     EvaluateSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
@@ -24,6 +25,7 @@ def evaluate(
     table: Annotated[bool, o.Flag] = False,
     robustness: Annotated[bool, o.Flag] = False,
     stand_up: Annotated[bool, o.Flag] = False,
+    calm: Annotated[bool, o.Flag] = False,
     out: o.Out = None,
     episodes: int | None = None,
     seconds: float | None = None,
@@ -45,17 +47,19 @@ def evaluate(
         Instead, the share of survived episodes along each disturbance, with a heat map.
     stand_up
         Instead, standing up from 500 lying starts, and standing still for 20 s.
+    calm
+        Instead, standing for 60 s without a command: planted feet, heat, torque, drift; and pushes while standing.
     out
-        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json or
-        stand-up-NAME.json in the current folder. The heat map goes beside it.
+        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json,
+        stand-up-NAME.json or calm-NAME.json in the current folder. The heat map goes beside it.
     episodes
         Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
-        --stand-up 500 starts; 500 switches to a policy that sits down.
+        --stand-up 500 starts; with --calm 20; 500 switches to a policy that sits down.
     seconds
-        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; latest policy
-        switch: 10 s.
+        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; with --calm
+        60 s; latest policy switch: 10 s.
     seed
-        Seed of the first episode: 1; with --table one that no policy was chosen with.
+        Seed of the first episode: 1; with --table and --calm one that no policy was chosen with.
     workers
         Processes; 0 takes one for each core.
     """
@@ -63,8 +67,8 @@ def evaluate(
     from mimic.flows.evaluate import evaluate as run
     from mimic.flows.evaluate import policy_path, task_of
 
-    if table + robustness + stand_up > 1:
-        raise ConfigError("--table, --robustness and --stand-up are different evaluations; give one of them")
+    if table + robustness + stand_up + calm > 1:
+        raise ConfigError("--table, --robustness, --stand-up and --calm are different evaluations; give one of them")
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     path = policy_path(policy)
@@ -73,6 +77,7 @@ def evaluate(
         "robustness": (robustness, RobustnessSettings, _show_robustness),
     }
     kinds["stand-up"] = (stand_up, StandUpSettings, _show_stand_up)
+    kinds["calm"] = (calm, CalmSettings, _show_calm)
     name, kind, show = "evaluation", EvaluateSettings, _show_tracking
     for word, (chosen, settings_class, printer) in kinds.items():
         if chosen:
@@ -150,6 +155,13 @@ def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, o
     first = result["table"][settings.senses[0]]
     rows = {name: _figures(row["columns"]) for name, row in first.items()}
     matrix(f"With {settings.senses[0]}, by what ends an episode", rows)
+    speeds: dict[str, dict[str, str]] = {}
+    for walk in result["walking"]:
+        reached = "-" if walk["reached_m_s"] is None else f"{walk['reached_m_s']:+.2f}"
+        falls = f", {walk['fell']:.0%} fell" if walk["fell"] else ""
+        speeds.setdefault(f"{walk['asked_m_s']:+.2f}", {})[f"arms {walk['arms']}"] = reached + falls
+    if speeds:
+        matrix("Speed reached by speed asked [m/s], without noise", speeds)
     last = first["contacts"]["unweighted"]
     table(
         f"With {settings.senses[0]}, unweighted means after the 50th step, ended by contacts",
@@ -182,6 +194,30 @@ def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettin
             f"in {settings.still_seconds:g} s",
             "written": str(out),
         },
+    )
+
+
+def _show_calm(policy: Path, result: dict[str, Any], settings: CalmSettings, out: Path) -> None:
+    from mimic.cli.console import table
+
+    s = result["summary"]
+    table(
+        f"{policy.name}: {s['episodes']} randomised robots that stand for {settings.seconds:g} s",
+        {
+            "still standing": f"{s['stood']:.1%}",
+            "both feet planted": f"{s['planted']:.0%} of the time",
+            "heat of the windings": f"{s['heat_w']:.0f} W",
+            "torque of the hind knees": f"{s['knee_rms_nm']:.1f} N m rms",
+            "a motor at its torque limit": f"{s['at_limit']:.1%} of the time",
+            "torque variance above 20 Hz": f"{s['fast_torque']:.0%}",
+            "action rate": f"{s['action_rate_rad']:.3f} rad rms from one target to the next",
+            "drift": f"{s['drift_m']:.2f} m mean, {s['drift_max_m']:.2f} m most",
+        }
+        | {
+            f"push of {push} m/s": f"{share:.0%} of {settings.pushed_episodes} stand"
+            for push, share in s["pushed"].items()
+        }
+        | {"written": str(out)},
     )
 
 

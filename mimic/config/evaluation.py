@@ -71,6 +71,8 @@ class TableSettings:
     """Seed of the first episode."""
     senses: tuple[str, ...] = ("the paper's noise", "training's noise", "no noise", "deaf to velocity")
     """What the policy senses; each is a row of its own. The first one counts."""
+    walks: int = 3
+    """Walks at each asked speed, with still and with moving arms."""
     workers: int = 0
     """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
@@ -80,7 +82,35 @@ class TableSettings:
     def __post_init__(self) -> None:
         check_range("episodes", self.episodes, 1, 100_000)
         check_range("seeds", self.seeds, 1, 1000)
+        check_range("walks", self.walks, 0, 1000)
         check_range("seconds", self.seconds, 2.0, 600.0, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalmSettings:
+    """Evaluation of standing without commands, and of pushes while standing."""
+
+    episodes: int = 20
+    """Randomised robots that stand."""
+    seconds: float = 60.0
+    """For how long [s]."""
+    pushes: tuple[float, ...] = (0.5, 0.8)
+    """Speeds of a push, in any direction at any phase of the gait [m/s]."""
+    pushed_episodes: int = 100
+    """Robots that are pushed once at each speed."""
+    seed: int = FRESH_SEED
+    """Seed of the first episode."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def __post_init__(self) -> None:
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, 5.0, 3600.0, "s")
+        check_range("pushed-episodes", self.pushed_episodes, 1, 100_000)
         check_range("workers", self.workers, 0, 1024)
 
 

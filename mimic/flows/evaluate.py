@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mimic.config.evaluation import (
+    CalmSettings,
     EvaluateSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
@@ -21,7 +22,9 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 
-AnyEvaluation = EvaluateSettings | SitDownEvaluateSettings | TableSettings | StandUpSettings | RobustnessSettings
+AnyEvaluation = (
+    EvaluateSettings | SitDownEvaluateSettings | TableSettings | StandUpSettings | CalmSettings | RobustnessSettings
+)
 
 
 def evaluate(
@@ -37,7 +40,8 @@ def evaluate(
         policy: ONNX file with its contract inside, or the name of a shipped policy; by default stand_track.
         settings: Their class says what is measured: EvaluateSettings (standing up, reaching, walking, turning),
             SitDownEvaluateSettings (for policies that sit down), TableSettings (Table III of the paper),
-            StandUpSettings, RobustnessSettings (which disturbances it survives). By default what fits the policy.
+            StandUpSettings, CalmSettings (how calmly it stands), RobustnessSettings (which disturbances it survives).
+            By default what fits the policy.
         out: Also write the figures, with their provenance, into this JSON file.
         reporter: Receives warnings and progress.
 
@@ -77,6 +81,10 @@ def _evaluation(settings: AnyEvaluation) -> Callable[..., dict[str, Any]]:
         from mimic.evaluation.robustness import evaluate_robustness
 
         return evaluate_robustness
+    if isinstance(settings, CalmSettings):
+        from mimic.evaluation.calm import evaluate_calm
+
+        return evaluate_calm
     if isinstance(settings, StandUpSettings):
         from mimic.evaluation.stand_up import evaluate_stand_up
 

@@ -34,6 +34,10 @@ PhysicsObserver = Callable[[mujoco.MjModel, mujoco.MjData], None]
 """Called after each physics step; must change nothing."""
 
 
+PUSH_PHASE = 0.25
+"""Pushes come this much later at most, at random [s]: a gait of 4 Hz is met at any of its phases."""
+
+
 def _healthy(step: int) -> Health:
     """Return the health of a simulated robot after a number of control steps: fresh readings, no faults.
 
@@ -112,9 +116,13 @@ class SimulatedPlant:
         """The robot's numbers."""
         return self._description
 
+    def watch(self, observer: PhysicsObserver) -> None:
+        """Call a function after each physics step, instead of any before."""
+        self._observer = observer
+
     def restart(self, seed: int) -> None:
         """Draw another robot from the same ranges."""
-        self._rng = np.random.default_rng(seed)
+        self._rng, self._phases = np.random.default_rng(seed), np.random.default_rng([seed, 29])
         self.variation: Variation = draw_variation(self._ranges, self._description.timestep, self._rng)
         vary_model(self.model, self._nominal, self.variation)
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
@@ -147,7 +155,7 @@ class SimulatedPlant:
         reach = -(-self.variation.delay_steps // self._description.decimation)
         self._steps = 0
         self._commands = [qpos[7:].copy()] * max(reach + 1, 3)
-        self._next_push = self._ranges.push_interval
+        self._next_push = self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
         if self._motors is not None:
             self._motors.start(data.qpos[7:], data.qvel[6:])
             self._commands = [self._motors.reading(data.qpos[7:])] * 3
@@ -200,7 +208,7 @@ class SimulatedPlant:
         if self._ranges.push[1] > 0 and self.data.time >= self._next_push:
             angle, speed = self._rng.uniform(-np.pi, np.pi), self._rng.uniform(*self._ranges.push)
             self.data.qvel[:2] += speed * np.cos(angle), speed * np.sin(angle)
-            self._next_push += self._ranges.push_interval
+            self._next_push += self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
 
     def step(self, command: JointCommand) -> Tick:
         """Send a command and let one control step pass.

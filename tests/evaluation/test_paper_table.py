@@ -303,7 +303,7 @@ def test_toe_velocities_are_those_of_the_toes(standing_log, description):
 # ---------------------------------------------------------------------- a whole policy
 
 NOISE = "the paper's noise"
-FEW = TableSettings(episodes=2, seeds=2, seconds=3.0, workers=1, senses=(NOISE, "deaf to velocity"))
+FEW = TableSettings(episodes=2, seeds=2, seconds=3.0, workers=1, walks=0, senses=(NOISE, "deaf to velocity"))
 
 
 @pytest.fixture(scope="module")
