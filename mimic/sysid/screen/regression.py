@@ -1,0 +1,410 @@
+"""Effects and sets of effects ranked by how much of the torque they explain in blocks that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import stats
+
+from mimic.dynamics.machine import MachineModel
+from mimic.errors import CalibrationError
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.screen.columns import Column, Columns
+from mimic.sysid.screen.motion import Motion, motion_of
+
+DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
+"""Delays of the targets that are tried before anything else [s]; the baseline moves between them."""
+
+RIVAL = 2.0
+"""Standard errors by which an effect must be behind another to be told from it."""
+
+REFINED = 4
+"""Steps towards the best delay from there."""
+
+BLIND = ("delay_jitter", "lost_commands", "encoder_step")
+"""What torques cannot show: it moves targets and readings, not the torque that follows from them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScreenSettings:
+    """Thresholds of the screen."""
+
+    chance: float = 0.05
+    """Of claiming anything of a log that has nothing, over all columns together (Holm 1979)."""
+    least_gain: float = 0.02
+    """Share of the error that an effect must take: less is of no use in a simulation, or the filter's doing."""
+    block: float = 1.5
+    """Length of a block [s]: some correlation times of the residual of a PD joint."""
+    least_blocks: int = 12
+    """Fewest blocks: with less, z has no distribution to speak of."""
+    width: int = 4
+    """Sets that are kept of each size."""
+    most: int = 4
+    """Largest set."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """One effect, or a set of them."""
+
+    names: tuple[str, ...]
+    at: tuple[tuple[float, ...], ...]
+    """Thresholds of each."""
+    gain: float
+    """Log of the error before over the error with it, mean of the left-out blocks."""
+    z: float
+    """Gain over its standard error; of a set, the least over leaving one of it out."""
+    chance: float
+    """Of a z as large by chance, times the number of effects tried (and joints or all)."""
+    coefficients: tuple[FloatArray, ...]
+    """Of each effect, over all blocks (K,)."""
+    blocks: FloatArray
+    """Log of the error in each left-out block, of each joint (B, J)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Screen:
+    """What the torques of some logs say."""
+
+    joints: tuple[str, ...]
+    delay: float
+    """Of the targets [s]."""
+    error: FloatArray
+    """RMS of the torque that the baseline leaves (J,) [N m]."""
+    relative: FloatArray
+    """The same over the RMS of the torque (J,)."""
+    baseline: Score
+    singles: tuple[Score, ...]
+    """Best first, each with its best thresholds."""
+    sets: tuple[Score, ...]
+    """Sets each of which pays for all of its effects, best first; empty where nothing is claimed."""
+    blind: tuple[str, ...] = BLIND
+
+    rivals: tuple[str, ...] = ()
+    """Single effects that explain as much as the first one, as far as the left-out blocks can tell."""
+
+    @property
+    def claimed(self) -> tuple[str, ...]:
+        """Names of the best set, strongest first."""
+        return self.sets[0].names if self.sets else ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rows:
+    """What is compared: rows (R,) of one joint each, of all logs."""
+
+    y: FloatArray
+    joint: IntArray
+    block: IntArray
+    keep: tuple[BoolArray, ...]
+    """Rows of each log that count (T, J)."""
+
+
+def screen(
+    logs: Sequence[tuple[JointLog, MachineModel]], settings: ScreenSettings | None = None, effects: Sequence[str] = ()
+) -> Screen:
+    """Rank effects and sets of effects by the torque that they explain.
+
+    Args:
+        logs: What one machine did, with the model for each (payloads may differ); gains are those of the log.
+        settings: Thresholds.
+        effects: Names that may be claimed; empty for all.
+
+    Raises:
+        CalibrationError: If there is nothing to compare: no torque, too little motion.
+    """
+    settings = settings or ScreenSettings()
+    delay, motions = _with_delay(logs)
+    columns = Columns(motions)
+    base = columns.baseline()
+    search = _Search(motions, base, settings)
+    baseline = search.score(())
+    candidates = [c for c in columns.candidates(search.left_of_baseline()) if not effects or c.name in effects]
+    singles, sets = search.run(candidates)
+    return Screen(
+        joints=motions[0].machine.joints,
+        delay=delay,
+        error=search.spread,
+        relative=search.spread / np.maximum(search.torque, 1e-12),
+        baseline=baseline,
+        singles=tuple(singles),
+        sets=tuple(sets),
+        rivals=tuple(s.names[0] for s in singles[1:] if _behind(singles[0], s) < RIVAL),
+    )
+
+
+def _with_delay(logs: Sequence[tuple[JointLog, MachineModel]]) -> tuple[float, list[Motion]]:
+    """Return the delay of the targets with which the baseline leaves least, and the motions with it."""
+    by_target = any(log.tau is None and log.q_des is not None for log, _ in logs)
+    found = {d: _plain(logs, d) for d in (DELAYS if by_target else (0.0,))}
+    delay = min(found, key=lambda d: found[d][0])
+    for _ in range(REFINED if by_target else 0):
+        nearer = float(np.clip(delay + found[delay][1], 0.0, 2 * DELAYS[-1]))
+        if nearer not in found:
+            found[nearer] = _plain(logs, nearer)
+        if found[nearer][0] >= found[delay][0]:
+            break
+        delay = nearer
+    return delay, found[delay][2]
+
+
+def _plain(logs: Sequence[tuple[JointLog, MachineModel]], delay: float) -> tuple[float, float, list[Motion]]:
+    """Return the log error of each joint's own inertia and friction, summed, by how much later is better, the motions.
+
+    The error is that of a torque in units of the declared one, since all torques scale with inertia and friction.
+    """
+    motions = [motion_of(log.of(model.joints), model, delay) for log, model in logs]
+    rows = _rows(motions, ScreenSettings())
+    left, later, weight = 0.0, 0.0, 0.0
+    for j in range(motions[0].q.shape[1]):
+        x, tau = [], []
+        for m, keep in zip(motions, rows.keep, strict=True):
+            own = [np.tanh(m.dq / m.slow), m.dq, m.ddq, m.need, np.ones_like(m.q), -m.later]
+            x.append(m.filtered(np.stack([c[:, j] for c in own], -1))[keep[:, j]])
+            tau.append(m.filtered(m.tau[:, j])[keep[:, j]])
+        a, b = np.concatenate(x), np.concatenate(tau)
+        if len(b) < 10:
+            continue
+        found = np.linalg.lstsq(a, b, rcond=None)[0]
+        error = np.mean((b - a[:, :-1] @ found[:-1]) ** 2) + 1e-30
+        left += float(np.log(error))
+        there = np.mean(a[:, -1] ** 2) / error
+        later, weight = later + there * 1e-3 * float(found[-1]), weight + there
+    return left, float(later / max(weight, 1e-12)), motions
+
+
+def _rows(motions: Sequence[Motion], settings: ScreenSettings) -> _Rows:
+    y, joint, block, keep, blocks = [], [], [], [], 0
+    seconds = min(settings.block, sum(float(m.t[-1]) for m in motions) / (2 * settings.least_blocks))
+    for m in motions:
+        edge = 2.0 / m.cut_off
+        t = m.t[:: m.every]
+        use = m.moving[:: m.every] & ((t > edge) & (t < t[-1] - edge))[:, None]
+        at, which = np.nonzero(use)
+        y.append(m.filtered(m.tau - m.need)[use])
+        joint.append(which)
+        block.append(blocks + np.floor(t[at] / seconds).astype(int))
+        blocks += int(t[-1] / seconds) + 1
+        keep.append(use)
+    return _Rows(y=np.concatenate(y), joint=np.concatenate(joint), block=np.concatenate(block), keep=tuple(keep))
+
+
+class _Search:
+    """Sets of columns over the rows of all logs; chains that do not influence each other are solved apart."""
+
+    def __init__(self, motions: Sequence[Motion], baseline: Sequence[Column], settings: ScreenSettings) -> None:
+        self._motions, self._settings = motions, settings
+        self.rows = _rows(motions, settings)
+        self._joints = motions[0].q.shape[1]
+        counted = np.unique(self.rows.block)
+        if len(counted) < settings.least_blocks or not np.any(self.rows.y):
+            raise CalibrationError(
+                f"the logs have {len(counted)} blocks of motion of {settings.block:g} s or less; torques can be"
+                f" compared from {settings.least_blocks} on: log more motion"
+            )
+        self._block = np.searchsorted(counted, self.rows.block)
+        self._blocks = len(counted)
+        chain = np.asarray(motions[0].machine.chain)
+        self._of_chain = [np.flatnonzero(chain[self.rows.joint] == c) for c in np.unique(chain)]
+        self._mates = [np.flatnonzero(chain == c) for c in np.unique(chain)]
+        self._kept: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = {}
+        self._base = list(baseline)
+        self.spread = np.ones(self._joints)
+        count = np.maximum(np.bincount(self.rows.joint, minlength=self._joints), 1)
+        for _ in range(2):  # the second time with the rows weighed by what is left
+            self._left = self._fit(())[1]
+            squares = np.bincount(self.rows.joint, self._left**2, self._joints)
+            self.spread = np.sqrt(squares / count) + 1e-12
+            self._kept.clear()
+        tau = np.concatenate([m.filtered(m.tau)[k] for m, k in zip(motions, self.rows.keep, strict=True)])
+        self.torque = np.sqrt(np.bincount(self.rows.joint, tau**2, self._joints) / count)
+
+    def left_of_baseline(self) -> list[FloatArray]:
+        """Return the torque that the baseline leaves (T, J) in each log; zero at rest."""
+        out, begin = [], 0
+        for keep in self.rows.keep:
+            part = np.zeros(keep.shape)
+            part[keep] = self._left[begin : begin + int(keep.sum())]
+            begin += int(keep.sum())
+            out.append(part)
+        return out
+
+    def _matrix(self, column: Column, chain: int) -> tuple[FloatArray, FloatArray]:
+        """Return the rows of a chain (R, K), whitened and scaled, and the prior precision of each coefficient."""
+        key = (id(column), chain)
+        if key not in self._kept:
+            mates, at = self._mates[chain], self._of_chain[chain]
+            mine = np.isin(column.joint, mates) | (column.joint < 0)
+            x = np.concatenate([p[k] for p, k in zip(column.parts, self.rows.keep, strict=True)])[at][:, mine]
+            x = x / self.spread[self.rows.joint[at], None]
+            prior = np.full(x.shape[1], 1.0 / column.spread**2)
+            self._kept[key] = (x, prior)
+        return self._kept[key]
+
+    def _fit(self, columns: Sequence[Column]) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+        """Return coefficients over all blocks for each chain, the left-out residual of each row, and its log square.
+
+        The third is (B, J): log of the mean square of each left-out block and joint, NaN where it has no rows.
+        """
+        left, solved = np.zeros(len(self.rows.y)), []
+        for chain, at in enumerate(self._of_chain):
+            if not len(at):
+                solved.append(np.zeros(0))
+                continue
+            parts = [self._matrix(c, chain) for c in (*self._base, *columns)]
+            x = np.concatenate([p[0] for p in parts], 1)
+            y = self.rows.y[at] / self.spread[self.rows.joint[at]]
+            scale = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
+            prior = np.concatenate([p[1] for p in parts]) / scale**2 + 1e-7 * len(y)
+            x, block = x / scale, self._block[at]
+            order = np.argsort(block, kind="stable")
+            starts = np.searchsorted(block[order], np.arange(self._blocks + 1))
+            xs, ys = x[order], y[order]
+            gram = np.stack([xs[a:b].T @ xs[a:b] for a, b in pairwise(starts)])
+            moment = np.stack([xs[a:b].T @ ys[a:b] for a, b in pairwise(starts)])
+            whole, total = gram.sum(0) + np.diag(prior), moment.sum(0)
+            out = np.linalg.solve(whole - gram, (total - moment)[..., None])[..., 0]
+            left[at] = (y - np.einsum("rk,rk->r", x, out[block])) * self.spread[self.rows.joint[at]]
+            left[at] /= self._scaled(chain, columns, out / scale)[block, self.rows.joint[at]]
+            solved.append(np.linalg.solve(whole, total) / scale)
+        cell = self._block * self._joints + self.rows.joint
+        size = self._blocks * self._joints
+        count = np.bincount(cell, minlength=size)
+        squares = np.bincount(cell, (left / self.spread[self.rows.joint]) ** 2, size)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.where(count >= 4, 0.5 * np.log(squares / count), np.nan)
+        return solved, left, logs.reshape(self._blocks, self._joints)
+
+    def _scaled(self, chain: int, columns: Sequence[Column], found: FloatArray) -> FloatArray:
+        """Return by how much each left-out block multiplies the torque of each joint (B, J)."""
+        factor = np.ones((self._blocks, self._joints))
+        at = sum(int(self._mine(c, chain).sum()) for c in self._base)
+        for c in columns:
+            joints = c.joint[self._mine(c, chain)]
+            if c.scales is not None:
+                changed = c.scales[self._mine(c, chain)] * found[:, at : at + len(joints)]
+                factor[:, joints] *= np.maximum(1.0 + changed, 0.05)
+            at += len(joints)
+        return factor
+
+    def score(self, columns: Sequence[Column], before: FloatArray | None = None, tried: int = 1) -> Score:
+        """Return how a set does; ``before`` is the log error (B, J) that it is compared with."""
+        solved, _, logs = self._fit(columns)
+        gain, z = (0.0, 0.0) if before is None else _evidence(before - logs)
+        coefficients, skip = [], [sum(int(self._mine(c, k).sum()) for c in self._base) for k in range(len(solved))]
+        for c in columns:
+            row = np.full(len(c.joint), np.nan)
+            for k, found in enumerate(solved):
+                mine = self._mine(c, k)
+                if len(found):
+                    row[mine] = found[skip[k] : skip[k] + int(mine.sum())]
+                skip[k] += int(mine.sum())
+            coefficients.append(row)
+        return Score(
+            names=tuple(c.name for c in columns),
+            at=tuple(c.at for c in columns),
+            gain=gain,
+            z=z,
+            chance=min(1.0, tried * float(stats.t.sf(z, self._blocks - 1))),
+            coefficients=tuple(coefficients),
+            blocks=logs,
+        )
+
+    def _mine(self, column: Column, chain: int) -> BoolArray:
+        return np.isin(column.joint, self._mates[chain]) | (column.joint < 0)
+
+    def run(self, candidates: Sequence[Column]) -> tuple[list[Score], list[Score]]:
+        """Return all single effects, best first, and the sets of which each effect pays."""
+        tried = len({c.name for c in candidates}) * (1 + (self._joints > 1))
+        wanted = self._settings
+        base = self.score(())
+        found: dict[str, tuple[Score, Column]] = {}
+        for c in candidates:
+            s = self.score((c,), base.blocks, tried)
+            if c.name not in found or s.gain > found[c.name][0].gain:
+                found[c.name] = (s, c)
+        singles = sorted((s for s, _ in found.values()), key=lambda s: -s.gain)
+        beam: list[tuple[Score, tuple[Column, ...]]] = [(base, ())]
+        best: list[tuple[Score, tuple[Column, ...]]] = []
+        for size in range(wanted.most):
+            grown: dict[tuple[str, ...], tuple[Score, tuple[Column, ...]]] = {}
+            for before, columns in beam:
+                for _, c in found.values():
+                    if c.name in {x.name for x in columns}:
+                        continue
+                    s = self.score((*columns, c), before.blocks, tried)
+                    if s.chance > wanted.chance or s.gain < wanted.least_gain:
+                        continue
+                    key = tuple(sorted(s.names))
+                    if key not in grown or _total(s) < _total(grown[key][0]):
+                        grown[key] = (s, (*columns, c))
+            if not grown:
+                break
+            beam = sorted(grown.values(), key=lambda r: _total(r[0]))[: wanted.width]
+            beam = [self._sharper(*row, candidates) for row in beam] if size else beam
+            beam = [row for row in beam if size == 0 or self._all_pay(*row, tried)]
+            best = beam + best
+            if not beam:
+                break
+        ranked = sorted(best, key=lambda r: _total(r[0]))
+        return singles, [self._against(base, s) for s, _ in ranked]
+
+    def _sharper(
+        self, score: Score, columns: tuple[Column, ...], candidates: Sequence[Column]
+    ) -> tuple[Score, tuple[Column, ...]]:
+        """Return a set with the thresholds of its last effect that suit it best beside the others."""
+        best = (score, columns)
+        for c in candidates:
+            if c.name == columns[-1].name and c is not columns[-1]:
+                s = self.score((*columns[:-1], c))
+                if _total(s) < _total(best[0]):
+                    best = (replace(score, at=s.at, coefficients=s.coefficients, blocks=s.blocks), (*columns[:-1], c))
+        return best
+
+    def _all_pay(self, score: Score, columns: tuple[Column, ...], tried: int) -> bool:
+        """Return whether each effect of a set is missed without it."""
+        for i in range(len(columns)):
+            rest = self.score((*columns[:i], *columns[i + 1 :]))
+            gain, z = _evidence(rest.blocks - score.blocks)
+            chance = tried * float(stats.t.sf(z, self._blocks - 1))
+            if gain < self._settings.least_gain or chance > self._settings.chance:
+                return False
+        return True
+
+    @staticmethod
+    def _against(base: Score, score: Score) -> Score:
+        return replace(score, gain=_evidence(base.blocks - score.blocks)[0])
+
+
+def _behind(best: Score, other: Score) -> float:
+    """Return how many standard errors one single effect is behind the best, over all joints."""
+    apart = other.blocks - best.blocks
+    d = np.nanmean(apart[np.isfinite(apart).any(axis=1)], axis=1)
+    return float(d.mean() / (d.std(ddof=1) + 1e-12) * np.sqrt(len(d)))
+
+
+def _total(score: Score) -> float:
+    """Return the mean log error of a set over blocks and joints."""
+    return float(np.nanmean(score.blocks))
+
+
+def _evidence(difference: FloatArray) -> tuple[float, float]:
+    """Return mean gain and z of log errors (B, J): of all joints together, or of the one that shows it best."""
+    best = (-np.inf, -np.inf)
+    columns = [np.nanmean(np.where(np.isfinite(difference).any(1, keepdims=True), difference, 0.0), axis=1)]
+    if difference.shape[1] > 1:
+        columns += list(difference.T)
+    for i, d in enumerate(columns):
+        d = d[np.isfinite(d)]
+        if len(d) < 6:
+            continue
+        mean, deviation = float(d.mean()), float(d.std(ddof=1)) + 1e-12
+        z = mean / deviation * np.sqrt(len(d))
+        share = 1.0 if i == 0 else 1.0 / difference.shape[1]
+        if z > best[1]:
+            best = (mean * share, z)
+    return best if np.isfinite(best[1]) else (0.0, 0.0)

@@ -1,0 +1,104 @@
+"""The torque screen on a pendulum that is simulated here, step by step, and on a measured machine."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.errors import CalibrationError
+from mimic.io.joint_log import JointLog
+from mimic.sysid.screen.regression import ScreenSettings, screen
+
+MASS, LENGTH, ROTOR, DRY, VISCOUS, DELAY = 0.8, 0.15, 0.004, 0.12, 0.03, 0.006
+STEP, RATE = 2e-4, 200.0
+
+MJCF = f"""<mujoco><worldbody><body pos="0 0 1"><joint name="j" axis="0 1 0" armature="{ROTOR}"/>
+<inertial pos="0 0 -{LENGTH}" mass="{MASS * 1.05}" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody></mujoco>"""
+
+
+def pendulum(seconds: float = 24.0, kp: float = 30.0, seed: int = 0, load: float = 0.0, drag: float = 0.0) -> JointLog:
+    """Return a log of a pendulum with a position drive: sines, and slow triangles in the last third."""
+    rng = np.random.default_rng(seed)
+    t_send = np.arange(0.0, seconds, 0.02)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    fast = sum(0.5 / (1 + k) * np.sin(2 * np.pi * f * t_send + phase[k]) for k, f in enumerate((0.3, 0.8, 1.7, 3.1)))
+    slow = 1.6 * np.abs((0.4 * t_send + phase[0]) % 2.0 - 1.0) - 0.8
+    goals = np.where(t_send < seconds * 2 / 3, fast, slow)
+    inertia = MASS * LENGTH**2 + 1e-4 + ROTOR
+    q, v, rows = goals[0], 0.0, []
+    for i in range(round(seconds / STEP)):
+        t = i * STEP
+        if i % round(1 / RATE / STEP) == 0:
+            rows.append((t, q, goals[min(int(t / 0.02 + 1e-6), len(goals) - 1)]))
+        goal = goals[min(max(int((t - DELAY) / 0.02 + 1e-6), 0), len(goals) - 1)]
+        tau = kp * (goal - q) - 0.8 * v
+        free = v + STEP * (tau - VISCOUS * v - drag * v * abs(v) - MASS * 9.81 * LENGTH * math.sin(q)) / inertia
+        brake = STEP * (DRY + load * abs(tau)) / inertia
+        v = math.copysign(max(abs(free) - brake, 0.0), free)
+        q += STEP * v
+    t, position, target = np.array(rows).T
+    reading = position + 3e-4 * rng.standard_normal(len(t))
+    return JointLog(joints=("j",), t=t, q=reading[:, None], q_des=target[:, None], metadata={"kp": kp, "kd": 0.8})
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    """Return the pendulum as its maker gives it, with 5 % too much mass."""
+    path = tmp_path_factory.mktemp("screen") / "pendulum.xml"
+    path.write_text(MJCF, encoding="utf-8")
+    return read_machine(path)
+
+
+def test_nothing_is_claimed_of_a_machine_without_hidden_effects(machine: MachineModel) -> None:
+    made = screen([(pendulum(), machine)])
+    assert made.claimed == ()
+    assert made.delay == pytest.approx(DELAY, abs=1e-3)
+    assert made.relative[0] < 0.03
+
+
+def test_load_friction_is_first_with_its_size(machine: MachineModel) -> None:
+    made = screen([(pendulum(load=0.15), machine)])
+    assert made.singles[0].names == made.claimed == ("load_friction",)
+    assert made.singles[0].coefficients[0][0] == pytest.approx(0.15, rel=0.15)
+
+
+def test_two_effects_are_claimed_as_a_set(machine: MachineModel) -> None:
+    made = screen([(pendulum(load=0.15, drag=0.03), machine)])
+    assert {"load_friction", "quadratic_drag"} <= set(made.claimed)
+
+
+def test_short_logs_with_other_gains_are_pooled(machine: MachineModel) -> None:
+    logs = [(pendulum(8.0, kp=kp, seed=k, load=0.15), machine) for k, kp in enumerate((15.0, 30.0, 50.0))]
+    made = screen(logs)
+    alone = screen(logs[:1])
+    assert made.singles[0].names == ("load_friction",)
+    assert made.singles[0].z > alone.singles[0].z
+
+
+def test_only_named_effects_are_tried(machine: MachineModel) -> None:
+    made = screen([(pendulum(8.0, load=0.15), machine)], effects=("spring", "stribeck"))
+    assert {s.names[0] for s in made.singles} == {"spring", "stribeck"}
+
+
+def test_a_joint_at_rest_is_refused_with_what_to_do(machine: MachineModel) -> None:
+    log = pendulum(4.0)
+    still = JointLog(joints=log.joints, t=log.t, q=log.q * 0, q_des=log.q_des, metadata=log.metadata)
+    with pytest.raises(CalibrationError, match="log more motion"):
+        screen([(still, machine)], ScreenSettings())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("../shared/data/logs/emps").exists(), reason="needs the EMPS data")
+def test_asymmetric_friction_of_a_worn_screw_is_first(tmp_path: Path) -> None:
+    from benchmarks.real_logs import ASYMMETRIC, EMPS_MJCF, emps_log, identify, read_emps
+
+    columns = read_emps(Path("../shared/data/logs/emps/DATA_EMPS.parquet"))
+    (tmp_path / "emps.xml").write_text(EMPS_MJCF, encoding="utf-8")
+    made = screen([(emps_log(columns, identify(columns)), read_machine(tmp_path / "emps.xml"))])
+    assert made.singles[0].names == ("asymmetric_friction",)
+    forward, backward = ASYMMETRIC["viscous"]
+    assert -made.singles[0].coefficients[0][1] == pytest.approx((backward - forward) / 2, rel=0.05)
