@@ -16,7 +16,7 @@ from mimic.errors import ConfigError, MissingExtra, SourceError
 from mimic.io.keyframes import LARGEST, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
 from mimic.sources.text import prompts
-from mimic.sources.text.feasibility import complaints
+from mimic.sources.text.feasibility import violations
 from mimic.sources.text.grammar import plan_by_grammar
 
 if TYPE_CHECKING:
@@ -60,15 +60,15 @@ def plan(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     return motion
 
 
-def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, what: str) -> None:
+def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, prefix: str) -> None:
     """Check key frames against the limits of the robot.
 
     Raises:
-        SourceError: If it cannot do them; it begins with ``what``.
+        SourceError: If it cannot do them; the message begins with ``prefix``.
     """
-    wrong = complaints(motion, reach, settings.longest)
-    if wrong:
-        raise SourceError(f"{what}: {one_line(wrong)}")
+    errors = violations(motion, reach, settings.longest)
+    if errors:
+        raise SourceError(f"{prefix}: {one_line(errors)}")
 
 
 def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
@@ -76,28 +76,28 @@ def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFra
     if model is None:
         raise ConfigError("name the model at the endpoint with --llm-model, or use --planner grammar")
     chat = _chat(settings, model)
-    talk = [
+    messages = [
         {"role": "system", "content": prompts.rules(reach, settings.longest)},
         {"role": "user", "content": prompts.describe(sentence)},
     ]
-    talk.append({"role": "assistant", "content": chat(talk)[:LARGEST]})
-    talk.append({"role": "user", "content": prompts.ask_targets(reach)})
-    wrong: list[str] = []
+    messages.append({"role": "assistant", "content": chat(messages)[:LARGEST]})
+    messages.append({"role": "user", "content": prompts.ask_targets(reach)})
+    errors: list[str] = []
     for _ in range(1 + CORRECTIONS):
-        answer = chat(talk)
-        motion, wrong = _read(answer, sentence, model)
+        answer = chat(messages)
+        motion, errors = _read(answer, sentence, model)
         if motion is not None:
-            wrong = complaints(motion, reach, settings.longest)
-            if not wrong:
+            errors = violations(motion, reach, settings.longest)
+            if not errors:
                 return motion
-        more = [f"and {len(wrong) - REPORTED} more like these"] if len(wrong) > REPORTED else []
-        talk = [
-            *talk[:4],  # only the last answer and its faults, so that the talk does not grow
+        more = [f"and {len(errors) - REPORTED} more like these"] if len(errors) > REPORTED else []
+        messages = [
+            *messages[:4],  # only the last answer and its faults, so that the messages does not grow
             {"role": "assistant", "content": answer[:LARGEST]},
-            {"role": "user", "content": prompts.complain([*wrong[:REPORTED], *more])},
+            {"role": "user", "content": prompts.report_errors([*errors[:REPORTED], *more])},
         ]
     raise SourceError(
-        f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {one_line(wrong)}; "
+        f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {one_line(errors)}; "
         "say it more simply, try another model, or use --planner grammar"
     )
 
@@ -109,8 +109,8 @@ def _read(answer: str, sentence: str, model: str) -> tuple[KeyFrames | None, lis
     data = first_json(answer)
     if data is None:
         return None, ["the answer holds no complete JSON object with 'frames'"]
-    frames, wrong = frames_from(data)
-    return (None, wrong) if wrong else (KeyFrames(frames=frames, sentence=sentence, planner=model), [])
+    frames, errors = frames_from(data)
+    return (None, errors) if errors else (KeyFrames(frames=frames, sentence=sentence, planner=model), [])
 
 
 def first_json(text: str) -> Any:
@@ -131,7 +131,7 @@ def first_json(text: str) -> Any:
 
 
 def _chat(settings: LanguageSettings, model: str) -> Chat:
-    """Return a function that sends a talk and returns the answer."""
+    """Return a function that sends a messages and returns the answer."""
     try:
         import openai
     except ModuleNotFoundError as missing:
@@ -144,8 +144,7 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
         base_url=settings.llm_url, api_key=key or "none", timeout=settings.llm_timeout, max_retries=2
     )
 
-    def chat(talk: list[dict[str, str]]) -> str:
-        messages: Any = talk
+    def chat(messages: list[dict[str, str]]) -> str:
         try:
             done = client.chat.completions.create(
                 model=model, messages=messages, temperature=0.2, max_tokens=ANSWER_TOKENS

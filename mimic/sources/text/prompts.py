@@ -96,7 +96,7 @@ frame has exactly the fields of this example, which is "{EXAMPLE}":
 {frames}"""
 
 
-def complain(complaints: list[str]) -> str:
+def report_errors(errors: list[str]) -> str:
     """Return the question of a round in which an answer is corrected."""
-    listed = "\n".join(f"- {text}" for text in complaints)
+    listed = "\n".join(f"- {text}" for text in errors)
     return f"This cannot be played:\n{listed}\nGive the whole JSON again with all of that corrected, and nothing else."

@@ -8,7 +8,7 @@ import pytest
 from mimic.io.keyframes import KeyFrame, KeyFrames
 from mimic.robot.arm_mapping import POSTURES, posture
 from mimic.robot.reach import Reach
-from mimic.sources.text.feasibility import complaints
+from mimic.sources.text.feasibility import violations
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,8 @@ def still(reach) -> KeyFrame:
     return KeyFrame(duration=1.0, velocity=(0.0, 0.0), heading=0.0, q=reach.description.poses["upright"][:6])
 
 
-def wrong(reach: Reach, *frames: KeyFrame, longest: float = 60.0) -> list[str]:
-    return complaints(KeyFrames(frames=frames), reach, longest)
+def wrong(reach: Reach, *frames: KeyFrame, max_seconds: float = 60.0) -> list[str]:
+    return violations(KeyFrames(frames=frames), reach, max_seconds)
 
 
 def test_standing_and_every_posture_can_be_done(reach, still):
@@ -66,7 +66,7 @@ def test_what_the_base_cannot_do_is_reported(change, message, reach, still):
 
 
 def test_a_motion_that_takes_too_long_is_reported(reach, still):
-    assert wrong(reach, *[still] * 5, longest=4.0) == ["the motion takes 5 s in all; at most 4 s are played"]
+    assert wrong(reach, *[still] * 5, max_seconds=4.0) == ["the motion takes 5 s in all; at most 4 s are played"]
 
 
 def test_arms_that_touch_are_reported(reach, still):

@@ -7,7 +7,7 @@ from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import Reach
-from mimic.sources.text.feasibility import complaints
+from mimic.sources.text.feasibility import violations
 from mimic.sources.text.grammar import plan_by_grammar
 
 
@@ -20,7 +20,7 @@ def reach() -> Reach:
 def plan(reach):
     def say(sentence: str) -> KeyFrames:
         motion = plan_by_grammar(sentence, reach)
-        assert complaints(motion, reach, 120.0) == []
+        assert violations(motion, reach, 120.0) == []
         return motion
 
     return say
