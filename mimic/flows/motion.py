@@ -130,7 +130,7 @@ def motion_from_text(
         SourceError: If the sentence is not understood, or the robot cannot do what it asks.
         ConfigError, MissingExtra: If a language model is asked for and not named, or its client is not installed.
     """
-    from mimic.sources.text.planner import plan, uses_model
+    from mimic.sources.text.planner import describe, plan, uses_model
 
     settings, reporter = settings or InputSettings(), reporter or SilentReporter()
     loading = _Loading(settings=settings, reporter=reporter, description=description)
@@ -139,6 +139,7 @@ def motion_from_text(
         reporter.note(f"planner      asking {settings.language.llm_model or 'a language model'}")
     script = plan(sentence, reach, settings.language)
     reporter.note(f"planner      {script.planner}: {len(script.frames)} key frames, {script.seconds:.1f} s")
+    reporter.note(f"understood   {describe(script)}")
     return _of_script(script, reach, loading)
 
 

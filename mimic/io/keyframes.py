@@ -29,6 +29,8 @@ MOST_FRAMES = 100
 """Maximum number of key frames of a motion."""
 LARGEST = 1_000_000
 """Maximum size of a file or an answer [characters]."""
+DEEPEST, MOST_ITEMS = 10, 20_000
+"""Maximum nesting and number of items of a file."""
 FIELDS = {"duration": 0, "velocity": 2, "heading_deg": 0, "left_deg": 3, "right_deg": 3}
 """Required fields of a key frame, with the length of each list; 0 is a single number."""
 
@@ -169,14 +171,32 @@ def read_keyframes(path: Path) -> KeyFrames:
     if path.stat().st_size > LARGEST:
         raise SourceError(f"{path.name} has {path.stat().st_size} bytes; a motion in key frames has at most {LARGEST}")
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        text = path.read_text(encoding="utf-8")
+        _check_size(text, path.name)
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise SourceError(f"{path.name} is not valid YAML: {' '.join(str(error).split())}") from None
     frames, errors = frames_from(data)
     if errors:
         raise SourceError(f"{path.name} cannot be played: {one_line(errors)}")
     header = data if isinstance(data, Mapping) else {}
     return KeyFrames(frames=frames, sentence=str(header.get("sentence", "")), planner=str(header.get("planner", "")))
+
+
+def _check_size(text: str, name: str) -> None:
+    """Refuse what a motion never has and what makes YAML expand: aliases, deep nesting, many items."""
+    import yaml
+
+    depth = 0
+    for count, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
+        if isinstance(event, yaml.AliasEvent):
+            raise SourceError(f"{name} has the YAML alias *{event.anchor}; a motion in key frames has none")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST or count > MOST_ITEMS:
+            raise SourceError(
+                f"{name} is nested more than {DEEPEST} levels deep or has more than {MOST_ITEMS} items; expected a "
+                f"list of at most {MOST_FRAMES} key frames"
+            )
 
 
 def one_line(errors: list[str], most: int = 8) -> str:

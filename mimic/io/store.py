@@ -26,6 +26,8 @@ from mimic.version import __version__
 R = TypeVar("R", bound=Record)
 
 _HEADER = b"mimic"
+MOST_ROWS = 20_000_000
+"""Maximum number of rows of a record: a joint log of 5 hours at 1 kHz."""
 
 
 def check_writable(folder: Path) -> None:
@@ -139,11 +141,18 @@ def header(path: Path) -> dict[str, Any]:
         raise AssetError(f"there is no file {path}")
     try:
         metadata = pq.read_schema(path).metadata or {}
-    except pa.ArrowInvalid:
+    except (pa.ArrowException, OSError):
         metadata = {}
     if _HEADER not in metadata:
         raise AssetError(f"{path} is not a record of mimic; expected a Parquet file with a mimic header")
-    return json.loads(metadata[_HEADER])
+    try:
+        found = json.loads(metadata[_HEADER])
+    except (ValueError, RecursionError):
+        found = None
+    parts = {"record": str, "fields": dict, "shapes": dict}
+    if not isinstance(found, dict) or not all(isinstance(found.get(name), kind) for name, kind in parts.items()):
+        raise AssetError(f"{path} has a broken mimic header; expected JSON with {', '.join(parts)}")
+    return found
 
 
 def load(path: Path, kind: type[R]) -> R:
@@ -152,12 +161,22 @@ def load(path: Path, kind: type[R]) -> R:
     Raises:
         AssetError: If the file is missing, is no record, or holds another type.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     head = header(path)
     if head["record"] != kind.__name__:
         raise AssetError(f"{path} holds a {head['record']}; expected a {kind.__name__}")
-    table = pq.read_table(path)
+    try:
+        if pq.read_metadata(path).num_rows > MOST_ROWS:
+            raise AssetError(f"{path} has more than {MOST_ROWS} rows; no record of mimic is that long")
+        return kind(**_values(kind, head, pq.read_table(path)))
+    except (pa.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
+        raise AssetError(f"{path} is a broken {kind.__name__}: {' '.join(str(error).split())[:200]}") from None
+
+
+def _values(kind: type[Record], head: dict[str, Any], table: Any) -> dict[str, Any]:
+    """Return the fields of a record from the header and the columns of a file."""
     values: dict[str, Any] = dict(head["fields"])
     for f in dataclasses.fields(kind):  # type: ignore[arg-type]
         if f.metadata.get("optional") and f.name not in head["shapes"]:
@@ -171,7 +190,7 @@ def load(path: Path, kind: type[R]) -> R:
             values[f.name] = tuple(values[f.name])
         elif values.get(f.name) is None and f.type in ("float", float):
             values[f.name] = float("nan")
-    return kind(**values)
+    return values
 
 
 def save_json(data: Any, path: Path) -> None:

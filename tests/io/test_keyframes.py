@@ -106,3 +106,22 @@ def test_a_frame_keeps_its_numbers_when_it_is_written():
     (again,), _ = frames_from([plain_frame(frame)])
     np.testing.assert_allclose(again.q, frame.q, atol=1e-4)
     assert again.heading == pytest.approx(frame.heading, abs=1e-4)
+
+
+HOSTILE = {
+    "aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
+    + "".join(f"{n}: &{n} [{','.join([f'*{m}'] * 9)}]\n" for m, n in zip("abcdefgh", "bcdefghi", strict=True)),
+    "an alias to itself": "frames: &f [*f]",
+    "depth": "frames: " + "[" * 100_000,
+    "many items": "frames: [" + "1," * 400_000 + "1]",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_yaml_that_expands_is_refused_in_one_line(name, tmp_path):
+    path = tmp_path / "motion.yaml"
+    path.write_text(HOSTILE[name])
+    with pytest.raises(SourceError, match=r"YAML alias|nested more than 10 levels") as error:
+        read_keyframes(path)
+    assert len(str(error.value)) < 300
+    assert "\n" not in str(error.value)

@@ -7,13 +7,17 @@ errors go back to the model, at most CORRECTIONS times.
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Callable
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
-from mimic.io.keyframes import LARGEST, KeyFrames, frames_from, one_line
+from mimic.io.keyframes import LARGEST, KeyFrame, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
 from mimic.sources.text import prompts
 from mimic.sources.text.feasibility import violations
@@ -28,6 +32,8 @@ ANSWER_TOKENS = 8000
 """Longest answer that is asked for."""
 LONGEST_SENTENCE = 2000
 """Characters of a sentence at most."""
+LARGEST_BODY = 4_000_000
+"""Largest response of an endpoint [bytes]."""
 REPORTED = 12
 """At most this many errors go back at once."""
 
@@ -58,6 +64,28 @@ def plan(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     motion = plan_by_grammar(sentence, reach)
     check(motion, reach, settings, "the sentence asks for what this robot cannot do")
     return motion
+
+
+def describe(motion: KeyFrames) -> str:
+    """Return a plan as it was understood, in one line.
+
+    The phrasebook says in each key frame what it understood. What a language model writes there proves nothing, so that
+    its key frames are described with their numbers: duration, distance and turn.
+    """
+    if motion.planner == "grammar":
+        return "; then ".join(part for part, _ in groupby(frame.what for frame in motion.frames))
+    parts, heading = [], 0.0
+    for frame in motion.frames:
+        turned = math.degrees(frame.heading - heading)
+        heading = frame.heading
+        done = [f"{distance:+.2g} m {name}" for name, distance in _distances(frame) if abs(distance) >= 0.01]
+        done += [f"turn {'left' if turned > 0 else 'right'} {abs(turned):.0f}°"] if abs(turned) >= 1 else []
+        parts.append(f"{frame.duration:.2g} s: {', '.join([frame.what, *done] if frame.what else done) or 'stand'}")
+    return "; ".join(parts)
+
+
+def _distances(frame: KeyFrame) -> list[tuple[str, float]]:
+    return [(name, v * frame.duration) for name, v in zip(("forward", "left"), frame.velocity, strict=True)]
 
 
 def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, prefix: str) -> None:
@@ -143,14 +171,23 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     client: OpenAI = openai.OpenAI(
         base_url=settings.llm_url, api_key=key or "none", timeout=settings.llm_timeout, max_retries=2
     )
+    options: dict[str, Any] = {"temperature": 0.2, "max_tokens": ANSWER_TOKENS}
+
+    def ask(messages: Any) -> str:
+        while True:
+            try:
+                with client.chat.completions.with_streaming_response.create(
+                    model=model, messages=messages, **options
+                ) as response:
+                    return _answer_in(response.iter_bytes())
+            except openai.BadRequestError as error:
+                if not _without_refused_option(options, str(error)):
+                    raise
 
     def chat(messages: list[dict[str, str]]) -> str:
         try:
-            done = client.chat.completions.create(
-                model=model, messages=messages, temperature=0.2, max_tokens=ANSWER_TOKENS
-            )
-            text = done.choices[0].message.content
-        except openai.APITimeoutError:
+            return _within(settings.llm_timeout, lambda: ask(messages))
+        except (openai.APITimeoutError, TimeoutError):
             raise SourceError(
                 f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout, or use "
                 "--planner grammar"
@@ -162,14 +199,63 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
                 f"{where} refuses for now, too many requests or no credit (429): {_brief(error)}"
             ) from None
         except openai.AuthenticationError as error:
-            raise SourceError(f"{where} does not take the key in OPENAI_API_KEY (401): {_brief(error)}") from None
+            raise SourceError(f"{where} does not accept the key in OPENAI_API_KEY (401): {_brief(error)}") from None
         except openai.APIStatusError as error:
             raise SourceError(f"{where} answers with an error ({error.status_code}): {_brief(error)}") from None
-        except (openai.OpenAIError, AttributeError, IndexError, TypeError, ValueError) as error:
+        except (openai.OpenAIError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
             raise SourceError(f"{where} has no chat completions API: {_brief(error)}; check --llm-url") from None
-        return text or ""
 
     return chat
+
+
+def _answer_in(body: Iterator[bytes]) -> str:
+    """Return the text of a chat completion; the body is read up to LARGEST_BODY bytes."""
+    data = bytearray()
+    for part in body:
+        data += part
+        if len(data) > LARGEST_BODY:
+            raise ValueError(f"the answer has more than {LARGEST_BODY} bytes")
+    content = json.loads(data)["choices"][0].get("message", {}).get("content")
+    if isinstance(content, list):  # parts, as some servers send them
+        content = "".join(str(part.get("text", "")) for part in content if isinstance(part, dict))
+    if not isinstance(content, str | None):
+        raise ValueError(f"the content of the message is {type(content).__name__}, expected text")
+    return content or ""
+
+
+def _without_refused_option(options: dict[str, Any], message: str) -> bool:
+    """Drop or rename an option that an endpoint refuses; return whether there was one."""
+    if "max_completion_tokens" in message and "max_tokens" in options:
+        options["max_completion_tokens"] = options.pop("max_tokens")
+    elif "temperature" in message and "temperature" in options:
+        del options["temperature"]
+    else:
+        return False
+    return True
+
+
+def _within(seconds: float, work: Callable[[], str]) -> str:
+    """Return what a function returns, or give up after a time; a server that drips bytes never lets it end.
+
+    Raises:
+        TimeoutError: If it takes longer.
+    """
+    done: queue.SimpleQueue[str | BaseException] = queue.SimpleQueue()
+
+    def run() -> None:
+        try:
+            done.put(work())
+        except BaseException as error:
+            done.put(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    try:
+        outcome = done.get(timeout=seconds)
+    except queue.Empty:
+        raise TimeoutError from None
+    if isinstance(outcome, BaseException):
+        raise outcome
+    return outcome
 
 
 def _brief(error: Exception) -> str:

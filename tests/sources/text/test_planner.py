@@ -44,7 +44,9 @@ class Endpoint:
                 endpoint.keys.append(self.headers.get("Authorization"))
                 answer = endpoint.answers.pop(0) if len(endpoint.answers) > 1 else endpoint.answers[0]
                 status, payload = 200, answer
-                if isinstance(answer, int):
+                if callable(answer):
+                    status, payload = answer(body)
+                elif isinstance(answer, int):
                     status, payload = answer, {"error": {"message": f"canned {answer}", "type": "canned"}}
                 elif answer is None:
                     endpoint.over.wait(30)
@@ -53,6 +55,14 @@ class Endpoint:
                     choice = {"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": answer}}
                     payload = {"id": "1", "object": "chat.completion", "created": 0, "model": "m", "choices": [choice]}
                 data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
+                if payload == "drip":
+                    with suppress(ConnectionError):
+                        self.send_response(200)
+                        self.send_header("Content-Length", "1000000")
+                        self.end_headers()
+                        while not endpoint.over.wait(0.05):
+                            self.wfile.write(b" ")
+                    return
                 with suppress(ConnectionError):
                     self.send_response(status)
                     self.send_header("Content-Type", "application/json")
@@ -218,7 +228,7 @@ def test_code_in_place_of_numbers_is_a_fault(ask, endpoint, frames):
 
 @pytest.mark.parametrize(
     ("status", "message"),
-    [(429, "too many requests or no credit"), (500, "answers with an error"), (401, "does not take the key")],
+    [(429, "too many requests or no credit"), (500, "answers with an error"), (401, "does not accept the key")],
 )
 def test_a_server_that_refuses_is_reported(status, message, ask, endpoint):
     endpoint.answers = [status]
@@ -239,6 +249,53 @@ def test_a_server_that_refuses_once_is_asked_again(status, endpoint, frames, rea
 def test_a_server_that_never_answers_is_given_up(ask, endpoint):
     with pytest.raises(SourceError, match=r"did not answer within 0\.2 s"):
         ask(None, timeout=0.2)
+
+
+def test_a_server_that_drips_its_answer_is_given_up_at_the_timeout(ask):
+    with pytest.raises(SourceError, match=r"did not answer within 0\.3 s"):
+        ask(lambda body: (200, "drip"), timeout=0.3)
+
+
+def test_an_answer_without_end_is_not_read(endpoint, reach):
+    endpoint.answers = [b" " * 5_000_000]
+    with pytest.raises(SourceError, match="the answer has more than 4000000 bytes"):
+        plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
+
+
+def completion(content: Any) -> dict[str, Any]:
+    return {"choices": [{"index": 0, "finish_reason": "stop", "message": {"role": "assistant", "content": content}}]}
+
+
+def test_content_in_parts_is_read(endpoint, reach, frames):
+    text = as_json(frames)
+    endpoint.answers = [
+        lambda body: (200, completion([{"type": "text", "text": part} for part in (text[:40], text[40:])]))
+    ]
+    motion = plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
+    assert len(motion.frames) == len(frames)
+
+
+@pytest.mark.parametrize("content", [5, {"a": 1}, [5], True])
+def test_content_that_is_no_text_ends_in_one_line(content, endpoint, reach):
+    endpoint.answers = [lambda body: (200, completion(content))]
+    with pytest.raises(SourceError, match=r"has no chat completions API|no motion that can be played") as error:
+        plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_endpoint_that_wants_max_completion_tokens_and_no_temperature_gets_that(endpoint, reach, frames):
+    def strict(body: dict[str, Any]) -> tuple[int, Any]:
+        for name in ("max_tokens", "temperature"):
+            if name in body:
+                hint = " Use 'max_completion_tokens' instead." if name == "max_tokens" else ""
+                return 400, {"error": {"message": f"Unsupported parameter: '{name}'.{hint}", "type": "invalid"}}
+        return 200, completion(as_json(frames))
+
+    endpoint.answers = [strict]
+    motion = plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
+    assert len(motion.frames) == len(frames)
+    assert endpoint.sent[-1]["max_completion_tokens"] == 8000
+    assert len(endpoint.sent) == 4  # each option is refused once, for the first question only
 
 
 @pytest.mark.parametrize("payload", [b"<html>hello</html>", {"choices": []}, {"choices": None}, {"choices": [{}]}])
