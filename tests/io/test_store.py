@@ -210,3 +210,32 @@ def test_the_hash_is_that_of_the_content(tmp_path):
         (tmp_path / name).write_bytes(content)
     a, b, c = (store.sha256_of(tmp_path / name) for name in "abc")
     assert a == b != c
+
+
+BROKEN_HEADERS = {
+    "no JSON": b"{",
+    "deep": b"[" * 100_000,
+    "a list": b"[]",
+    "no record": b'{"fields": {}, "shapes": {}}',
+    "fields that are a number": b'{"record": "CommandTrack", "fields": 3, "shapes": {}}',
+    "no shapes": b'{"record": "CommandTrack", "fields": {}, "shapes": {}}',
+    "shapes that do not fit": b'{"record": "CommandTrack", "fields": {}, "shapes": {"t": [], "v": [7], "p_BE": [9]}}',
+    "an unknown field": b'{"record": "CommandTrack", "fields": {"x": 1}, "shapes": {"t": []}}',
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_HEADERS)
+def test_a_record_with_a_broken_header_is_refused_in_one_line(name, tmp_path):
+    path = tmp_path / "commands.parquet"
+    table = pa.table({"t": [0.0, 1.0], "v.0": [0.0, 0.0]}).replace_schema_metadata({b"mimic": BROKEN_HEADERS[name]})
+    pq.write_table(table, path)
+    with pytest.raises(AssetError, match=r"broken") as error:
+        store.load(path, CommandTrack)
+    assert "\n" not in str(error.value)
+
+
+def test_bytes_that_are_no_parquet_are_refused(tmp_path):
+    path = tmp_path / "commands.parquet"
+    path.write_bytes(b"PAR1" + bytes(100) + b"\xff\xff\xff\x7fPAR1")
+    with pytest.raises(AssetError, match="not a record of mimic"):
+        store.load(path, CommandTrack)
