@@ -97,9 +97,13 @@ class Solver:
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     """Shape of the friction cones."""
+    impratio: float = 1.0
+    """How much stiffer contacts are against sliding than against sinking; pyramidal cones make the ground soft where
+    friction is high, a large ratio mends that."""
 
     def __post_init__(self) -> None:
         check_range("timestep", self.timestep, 1e-4, 0.02, "s")
+        check_range("impratio", self.impratio, 0.1, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

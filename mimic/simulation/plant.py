@@ -105,6 +105,7 @@ class SimulatedPlant:
             option.timestep = solver.timestep
             option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{solver.integrator.upper()}")
             option.cone = getattr(mujoco.mjtCone, f"mjCONE_{solver.cone.upper()}")
+            option.impratio = solver.impratio
         self.data = mujoco.MjData(self.model)
         self._samples = samples
         self._observer = observer
