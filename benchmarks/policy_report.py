@@ -1,10 +1,10 @@
-"""The tables of docs/experiments/policy.md for a policy, as Markdown: Table III, standing up, robustness.
+"""The tables of docs/experiments/policy.md for a policy, as Markdown: Table III, walking, standing, robustness.
 
-Measure and print, about 14 minutes on 2 cores; with --write into the page, with the heat map; or from stored results:
+Measure and print, about 25 minutes on 2 cores; with --write into the page, with the heat map; or from stored results:
 
     python benchmarks/policy_report.py [POLICY]
     python benchmarks/policy_report.py [POLICY] --write docs/experiments/policy.md
-    python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --robustness c.json
+    python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --calm c.json --robustness d.json
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from mimic.config.evaluation import RobustnessSettings, StandUpSettings, TableSettings
+from mimic.config.evaluation import CalmSettings, RobustnessSettings, StandUpSettings, TableSettings
+from mimic.evaluation.calm import evaluate_calm
 from mimic.evaluation.paper_table import evaluate_table
 from mimic.evaluation.robustness import evaluate_robustness
 from mimic.evaluation.stand_up import evaluate_stand_up
@@ -66,6 +67,37 @@ def paper_table(result: dict[str, Any]) -> str:
             + ", ".join(f"{name} {100 * share:.0f} %" for name, share in near)
             + ".",
         ]
+    )
+
+
+def walking_table(result: dict[str, Any]) -> str:
+    by_speed: dict[float, list[str]] = {}
+    for walk in result["walking"]:
+        reached = "–" if walk["reached_m_s"] is None else f"{walk['reached_m_s']:+.2f}"
+        by_speed.setdefault(walk["asked_m_s"], []).append(
+            reached + (f", {walk['fell']:.0%} fell" if walk["fell"] else "")
+        )
+    return rows(
+        ("asked [m/s]", "reached, arms still", "reached, arms moving"),
+        [(f"{speed:+.2f}", *reached) for speed, reached in by_speed.items()],
+    )
+
+
+def calm_table(result: dict[str, Any]) -> str:
+    s = result["summary"]
+    return rows(
+        ("standing for 60 s", "measured"),
+        [
+            ("still standing", f"{100 * s['stood']:.0f} %"),
+            ("both feet planted", f"{100 * s['planted']:.0f} % of the time"),
+            ("heat of the windings", f"{s['heat_w']:.0f} W"),
+            ("hind knees", f"{s['knee_rms_nm']:.1f} N·m rms"),
+            ("a motor at its torque limit", f"{100 * s['at_limit']:.1f} % of the time"),
+            ("torque variance above 20 Hz", f"{100 * s['fast_torque']:.0f} %"),
+            ("action rate, hind legs", f"{s['action_rate_rad']:.2f} rad rms"),
+            ("drift", f"{s['drift_m']:.2f} m mean, {s['drift_max_m']:.2f} m at most"),
+            *((f"push of {push} m/s while standing", f"{100 * v:.0f} % stand") for push, v in s["pushed"].items()),
+        ],
     )
 
 
@@ -121,6 +153,7 @@ def main() -> None:
     parser.add_argument("policy", nargs="?", type=Path, default=Path("policies/stand_track.onnx"))
     parser.add_argument("--table", type=Path, help="JSON of mimic evaluate --table")
     parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate --stand-up")
+    parser.add_argument("--calm", type=Path, help="JSON of mimic evaluate --calm")
     parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
     parser.add_argument("--write", type=Path, help="markdown file whose measured part is replaced")
     given = parser.parse_args()
@@ -146,13 +179,21 @@ def report(given: argparse.Namespace, robot: str) -> None:
         else evaluate_robustness(given.policy, RobustnessSettings())
     )
     rise = stored(given.stand_up, "summary") if given.stand_up else evaluate_stand_up(given.policy, StandUpSettings())
-    episodes, points = len(table["episodes"]["contacts"]), robust["episodes_per_point"]
+    calm = stored(given.calm, "summary") if given.calm else evaluate_calm(given.policy, CalmSettings())
+    episodes, points = len(next(iter(table["episodes"].values()))["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [
             f"Policy `{given.policy.name}`, SHA-256 `{digest[:12]}…`, on {robot}.",
             "### The paper's Table III",
-            f"`mimic evaluate {given.policy} --table`, {episodes} episodes.",
+            f"`mimic evaluate {given.policy} --table`, {episodes} episodes a row, all of the paper's terminations.",
             paper_table(table),
+            "### Walking",
+            "The robot as described, three walks each, 3 to 12 s after the start. Faster than 0.3 m/s was not trained.",
+            walking_table(table),
+            "### Calm",
+            f"`mimic evaluate {given.policy} --calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
+            "100 for each push.",
+            calm_table(calm),
             "### Standing up and standing still",
             f"`mimic evaluate {given.policy} --stand-up`, {rise['summary']['starts']} starts, "
             f"{rise['summary']['still_episodes']} nominal robots that stand still.",

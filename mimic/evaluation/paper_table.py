@@ -7,7 +7,7 @@ that to move: a policy is worth what it has beyond the statue.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from mimic.evaluation.walking import evaluate_walking
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import JOINTS, LEGS, FloatArray, RunLog
+from mimic.records import JOINTS, LEGS, CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -115,32 +115,56 @@ class _Job:
     settings: TableSettings
 
 
-def statue(log: RunLog, description: RobotDescription) -> tuple[RunLog, GroundFacts]:
+def statue(track: CommandTrack, first: RunLog, steps: int, description: RobotDescription) -> tuple[RunLog, GroundFacts]:
     """Return the log of a robot that is asked the same, stands from the start without a motion, and has its toes where
-    they should be; nothing of it slips."""
-    ticks, d = len(log.t), description
+    they should be; nothing of it slips.
+
+    Args:
+        track: What is asked after standing up.
+        first: A log of the same episode, for what is asked until then.
+        steps: Control steps of the episode.
+        description: The robot.
+    """
+    ticks, d = steps + 1, description
+    before = round((TIMING.stand_up + TIMING.blend) / d.dt)
     lean = -np.arctan2(d.upright_direction[2], d.upright_direction[0])
-    turn = heading_from_quat(log.quat_WB[:1])
+    turn = heading_from_quat(first.quat_WB[:1])
     quat = Rotation.from_euler("ZY", np.stack([turn, [lean]], -1)).as_quat(scalar_first=True)
     q = np.tile((d.q_min + d.q_max) / 2, (ticks, 1))
     zeros, no = np.zeros((ticks, len(JOINTS))), np.zeros(ticks, dtype=bool)
-    stands = replace(
-        log,
-        q=q,
-        q_des=q,
-        dq=zeros,
-        tau=zeros,
-        quat_WB=np.tile(quat, (ticks, 1)),
-        p_WB=np.tile([0.0, 0.0, d.pose_height["upright"]], (ticks, 1)),
-        v_WB=np.zeros((ticks, 3)),
-        p_BE=np.concatenate([log.p_BE_des[:1], log.p_BE_des[:-1]]),
-    )
+
+    def asked(until: FloatArray, then: FloatArray) -> FloatArray:
+        return np.concatenate([np.repeat(until[None], before, axis=0), then])[:ticks]
+
+    toes = asked(first.p_BE_des[0], track.p_BE)
+    columns = {
+        "t": d.dt * np.arange(ticks),
+        "t_host": d.dt * np.arange(ticks),
+        "phase": np.zeros(ticks, dtype=int),
+        "q": q,
+        "dq": zeros,
+        "tau": zeros,
+        "quat_WB": np.tile(quat, (ticks, 1)),
+        "omega_B": np.zeros((ticks, 3)),
+        "p_WB": np.tile([0.0, 0.0, d.pose_height["upright"]], (ticks, 1)),
+        "v_WB": np.zeros((ticks, 3)),
+        "p_BE": np.concatenate([toes[:1], toes[:-1]]),
+        "v_des": asked(np.zeros(2), track.v),
+        "heading_des": asked(turn[0], turn + track.heading),
+        "p_BE_des": toes,
+        "observation": zeros,
+        "action": zeros,
+        "q_des": q,
+        "q_sent": q,
+        "kp": zeros,
+        "kd": zeros,
+    }
     height = np.tile([d.pose_height["upright"]] * 2 + [d.toe_radius] * 2, (ticks, 1))
     touching = {part: no for part in ground_parts(d)} | {f"{leg}_foot": ~no for leg in LEGS[2:]}
     facts = GroundFacts(
         toe_height=height, toe_velocity=np.zeros((ticks, 4, 2)), toe_yaw_rate=np.zeros((ticks, 4)), touching=touching
     )
-    return stands, facts
+    return RunLog(**columns, metadata=first.metadata), facts
 
 
 def _play(job: _Job, policy_path: str) -> list[tuple[int, str, dict[str, Episode]]]:
@@ -157,7 +181,7 @@ def _play(job: _Job, policy_path: str) -> list[tuple[int, str, dict[str, Episode
     log = play_episode(plant, policy, track, TIMING).log
     played = [(job.senses, log, ground_facts(log, description))]
     if job.senses == s.senses[0]:
-        played.append((STATUE, *statue(log, description)))
+        played.append((STATUE, *statue(track, log, steps, description)))
     return [
         (
             job.group,
