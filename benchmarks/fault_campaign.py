@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.faults_in_process import CUTS, play
 from mimic.config.emulator import EmulateSettings
 from mimic.control.recorder import ROWS, salvage
-from mimic.emulator.faults import KINDS, random_fault
+from mimic.emulator.faults import CAN_KINDS, random_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.hardware.cybergear.messages import Mode
@@ -101,7 +101,7 @@ def disturb(process: subprocess.Popen, kind: str) -> float:
 def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
     """Play a run across processes with the fault of a seed, and return how it ended."""
     rng = np.random.default_rng([seed, 41])
-    kind = str(rng.choice((*KINDS, *SIGNALS)))
+    kind = str(rng.choice((*CAN_KINDS, *SIGNALS)))
     start, own_timeout = float(rng.uniform(*WITHIN)), bool(rng.random() < 0.5)
     fault = None if kind in SIGNALS else random_fault(seed, start=WITHIN, after_release=True, kinds=(kind,))
     transport = ("socketcand", "slcan")[seed % 2]

@@ -19,7 +19,7 @@ from mimic.control.recorder import RunRecorder, salvage
 from mimic.control.signals import Signals
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
-from mimic.emulator.faults import KINDS, EmulatedFault, random_fault
+from mimic.emulator.faults import CAN_KINDS, EmulatedFault, random_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import MimicError
@@ -45,7 +45,7 @@ PROGRAM = (
 )
 """What can go wrong in the program that drives the robot."""
 
-KINDS_OF_FAULT = (*KINDS, *PROGRAM)
+KINDS_OF_FAULT = (*CAN_KINDS, *PROGRAM)
 
 TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.5)
 

@@ -23,10 +23,10 @@ from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.motor import FREE, Drive
+from mimic.emulator.motor_mode import DAMPING, MotorCommands, MotorModeRules
 from mimic.errors import ConfigError, FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
 from mimic.hardware.stock.messages import (
-    CUT,
     LEG_CONTROL_DATA,
     LOST,
     MOTOR_CTRL,
@@ -42,28 +42,6 @@ from mimic.robot.description import RobotDescription
 
 TICK = 0.002
 """The firmware's cycle [s]."""
-
-LATE, SILENT = 0.010, 0.500
-"""Ages of the newest command above which the firmware reports it as late, and as lost [s]."""
-
-RECONNECT = 5000
-"""Counts in error 0x02 before it can be cleared; four in each cycle, one for each leg."""
-
-DAMPING = 4.0
-"""Velocity gain while commands are lost [N m s/rad]."""
-
-CUTS = np.deg2rad([8.0, 10.0, 12.0])
-"""Largest distance of a desired position from the measured one, for abad, hip, knee [rad]."""
-
-INSIDE = 0.04
-"""Desired positions are held this far inside the joint limits [rad]."""
-
-SOFT, SOFT_KP, SOFT_TORQUE = 0.05, 20.0, (0.0, 0.0, 1.0)
-"""Within SOFT of a limit [rad], a torque outward beyond SOFT_TORQUE [N m] gives way to a spring of SOFT_KP
-[N m/rad]."""
-
-ZERO = 0.001
-"""Gains and torques up to this count as zero."""
 
 QUIET_EVERY = 10
 """Before the first command, one cycle in so many is published: 50 Hz."""
@@ -159,7 +137,6 @@ class EmulatedBoard:
         self.ticks = 0
         self.events: deque[tuple[float, str]] = deque()
         """What happened, for whoever shows it."""
-        self.err_flag = 0
         self.late_ticks = 0
         """Cycles with error 0x01 so far."""
         low = description.q_min[list(_BODY)] * _SIGN
@@ -168,10 +145,9 @@ class EmulatedBoard:
         self._command: Any = None
         self._arrived = -math.inf
         self._first = -1
-        self._motor_mode = False
-        self._reconnect = 0
-        self._applied: tuple[FloatArray, ...] = tuple(np.zeros(12) for _ in range(5))
-        self._limits = np.zeros(12, dtype=int)
+        self._rules: MotorModeRules | None = None
+        self.applied = MotorCommands(*(np.zeros(12) for _ in range(5)))
+        """What the motors were told last, in the firmware's order and signs."""
         self._incoming: list[tuple[float, int, bytes]] = []
         self._outgoing: list[tuple[float, int, str, bytes]] = []
         self._count = 0
@@ -249,19 +225,14 @@ class EmulatedBoard:
                 self._first = self.ticks
                 self._faults = [fault.released(self.now) for fault in self._faults]
                 self.events.append((self.now, "the first command came"))
-        ready = not self._motor_mode and 0 <= self._first <= self.ticks - ENTERING
+        ready = self._rules is None and 0 <= self._first <= self.ticks - ENTERING
         if ready and self._value("mode_refused", self.now) is None:
-            self._enter()
+            self._rules = MotorModeRules(self._low, self._high)
+            self.events.append((self.now, "motor mode"))
         q, dq = self._measured()
-        if self._motor_mode:
+        if self._rules is not None:
             self._run(q, dq)
         self._speak(q, dq)
-
-    def _enter(self) -> None:
-        self._motor_mode = True
-        self.err_flag |= TIMED_OUT
-        self._reconnect = 0
-        self.events.append((self.now, "motor mode"))
 
     def _measured(self) -> tuple[FloatArray, FloatArray]:
         """Return angles and velocities of the joints (12,), as the firmware has them."""
@@ -270,60 +241,16 @@ class EmulatedBoard:
 
     def _run(self, q: FloatArray, dq: FloatArray) -> None:
         """One cycle of motor mode."""
-        c, age, before = self._command, self.now - self._arrived, self.err_flag
-        q_des, dq_des, kp, kd, tau = (
-            c[name].astype(np.float64) for name in ("q_des", "qd_des", "kp_des", "kd_des", "tau_des")
-        )
-        zero = not (np.abs(np.concatenate([kp, kd, tau])) > ZERO).any()
-        if age > LATE:
-            dq_des, tau = dq_des * LATE / age, tau * LATE / age
-            self.err_flag |= LOST
-            self.late_ticks += 1
-            if age > SILENT:
-                self.err_flag |= TIMED_OUT
-        else:
-            self.err_flag &= ~LOST
-        for leg in range(len(LEGS)):
-            if not self.err_flag & TIMED_OUT:
-                self._reconnect = 0
-                continue
-            of_leg = slice(3 * leg, 3 * leg + 3)
-            self._reconnect += 1
-            for values in (q_des, dq_des, kp, kd, tau):
-                values[of_leg] = 0.0
-            if self._reconnect < RECONNECT:
-                kd[of_leg] = DAMPING
-            elif zero and age < SILENT:
-                self.err_flag &= ~TIMED_OUT
-        q_des = np.clip(q_des, self._low + INSIDE, self._high - INSIDE)
-        away, cuts = q_des - q, np.tile(CUTS, len(LEGS))
-        q_des = q + np.clip(away, -cuts, cuts)
-        self.err_flag &= ~CUT
-        for part, bit in enumerate((0x4, 0x8, 0x10)):
-            if abs(away[9 + part]) > CUTS[part]:  # the bits are set and cleared leg by leg: the last one counts
-                self.err_flag |= bit
-        self._apply(q, dq, q_des, dq_des, kp, kd, tau)
+        assert self._rules is not None
+        before, age = self._rules.err_flag, self.now - self._arrived
+        self.applied = self._rules.cycle(self._command, age, q, dq)
+        self.late_ticks += bool(self.err_flag & LOST)
         if (before ^ self.err_flag) & TIMED_OUT:
             self.events.append((self.now, f"error flag {self.err_flag:#04x}"))
-
-    def _apply(self, q: FloatArray, dq: FloatArray, *command: FloatArray) -> None:
-        """Hand a command to the motors, with the soft joint limits before them."""
-        q_des, dq_des, kp, kd, tau = (values.copy() for values in command)
-        estimate = tau + kp * (q_des - q) + kd * (dq_des - dq)
-        outward = np.tile(SOFT_TORQUE, len(LEGS))
-        low, high = q < self._low + SOFT, q > self._high - SOFT
-        self._limits = high.astype(int) - low.astype(int)
-        for near, bound, pushed in (
-            (low, self._low + SOFT, estimate < -outward),
-            (high, self._high - SOFT, estimate > outward),
-        ):
-            soft = near & pushed
-            tau = np.where(soft, SOFT_KP * (bound - q), tau)
-            kp, kd = np.where(soft, 0.0, kp), np.where(soft, 0.0, kd)
         dead, failed = self._joints_with("motor_dead"), self._joints_with("motor_fault")
+        q_des, dq_des, kp, kd, tau = self.applied
         if failed:
             kp, kd, tau = np.zeros(12), np.full(12, DAMPING), np.zeros(12)
-        self._applied = q_des, dq_des, kp, kd, tau
         for place, joint in enumerate(_BODY):
             if joint in dead or joint in failed:
                 self.body.drive(joint, FREE, self.now)
@@ -340,6 +267,11 @@ class EmulatedBoard:
             self.body.drive(joint, drive, self.now)
 
     @property
+    def err_flag(self) -> int:
+        """Error bits; 0 before motor mode."""
+        return 0 if self._rules is None else self._rules.err_flag
+
+    @property
     def torques(self) -> FloatArray:
         """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
         return self.body.joints(self.now)[2]
@@ -349,14 +281,15 @@ class EmulatedBoard:
     def _speak(self, q: FloatArray, dq: FloatArray) -> None:
         if self._first < 0 and self.ticks % QUIET_EVERY:
             return
-        if self._motor_mode:
+        if self._rules is not None:
             interval = 1e3 * (self.now - self._arrived)
             state = MOTOR_CTRL_STATE.encode(err_flag=self.err_flag, ctrl_topic_interval=interval)
             self._publish(MOTOR_CTRL_STATE.channel, state)
         torque = _SIGN * self.torques[_ORDER]
-        if self._motor_mode or self._first >= 0:
+        if self._first >= 0:
             self._publish(SPI_DATA.channel, self._spi_data(q, dq, torque))
-        limits = {f"q_{part}_limit": self._limits.reshape(len(LEGS), len(PARTS))[:, i] for i, part in enumerate(PARTS)}
+        near = np.zeros(12, dtype=int) if self._rules is None else self._rules.limits
+        limits = {f"q_{part}_limit": near.reshape(len(LEGS), len(PARTS))[:, i] for i, part in enumerate(PARTS)}
         self._publish(LEG_CONTROL_DATA.channel, LEG_CONTROL_DATA.encode(q=q, qd=dq, tau_est=torque, **limits))
         if self._value("imu_silent", self.now) is None:
             self._publish(STATE_ESTIMATOR.channel, self._orientation())
@@ -366,7 +299,7 @@ class EmulatedBoard:
         hot = self._joints_with("motor_hot")
         flags, warm = np.zeros(12, dtype=np.int64), np.zeros(12)
         for place, joint in enumerate(_BODY):
-            running = self._motor_mode and joint not in failed and joint not in dead
+            running = self._rules is not None and joint not in failed and joint not in dead
             flags[place] = (MOTOR_RUNNING << 30 if running else 0) | int(failed.get(joint, 0.0))
             warm[place] = max(self.body.temperature(joint), hot.get(joint, -math.inf))
         values = {"q": q, "qd": dq, "tau": torque, "tmp": np.round(warm / self._wiring.temperature_unit)}

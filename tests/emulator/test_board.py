@@ -131,12 +131,12 @@ def test_after_500_ms_of_silence_it_damps_for_2_5_seconds_and_then_lets_go():
     client.run(0.006)
     assert client.err & 0x03 == 0x03
     begin = client.flags[-1][0]
-    assert client.board._applied[3][[1, 2, 4, 5]].tolist() == [4.0] * 4  # an abad hangs at its soft stop
+    assert client.board.applied[3][[1, 2, 4, 5]].tolist() == [4.0] * 4  # an abad hangs at its soft stop
     while client.board.now < begin + 2.494:
         client.run(TICK)
-    assert client.board._applied[3][[1, 2, 4, 5]].tolist() == [4.0] * 4  # an abad hangs at its soft stop
+    assert client.board.applied[3][[1, 2, 4, 5]].tolist() == [4.0] * 4  # an abad hangs at its soft stop
     client.run(0.008)
-    assert not client.board._applied[3].any()
+    assert not client.board.applied[3].any()
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_desired_positions_are_cut_on_every_leg_but_shown_for_the_last_one_only(
         q_des = q.copy()
         q_des[joint] -= np.copysign(0.25, q[joint])  # away from the joint's stop
         client.run(TICK, MOTOR_CTRL.encode(q_des=q_des, kp_des=[60.0] * 12))
-        cut = abs(client.board._applied[0][joint] - q[joint])
+        cut = abs(client.board.applied[0][joint] - q[joint])
         assert cut == pytest.approx(np.deg2rad(degrees), abs=2e-3)
         assert bool(client.err & bit) == (joint >= 9)
 
@@ -160,7 +160,7 @@ def test_desired_positions_stay_inside_the_joint_limits():
     q_des = client.q()
     q_des[2] = 3.0  # FR knee; its stop is at 2.53
     client.run(TICK, MOTOR_CTRL.encode(q_des=q_des, kp_des=[60.0] * 12))
-    assert client.board._applied[0][2] <= -D.q_min[5] - 0.04 + 1e-6
+    assert client.board.applied[0][2] <= -D.q_min[5] - 0.04 + 1e-6
 
 
 def test_it_does_not_enter_motor_mode_where_it_stands_by_its_own_order():

@@ -76,7 +76,7 @@ class MessageType:
         return message
 
 
-def _define(channel: str, text: str) -> MessageType:
+def define(channel: str, text: str) -> MessageType:
     """Return a type from its fields as an .lcm file writes them."""
     fields: list[tuple[str, str, int]] = []
     for line in text.split(";"):
@@ -89,15 +89,15 @@ def _define(channel: str, text: str) -> MessageType:
     return MessageType(channel, np.dtype(layout), fingerprint(fields))  # type: ignore[arg-type]
 
 
-MOTOR_CTRL = _define(
+MOTOR_CTRL = define(
     "motor_ctrl", "float q_des[12]; float qd_des[12]; float kp_des[12]; float kd_des[12]; float tau_des[12]"
 )
 """Command of all motors: torque = tau_des + kp_des (q_des - q) + kd_des (qd_des - qd)."""
 
-MOTOR_CTRL_STATE = _define("motor_ctrl_state", "int16_t err_flag; float ctrl_topic_interval")
+MOTOR_CTRL_STATE = define("motor_ctrl_state", "int16_t err_flag; float ctrl_topic_interval")
 """What the firmware thinks of the commands; ctrl_topic_interval in ms."""
 
-SPI_DATA = _define(
+SPI_DATA = define(
     "spi_data",
     "float q_abad[4]; float q_hip[4]; float q_knee[4]; float qd_abad[4]; float qd_hip[4]; float qd_knee[4];"
     "int32_t flags[12]; int32_t spi_driver_status; float tau_abad[4]; float tau_hip[4]; float tau_knee[4];"
@@ -105,14 +105,14 @@ SPI_DATA = _define(
 )
 """Readings of the motors; temperatures in 0.1 degC."""
 
-LEG_CONTROL_DATA = _define(
+LEG_CONTROL_DATA = define(
     "leg_control_data",
     "float q[12]; float qd[12]; float p[12]; float v[12]; float tau_est[12]; float force_est[12];"
     "float force_desired[12]; int32_t q_abad_limit[4]; int32_t q_hip_limit[4]; int32_t q_knee_limit[4]",
 )
 """Joints as the firmware's leg controller has them; sent also before the first command."""
 
-STATE_ESTIMATOR = _define(
+STATE_ESTIMATOR = define(
     "state_estimator",
     "float p[3]; float vWorld[3]; float vBody[3]; float p_abs[3]; float vWorld_abs[3]; float vBody_abs[3];"
     "float vRemoter[3]; float rpy[3]; float omegaBody[3]; float omegaWorld[3]; float quat[4]; float aBody[3];"

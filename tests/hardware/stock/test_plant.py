@@ -211,7 +211,7 @@ def test_closing_damps_and_ends_without_torque(made):
         plant.step(hold(state.q))
     plant.close()
     assert plant.ending == "the robot was damped until it rested, and its motors are without torque"
-    assert not any(values.any() for values in link.board._applied[2:])
+    assert not any(values.any() for values in link.board.applied[2:])
     plant.close()
 
 
@@ -264,7 +264,7 @@ def test_a_standing_robot_is_brought_down_or_damped(made, description, fault, ru
     done = play(plant, description)
     decisive = next(event for event in done.events if event.mode > SafetyMode.RUN)
     assert decisive.rule == rule
-    kp = link.board._applied[2]
+    kp = link.board.applied[2]
     assert not kp.any()
     assert plant.ending != "nothing was switched on"
 
