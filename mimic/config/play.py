@@ -58,7 +58,9 @@ class Disturbance:
     toe_payload: float = 0.0
     """Mass at that toe [kg]."""
     drag: float = 0.0
-    """Horizontal force on that toe, in a direction drawn for each start [N]."""
+    """Horizontal force on that toe [N]."""
+    drag_way: Literal["any", "sideways"] = "any"
+    """Its direction: drawn for each start, or to the left or right of where the belly faces as it begins."""
     drag_from: float = 4.0
     """When the force begins [s]."""
     drag_seconds: float = 3.0
@@ -66,7 +68,9 @@ class Disturbance:
     slope: float = 0.0
     """Inclination of the ground, falling in a direction drawn for each start [deg]."""
     imu_tilt: float = 0.0
-    """Mounting error of the IMU, about an axis drawn for each start [deg]."""
+    """Mounting error of the IMU [deg]."""
+    imu_axis: Literal["any", "pitch"] = "any"
+    """Its axis: drawn for each start, or the base's y axis, either way around."""
     noise_q: float = 0.0
     """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
     noise_imu: float = 0.0

@@ -40,6 +40,8 @@ class Axis:
     trained: tuple[float, float] | None
     """Range of the training by default; None where it has none."""
     apply: Callable[[World, float], World]
+    alone: bool = False
+    """Whether it is left out where all axes act at once: it is the worst case of another one."""
 
 
 def _range(*names: str, scale: float = 1.0) -> Callable[[World, float], World]:
@@ -56,6 +58,14 @@ def _disturb(**scales: float) -> Callable[[World, float], World]:
         return world[0], dataclasses.replace(world[1], **values)
 
     return apply
+
+
+def _worst(apply: Callable[[World, float], World], **ways: Any) -> Callable[[World, float], World]:
+    def applied(world: World, value: float) -> World:
+        ranges, disturbance = apply(world, value)
+        return ranges, dataclasses.replace(disturbance, **(ways if value else {}))
+
+    return applied
 
 
 def _push(world: World, value: float) -> World:
@@ -84,6 +94,12 @@ def _axes() -> dict[str, Axis]:
     dry = (0.0, 0.05, 0.12, 0.2, 0.25, 0.3, 0.4, 0.5)
     payload = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
     noise = _disturb(noise_q=0.01, noise_imu=0.015)  # the default noise of training
+    tilts, pulls = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0)
+    tilt, pull = _disturb(imu_tilt=1.0), _disturb(drag=1.0)
+    worst = {
+        "imu_pitch": axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, _worst(tilt, imu_axis="pitch")),
+        "toe_drag_sideways": axis("N", 0.0, pulls, (0.0, 15.0), d.drag, _worst(pull, drag_way="sideways")),
+    }
     return {
         "ground_friction": axis("", 1.0, friction, (0.4, 3.0), t.ground_friction, _range("ground_friction")),
         "delay": axis("ms", 15.0, delays, (0.0, 40.0), delay, _range("delay", scale=1e-3)),
@@ -94,17 +110,13 @@ def _axes() -> dict[str, Axis]:
         "toe_payload": axis("kg", 0.0, payload, (0.0, 0.3), d.toe_payload, _disturb(toe_payload=1.0)),
         "push": axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
         "noise": axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),
-        "imu_tilt": axis(
-            "deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 3.0), d.imu_tilt, _disturb(imu_tilt=1)
-        ),
+        "imu_tilt": axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, tilt),
         "slope": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), d.slope, _disturb(slope=1.0)),
         "lost_commands": axis(
             "%", 0.0, (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0), (0.0, 5.0), lost, _disturb(lost_share=0.01)
         ),
-        "toe_drag": axis(
-            "N", 0.0, (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0), (0.0, 15.0), d.drag, _disturb(drag=1.0)
-        ),
-    }
+        "toe_drag": axis("N", 0.0, pulls, (0.0, 15.0), d.drag, pull),
+    } | {name: dataclasses.replace(one, alone=True) for name, one in worst.items()}
 
 
 AXES = _axes()
@@ -115,6 +127,8 @@ def all_at_once(share: float, seed: int) -> World:
     rng = np.random.default_rng([seed, 11])
     world: World = (START, NO_DISTURBANCE)
     for axis in AXES.values():
+        if axis.alone:
+            continue
         low, high = (axis.nominal + share * (end - axis.nominal) for end in axis.asked)
         world = axis.apply(world, float(rng.uniform(low, high)))
     return world

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from mimic.config.play import Disturbance
+from mimic.geometry import heading_from_quat
 from mimic.records import LEGS, SIDES, FloatArray, RobotState
 from mimic.robot.model import TOES
 
@@ -42,8 +43,12 @@ class Disturber:
         self._site = model.site(TOES[SIDES.index(disturbance.toe)]).id
         self._body = model.site_bodyid[self._site]
         self._force = disturbance.drag * np.array([np.cos(drag), np.sin(drag), 0.0])
+        self._sign = 1.0 if drag > 0 else -1.0
+        self._begun = False
         self.slope_quat = _quat_about(np.array([np.cos(slope), np.sin(slope), 0.0]), np.deg2rad(disturbance.slope))
         """Rotation from level to inclined ground, wxyz."""
+        if disturbance.imu_axis == "pitch":
+            mount = np.array([0.0, np.sign(mount[1]), 0.0])
         self._mount = _quat_about(mount, np.deg2rad(disturbance.imu_tilt))
         floor = model.geom("floor").id
         model.geom_quat[floor] = self.slope_quat
@@ -72,6 +77,10 @@ class Disturber:
             return
         data.qfrc_applied[:] = 0.0
         if 0.0 <= data.time - self._disturbance.drag_from < self._disturbance.drag_seconds:
+            if self._disturbance.drag_way == "sideways" and not self._begun:
+                left = float(heading_from_quat(data.qpos[3:7])) + np.pi / 2
+                self._force = self._sign * self._disturbance.drag * np.array([np.cos(left), np.sin(left), 0.0])
+            self._begun = True
             point, none = data.site_xpos[self._site], np.zeros(3)
             mujoco.mj_applyFT(self._model, data, self._force, none, point, self._body, data.qfrc_applied)
 

@@ -50,6 +50,7 @@ def test_all_at_once_is_nominal_at_nothing_and_inside_the_ranges_at_one():
     friction = [ranges.ground_friction[0] for ranges, _ in worlds]
     assert AXES["ground_friction"].asked[0] <= min(friction) < 0.8 < 2.5 < max(friction) <= 3.0
     assert max(disturbance.drag for _, disturbance in worlds) <= 15.0
+    assert {(disturbance.drag_way, disturbance.imu_axis) for _, disturbance in worlds} == {("any", "any")}
     assert worlds[3] == all_at_once(1.0, 3)
 
 

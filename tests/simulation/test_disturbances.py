@@ -104,6 +104,33 @@ def test_a_drag_is_a_horizontal_force_for_its_time(description):
     assert speeds[-1][2] == pytest.approx(-9.81 * 0.5, rel=1e-3)
 
 
+def test_a_pull_sideways_is_to_the_left_or_the_right_of_where_the_belly_faces(description):
+    ways = set()
+    for seed in range(6):
+        disturbance = Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.2, drag_way="sideways")
+        turned = dataclasses.replace(NOMINAL, heading=(1.0, 1.0))
+        plant = SimulatedPlant(description, seed=seed, ranges=turned, disturbance=disturbance)
+        start = plant.start()
+        plant.data.qpos[2] = 100.0
+        for _ in range(15):
+            plant.step(command(description, start.q))
+        mujoco.mj_forward(plant.model, plant.data)
+        mujoco.mj_subtreeVel(plant.model, plant.data)
+        velocity = plant.data.subtree_linvel[plant.model.body("base").id][:2]
+        left = np.array([-np.sin(1.0), np.cos(1.0)])
+        assert abs(velocity @ left) == pytest.approx(np.linalg.norm(velocity), rel=1e-3)
+        ways.add(float(np.sign(velocity @ left)))
+    assert ways == {-1.0, 1.0}
+
+
+def test_an_imu_that_is_pitched_is_turned_about_the_left_axis(description):
+    for seed in (1, 2):
+        plant = SimulatedPlant(description, seed=seed, disturbance=Disturbance(imu_tilt=3.0, imu_axis="pitch"))
+        read = Rotation.from_quat(plant.start().quat_WB, scalar_first=True)
+        true = Rotation.from_quat(plant.data.qpos[3:7], scalar_first=True)
+        assert np.abs((true.inv() * read).as_rotvec(degrees=True)) == pytest.approx([0.0, 3.0, 0.0], abs=1e-6)
+
+
 def test_a_robot_lies_on_a_slope_as_on_the_level(description):
     plant = SimulatedPlant(description, seed=4, disturbance=Disturbance(slope=10.0))
     plant.start()
