@@ -41,8 +41,8 @@ def play(
     Parameters
     ----------
     source
-        A video of one person; recorded motion (.npz, .trc, .bvh); key frames (.yaml); or a track that mimic wrote
-        (.parquet).
+        A video of one person; recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt); key frames (.yaml); or a track that
+        mimic wrote (.parquet).
     sim
         Play it on the simulated robot.
     robot

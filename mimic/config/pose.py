@@ -34,7 +34,7 @@ class PoseSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MocapSettings:
-    """What a file with recorded motion (.npz, .trc, .bvh) does not say itself."""
+    """What a file with recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt) does not say itself."""
 
     names: tuple[str, ...] = ()
     """OURS=THEIRS for each point with a name that mimic does not know, such as left_wrist=LWRA+LWRB (the mean of

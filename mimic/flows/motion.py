@@ -91,8 +91,8 @@ def load_motion(
     The ending of the file names its reader (see SOURCES); a file with any other ending is read as a video.
 
     Args:
-        source: A video of one person, recorded motion (.npz, .trc, .bvh), key frames (.yaml), or a record that mimic
-            wrote (.parquet).
+        source: A video of one person, recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt), key frames (.yaml), or a
+            record that mimic wrote (.parquet).
         settings: How the input becomes commands.
         description: Robot whose workspace the targets are clamped to; by default the shipped CyberDog 2.
         reporter: Receives notes, warnings and progress.
@@ -113,8 +113,10 @@ def load_motion(
         settings=settings or InputSettings(), reporter=reporter or SilentReporter(), description=description
     )
     ending = path.suffix.lower()
-    reader = next((kind for kind in SOURCES if ending in kind.endings), VIDEO)
-    return reader.read(path, loading)
+    reader = next((kind for kind in SOURCES if ending in kind.endings), None)
+    if reader is None and ending in NOT_READ:
+        raise SourceError(f"{path.name} is {NOT_READ[ending]}")
+    return (reader or VIDEO).read(path, loading)
 
 
 def motion_from_text(
@@ -318,6 +320,27 @@ def _pose_cache() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
 
 
+NOT_READ = {
+    **dict.fromkeys(
+        (".fbx", ".glb", ".gltf", ".vrm", ".dae", ".blend"),
+        "a 3-D scene, which is not read; export its motion as BVH, for example from Blender",
+    ),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "a USD scene, which is not read; export its motion as BVH"),
+    **dict.fromkeys((".asf", ".amc"), "ASF/AMC motion capture, which is not read; convert it to BVH or C3D"),
+    **dict.fromkeys(
+        (".mot", ".sto"), "OpenSim joint angles or forces, which are not read; give the marker file (.trc)"
+    ),
+    **dict.fromkeys((".mvn", ".mvnx"), "an Xsens MVN recording, which is not read; export it as BVH or C3D"),
+    ".vmd": "a MikuMikuDance motion, which is not read; export it as BVH",
+    ".csv": "a table, which is not read; store its positions as NPZ (docs/manual/motion-formats.md)",
+    ".tsv": "a Qualisys table, which is not read; export it as C3D or TRC",
+    ".json": "JSON, which is not read; store the key points as NPZ (docs/manual/motion-formats.md)",
+    ".npy": "a single array, which is not read; store it with its times by numpy.savez (docs/manual/motion-formats.md)",
+    ".mcap": "an MCAP log, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
+    ".bag": "a ROS bag, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
+}
+"""Formats of motion that are not read, and what to do instead."""
+
 RECORDS = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")
 """Records that can be played."""
 
@@ -326,7 +349,7 @@ VIDEO = Source("video", (".mp4", ".mkv", ".mov", ".m4v", ".avi", ".webm", ".mpg"
 
 SOURCES: tuple[Source, ...] = (
     VIDEO,
-    Source("recorded motion", (".npz", ".trc", ".bvh"), _read_mocap),
+    Source("recorded motion", (".npz", ".trc", ".bvh", ".c3d", ".pkl", ".pt"), _read_mocap),
     Source("key frames", (".yaml", ".yml"), _read_keyframes),
     Source("record of mimic", (".parquet",), _read_record, _holds_playable_record),
 )

@@ -28,6 +28,7 @@ NOT_RUN = {
     r"--robot-model": "a folder that the reader writes; tests/robot plays a second robot",
     r"--robot can0|--robot cyberdog2|^mimic robot ": "needs a robot",
     r"^mimic emulate|--robot socketcand": "two terminals; tests/flows/test_robot_rehearsal.py rehearses it",
+    r"^mimic (walk_poses\.npz|wham_output\.pkl|motion\.c3d)": "files of other programs; tests/sources/mocap makes such",
     r"--camera 0": "needs a camera",
     r"--llm-url": "needs a language model",
     r"^mimic evaluate": "takes minutes; tests/evaluation runs short ones",
@@ -44,7 +45,6 @@ NOT_RUN = {
 
 NOT_RUN_SNIPPETS = {
     r"path/to/folder": "needs a robot description of the reader",
-    r"import smplx|^import joblib": "needs smplx, its body model files and the output of another program",
 }
 """Pattern of a Python snippet -> why it is not run."""
 

@@ -15,15 +15,20 @@ from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import SourceError
 from mimic.records import FloatArray, PoseTrack
 from mimic.sources.mocap.bvh import read_bvh
+from mimic.sources.mocap.c3d import read_c3d
 from mimic.sources.mocap.npz import read_npz
 from mimic.sources.mocap.points import UNITS, Points
 from mimic.sources.mocap.skeletons import Scheme, read_names, recognise
+from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
 from mimic.sources.video.smoothing import smooth
 
 READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
     ".bvh": read_bvh,
+    ".c3d": read_c3d,
     ".npz": read_npz,
+    ".pkl": read_parameters,
+    ".pt": read_parameters,
     ".trc": read_trc,
 }
 """Reader of each file ending."""

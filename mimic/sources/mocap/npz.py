@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,15 @@ from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
 from mimic.sources.mocap.points import Points
 from mimic.sources.mocap.skeletons import layout_of
+from mimic.sources.mocap.smpl import KEYS, has_rotations, points_of_rotations
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
 VISIBILITY = ("visibility", "score", "scores", "confidence")
+_READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout", "up"}
+"""Arrays that are read; others are left where they are."""
+LARGEST = 500_000_000
+"""Most bytes of the arrays that are read."""
 _UPS = ("x", "y", "z", "-x", "-y", "-z")
 
 
@@ -26,9 +32,14 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
         SourceError: If an array is missing or has another shape.
     """
     arrays = _arrays(path)
+    if not any(name in arrays for name in POINTS) and has_rotations(arrays):
+        return points_of_rotations(arrays, settings, path)
     name = next((name for name in POINTS if name in arrays), None)
     if name is None:
-        raise SourceError(f"{path.name} holds {', '.join(arrays) or 'nothing'}; expected an array 'points' (T, N, 3)")
+        raise SourceError(
+            f"{path.name} holds {', '.join(arrays) or 'nothing'}; expected an array 'points' (T, N, 3), "
+            "or rotations of the SMPL family ('poses', or 'global_orient' and 'body_pose')"
+        )
     given = arrays[name]
     if given.dtype.kind not in "fiu" or given.ndim != 3 or given.shape[2] != 3 or not len(given):
         raise SourceError(f"'{name}' in {path.name} has shape {given.shape}; expected numbers (T, N, 3)")
@@ -52,18 +63,34 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
 
 def _arrays(path: Path) -> dict[str, Any]:
     try:
+        _check_size(path)
         with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+            found = {key: file[key] for key in file.files if key in _READ}
+            return found or dict.fromkeys(file.files)
     except (
         ValueError,
         OSError,
         EOFError,
+        KeyError,
+        MemoryError,
+        zlib.error,
         zipfile.BadZipFile,
     ):  # NumPy's own words advise to load pickles, which is not safe
         raise SourceError(
             f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
             "Python objects"
         ) from None
+
+
+def _check_size(path: Path) -> None:
+    """Refuse an archive that unpacks to more than a motion can be, before it is unpacked."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(info.file_size for info in archive.infolist() if info.filename.removesuffix(".npy") in _READ)
+    if size > LARGEST:
+        raise SourceError(
+            f"{path.name} unpacks to {size / 1e6:.0f} MB; at most {LARGEST / 1e6:.0f} MB are read: cut the recording, "
+            "or lower its frame rate"
+        )
 
 
 def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Path) -> tuple[str, ...]:

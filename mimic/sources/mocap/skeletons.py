@@ -52,6 +52,18 @@ SCHEMES: Mapping[str, Scheme] = {
     "opensim": _sides("L", "R", "{}.Shoulder", "{}.Elbow", "{}.Wrist", "{}.Hip", "{}.Knee", "{}.Ankle"),
     # Markers on the skin, each beside its joint; hips are the middle of the two markers of the pelvis on that side.
     "plug-in gait": _sides("L", "R", "{}SHO", "{}ELB", "{}WRA+{}WRB", "{}ASI+{}PSI", "{}KNE", "{}ANK", "{}TOE"),
+    # Markers that OpenCap's and Pose2Sim's marker augmentation adds (Uhlrich et al., PLOS Computational Biology, 2023).
+    "opencap": _sides(
+        "L",
+        "r",
+        "{}_shoulder_study",
+        "{}_lelbow_study+{}_melbow_study",
+        "{}_lwrist_study+{}_mwrist_study",
+        "{}HJC_study",
+        "{}_knee_study+{}_mknee_study",
+        "{}_ankle_study+{}_mankle_study",
+        "{}_toe_study",
+    ),
     "qualisys": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}WristIn+{}WristOut", "", "{}KneeOut", "{}AnkleOut"),
 }
 """Naming schemes that are recognised by themselves; the one that knows most of the file's landmarks wins."""

@@ -1,0 +1,204 @@
+"""Reads arrays out of pickles without executing them: .pkl by pickle or joblib, .pt by PyTorch.
+
+Pickles may name any function. Only the few that rebuild NumPy arrays, PyTorch tensors and plain containers are known
+here; anything else ends the reading. PyTorch and joblib are not needed.
+"""
+
+from __future__ import annotations
+
+import bz2
+import collections
+import gzip
+import io
+import lzma
+import pickle
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.errors import SourceError
+
+LARGEST = 1_000_000_000
+"""Largest file after unpacking [bytes]: WHAM with the vertices of five minutes."""
+
+
+def read_pickle(path: Path) -> Any:
+    """Return the plain data and arrays in a pickle.
+
+    Raises:
+        SourceError: If the file is none, is larger than LARGEST, or needs code to be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            if zipfile.is_zipfile(file):
+                return _torch(path)
+        return _Reader(io.BytesIO(_unpacked(path))).load()
+    except SourceError:
+        raise
+    except _NotPlain as error:
+        raise SourceError(
+            f"{path.name} holds a Python object ({error}), which is not read; store plain arrays"
+        ) from None
+    except (MemoryError, RecursionError):
+        raise SourceError(f"{path.name} is too large or too deeply nested to be read") from None
+    except Exception as error:  # a broken pickle can fail in any way
+        raise SourceError(
+            f"{path.name} cannot be read as a pickle of arrays ({type(error).__name__}: {str(error)[:80]})"
+        ) from None
+
+
+class _NotPlain(Exception):
+    """A pickle names something that is no plain data."""
+
+
+def _unpacked(path: Path) -> bytes:
+    """Return the bytes of a file, unpacked if joblib packed them."""
+    with open(path, "rb") as file:
+        start = file.read(6)
+    openers: tuple[tuple[bytes, Callable[..., Any]], ...] = (
+        (b"\x1f\x8b", gzip.open),
+        (b"BZh", bz2.open),
+        (b"\xfd7zXZ", lzma.open),
+    )
+    if path.stat().st_size > LARGEST:
+        raise SourceError(f"{path.name} has more than {LARGEST} bytes")
+    if start[:1] == b"\x78":
+        unpacker = zlib.decompressobj()
+        data = unpacker.decompress(path.read_bytes(), LARGEST + 1)
+    else:
+        opener = next((own for magic, own in openers if start.startswith(magic)), open)
+        with opener(path, "rb") as file:
+            data = file.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise SourceError(f"{path.name} unpacks to more than {LARGEST} bytes")
+    return data
+
+
+class _JoblibArray:
+    """Stands for joblib's NumpyArrayWrapper: the array's bytes follow it in the file."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.state = state
+
+    def read(self, file: io.BytesIO) -> np.ndarray:
+        dtype, shape = np.dtype(self.state["dtype"]), tuple(int(n) for n in self.state["shape"])
+        if dtype.hasobject:
+            raise _NotPlain("an array of objects")
+        if self.state.get("numpy_array_alignment_bytes") is not None:
+            file.read(file.read(1)[0])  # padding
+        size = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        data = file.read(size)
+        order = "F" if self.state.get("order") == "F" else "C"
+        return np.frombuffer(data, dtype=dtype, count=size // dtype.itemsize).reshape(shape, order=order)
+
+
+class _Tensor:
+    """Rebuilds PyTorch tensors as arrays."""
+
+    DTYPES = {  # noqa: RUF012 - a table
+        "FloatStorage": np.float32,
+        "DoubleStorage": np.float64,
+        "HalfStorage": np.float16,
+        "LongStorage": np.int64,
+        "IntStorage": np.int32,
+        "ShortStorage": np.int16,
+        "CharStorage": np.int8,
+        "ByteStorage": np.uint8,
+        "BoolStorage": np.bool_,
+    }
+
+    @staticmethod
+    def rebuild(
+        storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
+    ) -> np.ndarray:
+        last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+        if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
+            raise ValueError("a tensor is larger than its storage")
+        if np.prod(size, dtype=object) * storage.itemsize > LARGEST:
+            raise ValueError("a tensor is too large")
+        strides = tuple(step * storage.itemsize for step in stride)
+        return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
+
+
+def _rebuild_array(kind: Any, shape: Any, typecode: Any) -> np.ndarray:
+    return np.ndarray.__new__(np.ndarray, (0,), np.dtype("b"))
+
+
+def _scalar(dtype: np.dtype, data: bytes) -> Any:
+    if dtype.hasobject:
+        raise _NotPlain("an object in an array")
+    return np.frombuffer(data, dtype=dtype, count=1)[0]
+
+
+def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if order == "F" else "C")
+
+
+_KNOWN: dict[str, Any] = {
+    "numpy.ndarray": np.ndarray,
+    "numpy.dtype": np.dtype,
+    "collections.OrderedDict": collections.OrderedDict,
+    "collections.defaultdict": lambda *_: {},
+    "builtins.dict": dict,
+    "builtins.list": list,
+    "builtins.int": int,
+    "builtins.float": float,
+    "_codecs.encode": lambda text, encoding: text.encode("latin1"),
+    "joblib.numpy_pickle.NumpyArrayWrapper": _JoblibArray,
+    "torch._utils._rebuild_tensor_v2": _Tensor.rebuild,
+}
+for _module in ("numpy.core", "numpy._core"):
+    _KNOWN[f"{_module}.multiarray._reconstruct"] = _rebuild_array
+    _KNOWN[f"{_module}.multiarray.scalar"] = _scalar
+    _KNOWN[f"{_module}.numeric._frombuffer"] = _frombuffer
+
+
+class _Reader(pickle._Unpickler):  # pyright: ignore  # the Python one: joblib's arrays follow their BUILD
+    """An unpickler that knows plain containers and arrays only."""
+
+    def __init__(self, file: io.BytesIO, storages: Callable[[Any], np.ndarray] | None = None) -> None:
+        super().__init__(file, encoding="latin1")
+        self.file, self.storages = file, storages
+
+    def find_class(self, module: str, name: str) -> Any:  # pyright: ignore
+        full = f"{module}.{name}"
+        if module == "torch" and name.endswith("Storage"):
+            return name
+        if full not in _KNOWN:
+            raise _NotPlain(full[:60])
+        return _KNOWN[full]
+
+    def persistent_load(self, pid: Any) -> np.ndarray:
+        if self.storages is None:
+            raise _NotPlain("a reference to another file")
+        return self.storages(pid)
+
+    def load_build(self) -> None:
+        super().load_build()
+        if isinstance(self.stack[-1], _JoblibArray):
+            self.stack.append(self.stack.pop().read(self.file))
+
+    dispatch = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}  # pyright: ignore  # noqa: RUF012
+
+
+def _torch(path: Path) -> Any:
+    """Return the data of a file of torch.save: a zip of a pickle and the bytes of each storage."""
+    with zipfile.ZipFile(path) as archive:
+        if sum(info.file_size for info in archive.infolist()) > LARGEST:
+            raise SourceError(f"{path.name} unpacks to more than {LARGEST} bytes")
+        main = next((name for name in archive.namelist() if name.endswith("/data.pkl")), None)
+        if main is None:
+            raise SourceError(f"{path.name} is an archive without data.pkl; expected a file of torch.save")
+        folder = main.removesuffix("data.pkl")
+
+        def storage(pid: Any) -> np.ndarray:
+            _, kind, key, _, count = pid
+            if kind not in _Tensor.DTYPES:
+                raise _NotPlain(f"torch.{kind}")
+            return np.frombuffer(archive.read(f"{folder}data/{key}"), dtype=_Tensor.DTYPES[kind], count=count)
+
+        return _Reader(io.BytesIO(archive.read(main)), storage).load()

@@ -1,0 +1,263 @@
+"""Joint rotations of the SMPL family -> points, by forward kinematics on a generic skeleton; no body model is needed.
+
+Read are the parameters as AMASS, SMPL, SMPL-H, SMPL-X, AIST++, GVHMR, WHAM and 4D-Humans store them. The shape of the
+person (betas) is not used: retargeting measures arms in their own length.
+
+Source: Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015: each joint has a rotation relative to its
+parent, the rest pose is a T-pose with the left arm along +x, up +y, and the face toward +z. The offsets are segment
+lengths of a person of 1.70 m after Winter, "Biomechanics and Motor Control of Human Movement", 2009, figure 4.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.config.pose import MocapSettings
+from mimic.errors import SourceError
+from mimic.records import FloatArray
+from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.skeletons import LAYOUTS
+
+JOINTS = LAYOUTS["smpl24"][:22]
+"""Joints that SMPL, SMPL-H and SMPL-X share, in their order."""
+PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+_LEFT = {
+    "left_hip": (0.09, -0.08, 0.0),
+    "left_knee": (0.0, -0.42, 0.0),
+    "left_ankle": (0.0, -0.42, 0.0),
+    "left_foot_index": (0.0, -0.06, 0.13),
+    "left_collar": (0.07, 0.10, 0.0),
+    "left_shoulder": (0.12, 0.03, 0.0),
+    "left_elbow": (0.30, 0.0, 0.0),
+    "left_wrist": (0.25, 0.0, 0.0),
+}
+_OFFSETS = {
+    "mid_hip": (0.0, 0.0, 0.0),
+    "spine1": (0.0, 0.12, 0.0),
+    "spine2": (0.0, 0.13, 0.0),
+    "spine3": (0.0, 0.06, 0.0),
+    "neck": (0.0, 0.20, 0.0),
+    "head": (0.0, 0.10, 0.03),
+    **_LEFT,
+    **{name.replace("left", "right"): (-x, y, z) for name, (x, y, z) in _LEFT.items()},
+}
+"""From the parent to the joint in the rest pose [m]."""
+
+ROOTS = ("global_orient", "root_orient")
+BODIES = ("body_pose", "pose_body")
+WHOLE = ("poses", "pose_world", "smpl_poses", "pose", "fullpose")
+"""Names of the rotations of the pelvis, of the other joints, and of all of them; the first that is there counts."""
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
+KEYS = (*ROOTS, *BODIES, *WHOLE, *RATES)
+_WIDTHS = {66: "22 joints", 72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
+
+
+def has_rotations(arrays: Mapping[str, Any]) -> bool:
+    """Return whether arrays are parameters of the SMPL family."""
+    parts = _first(arrays, ROOTS) is not None and _first(arrays, BODIES) is not None
+    return parts or _first(arrays, WHOLE) is not None
+
+
+def points_of_rotations(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> Points:
+    """Return the joints of a generic skeleton with the rotations of a file.
+
+    Args:
+        arrays: Rotations as axis angles (T, 66), (T, 72), (T, 156), (T, 165), or in two arrays for pelvis and body;
+            also as (T, N, 3), or as matrices (T, N, 3, 3). Further arrays are not used.
+        settings: The frame rate, where the file has none.
+        path: The file, for messages.
+
+    Raises:
+        SourceError: If an array has another shape, or no frame rate is known.
+    """
+    turns = _rotations(arrays, path)
+    turned: list[FloatArray] = []
+    xyz = np.zeros((len(turns), len(JOINTS), 3))
+    for joint, parent in enumerate(PARENTS):
+        if parent < 0:
+            turned.append(turns[:, joint])
+            continue
+        xyz[:, joint] = xyz[:, parent] + turned[parent] @ np.array(_OFFSETS[JOINTS[joint]])
+        turned.append(turned[parent] @ turns[:, joint])
+    note = "joint rotations on a generic skeleton, without a body model"
+    return Points(
+        t=np.arange(len(xyz)) / _rate(arrays, settings, path),
+        xyz=xyz,
+        score=np.ones(xyz.shape[:2]),
+        names=JOINTS,
+        unit="m",
+        warnings=(note,),
+    )
+
+
+def _first(arrays: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in arrays), None)
+
+
+def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
+    """Return the rotations of the 22 joints relative to their parents (T, 22, 3, 3)."""
+    root, body = _first(arrays, ROOTS), _first(arrays, BODIES)
+    if root is not None and body is not None:
+        first, rest = _matrices(arrays[root], root, path), _matrices(arrays[body], body, path)
+        if len(first) != len(rest) or first.shape[1] != 1 or rest.shape[1] < len(JOINTS) - 1:
+            shapes = f"{np.shape(arrays[root])} and {np.shape(arrays[body])}"
+            raise SourceError(
+                f"{path.name}: '{root}' and '{body}' have shapes {shapes}; expected (T, 3) and (T, 63) or more"
+            )
+        return np.concatenate([first, rest], axis=1)[:, : len(JOINTS)]
+    name = _first(arrays, WHOLE)
+    assert name is not None  # has_rotations
+    given = np.shape(arrays[name])
+    if len(given) == 2 and given[1] not in _WIDTHS:
+        known = ", ".join(f"{width} ({what})" for width, what in _WIDTHS.items())
+        raise SourceError(f"{path.name}: '{name}' has shape {given}; expected (T, W) with a width W of {known}")
+    turns = _matrices(arrays[name], name, path)
+    if turns.shape[1] < len(JOINTS):
+        raise SourceError(f"{path.name}: '{name}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
+    return turns[:, : len(JOINTS)]
+
+
+def _matrices(given: Any, name: str, path: Path) -> FloatArray:
+    """Return rotations (T, N, 3, 3) of axis angles (T, 3 N) or (T, N, 3), or of matrices (T, N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    array = np.asarray(given)
+    matrices = array.ndim == 4 and array.shape[2:] == (3, 3)
+    vectors = (array.ndim == 2 and array.shape[1] % 3 == 0) or (array.ndim == 3 and array.shape[2] == 3)
+    if array.dtype.kind not in "fiu" or not (matrices or vectors) or not array.size:
+        raise SourceError(
+            f"{path.name}: '{name}' has shape {array.shape}; expected axis angles (T, 3 N) or matrices (T, N, 3, 3)"
+        )
+    array = np.asarray(array, dtype=np.float64)
+    if not np.isfinite(array).all():
+        row = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
+        raise SourceError(f"{path.name}: '{name}' is not a number in row {row + 1}; cut these rows")
+    if matrices:
+        return array
+    flat = array.reshape(len(array), -1, 3)
+    return Rotation.from_rotvec(flat.reshape(-1, 3)).as_matrix().reshape(*flat.shape, 3)
+
+
+def _rate(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> float:
+    if settings.fps:
+        return settings.fps
+    name = _first(arrays, RATES)
+    if name is None:
+        raise SourceError(f"{path.name} has no frame rate; give that of the recording, for example --fps 30")
+    try:
+        rate = float(np.asarray(arrays[name]).reshape(-1)[0])
+    except (ValueError, TypeError, IndexError):
+        rate = 0.0
+    if not 0.0 < rate <= 10_000.0:
+        raise SourceError(f"{path.name}: '{name}' is {arrays[name]!r}; expected a frame rate in Hz, or give --fps")
+    return rate
+
+
+# ---------------------------------------------------------------------- what programs store besides arrays
+
+
+def read_parameters(path: Path, settings: MocapSettings) -> Points:
+    """Return the person in a .pkl or .pt file of GVHMR, WHAM, 4D-Humans, AIST++, or of a dictionary of parameters.
+
+    Of several people the one in most frames is taken. Nothing in the file is executed.
+
+    Raises:
+        SourceError: If the file cannot be read, or holds no parameters of the SMPL family.
+    """
+    from mimic.sources.mocap.pickles import read_pickle
+
+    data = read_pickle(path)
+    for program, reader in _PROGRAMS:
+        found = reader(data)
+        if found is not None:
+            arrays, note = found
+            points = points_of_rotations(arrays, settings, path)
+            return Points(
+                t=points.t if "frames" not in arrays else _frame_times(arrays["frames"], points.t),
+                xyz=points.xyz,
+                score=points.score,
+                names=points.names,
+                unit=points.unit,
+                warnings=(f"parameters of {program}{note}", *points.warnings),
+            )
+    keys = ", ".join(str(key)[:40] for key in list(data)[:8]) if isinstance(data, dict) else type(data).__name__
+    raise SourceError(
+        f"{path.name} holds {keys or 'nothing'}; expected what GVHMR (hmr4d_results.pt), WHAM (wham_output.pkl), "
+        "4D-Humans (demo_….pkl) or AIST++ write, or a dictionary with global_orient and body_pose, or poses"
+    )
+
+
+def _frame_times(frames: Any, t: FloatArray) -> FloatArray:
+    """Return times of rows that lie at frames with gaps between them."""
+    numbers = np.asarray(frames, dtype=np.float64).reshape(-1)
+    if len(numbers) != len(t) or len(t) < 2:
+        return t
+    return (numbers - numbers[0]) * float(t[1] - t[0])
+
+
+_Found = tuple[dict[str, Any], str] | None
+
+
+def _gvhmr(data: Any) -> _Found:
+    if isinstance(data, dict) and isinstance(data.get("smpl_params_global"), dict):
+        return (dict(data["smpl_params_global"]), "") if has_rotations(data["smpl_params_global"]) else None
+    return None
+
+
+def _wham(data: Any) -> _Found:
+    if not isinstance(data, dict):
+        return None
+    people = {
+        key: person
+        for key, person in data.items()
+        if isinstance(person, dict) and ("pose_world" in person or "pose" in person) and "trans" in person
+    }
+    if not people:
+        return None
+    key = max(people, key=lambda name: len(people[name].get("pose_world", people[name].get("pose", ()))))
+    person = people[key]
+    arrays = {"poses": person.get("pose_world", person.get("pose"))}
+    if "frame_ids" in person:
+        arrays["frames"] = person["frame_ids"]
+    return arrays, f": person {key} of {len(people)}, the one in most frames" if len(people) > 1 else ""
+
+
+def _humans4d(data: Any) -> _Found:
+    """Frames as PHALP stores them: for each picture the identities and, for each, matrices of pelvis and body."""
+    if not isinstance(data, dict):
+        return None
+    tracks: dict[Any, list[tuple[int, Any, Any]]] = {}
+    frames = [frame for frame in data.values() if isinstance(frame, dict)]
+    if not frames or not any("smpl" in frame and "tid" in frame for frame in frames):
+        return None
+    for number, frame in enumerate(frames):
+        smpl, ids = frame.get("smpl"), frame.get("tid")
+        for identity, body in zip(ids if ids is not None else (), smpl if smpl is not None else (), strict=False):
+            if isinstance(body, dict) and {"global_orient", "body_pose"} <= body.keys():
+                tracks.setdefault(identity, []).append((number, body["global_orient"], body["body_pose"]))
+    if not tracks:
+        return None
+    best = max(tracks, key=lambda identity: len(tracks[identity]))
+    rows = tracks[best]
+    arrays = {
+        "global_orient": np.stack([np.asarray(root).reshape(1, 3, 3) for _, root, _ in rows]),
+        "body_pose": np.stack([np.asarray(body).reshape(-1, 3, 3) for _, _, body in rows]),
+        "frames": [number for number, _, _ in rows],
+    }
+    return arrays, f": person {best} of {len(tracks)}, the one in most frames" if len(tracks) > 1 else ""
+
+
+def _plain(data: Any) -> _Found:
+    return (data, "") if isinstance(data, dict) and has_rotations(data) else None
+
+
+_PROGRAMS: tuple[tuple[str, Callable[[Any], _Found]], ...] = (
+    ("GVHMR", _gvhmr),
+    ("WHAM", _wham),
+    ("4D-Humans", _humans4d),
+    ("the SMPL family", _plain),
+)
