@@ -18,7 +18,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -111,10 +113,10 @@ def play_one(folder: Path, work: Path, source: Path, seed: int) -> dict[str, obj
     }
 
 
-def metrics_toe(metrics: object) -> float:
-    """Return the mean toe error [cm] of a run's figures."""
-    values = dict(metrics)  # type: ignore[call-overload]
-    return round(float(values["toe_error_cm"]["mean"]), 2)
+def metrics_toe(metrics: Mapping[str, Any]) -> float | None:
+    """Return the mean toe error [cm] of a run's figures; None where it never tracked."""
+    mean = (metrics["toe_error_cm"] or {}).get("mean")
+    return None if mean is None else round(float(mean), 2)
 
 
 def _last_line(done: subprocess.CompletedProcess[str]) -> str:

@@ -288,7 +288,7 @@ def probe(
     rows = {
         "rows": f"{len(result.log.t)} in {result.log.duration:.1f} s, {result.log.rate:.0f} Hz",
         "missing": f"{result.missing:.2%} of the readings asked for",
-        "bus load": _load_row(list(result.load), list(result.expected)),
+        **({"bus load": _load_row(list(result.load), list(result.expected))} if len(result.load) else {}),
         "written": str(path),
         "next": f"mimic calibrate {path}",
     }

@@ -235,14 +235,14 @@ def probe_robot(
     from mimic.control.signals import Signals
     from mimic.hardware.excite import probe
     from mimic.hardware.excite_motion import asked_rates, probe_motion, recorded_motion
-    from mimic.hardware.plant import CanRobot
     from mimic.hardware.session import robot_session
+    from mimic.hardware.stock.excite import probe_board
+    from mimic.hardware.stock.plant import StockRobot
     from mimic.io.joint_log import write_log
     from mimic.robot.description import load_description
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
-    _only_on_can(bus_url, "probe", "not possible yet")
     settings, bus = settings or ProbeSettings(), bus or BusSettings()
     operator, reporter = operator or Operator(), reporter or SilentReporter()
     store.check_writable(out.parent)
@@ -265,7 +265,9 @@ def probe_robot(
         suspended=True,
     ) as plant:
         reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")
-        assert isinstance(plant, CanRobot)
         with signals.caught(), undisturbed():
-            result = probe(plant, targets, settings, signals)
+            if isinstance(plant, StockRobot):
+                result = probe_board(plant, targets, settings, signals)
+            else:
+                result = probe(plant, targets, settings, signals)
     return result, write_log(result.log, out), plant.ending

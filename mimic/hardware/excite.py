@@ -54,7 +54,7 @@ class ProbeResult:
     missing: float
     """Share of the requested readings that are missing."""
     load: FloatArray
-    """Measured share of time that each bus was busy during the motion (buses,)."""
+    """Measured share of time that each bus was busy during the motion (buses,); empty for a stock robot."""
     expected: FloatArray
     """Expected share, estimated from the rates (buses,)."""
 
@@ -90,9 +90,9 @@ def probe(
     rows = _Rows(robot, supervisor, signals, settings)
     try:
         state = robot.start()
-        approach = list(_approach(state.q, motion.q_des[0], settings))
+        way = list(approach(state.q, motion.q_des[0], settings))
         rows.begin()
-        for gain, target in approach:
+        for gain, target in way:
             rows.step(gain, target, motion.watched[0], keep=False)
         for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
             rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
@@ -110,7 +110,7 @@ def probe(
     return rows.result()
 
 
-def _approach(begin: FloatArray, first: FloatArray, settings: ProbeSettings) -> Iterator[tuple[float, FloatArray]]:
+def approach(begin: FloatArray, first: FloatArray, settings: ProbeSettings) -> Iterator[tuple[float, FloatArray]]:
     """Yield share of the gains and targets (12,) [rad]: first the gains rise, then the joints move."""
     begin, ticks = np.where(np.isnan(begin), first, begin), max(2, round(settings.approach * settings.rate_hz))
     for tick in range(ticks):

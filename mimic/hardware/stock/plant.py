@@ -194,13 +194,17 @@ class StockRobot:
         if problems:
             raise PlantError(f"the robot was not moved: {'; '.join(problems)}")
 
-    def step(self, command: JointCommand) -> Tick:
+    def step(self, command: JointCommand, dt: float | None = None) -> Tick:
         """Send a command, collect the readings, and wait for the end of the control step.
+
+        Args:
+            command: For the joints.
+            dt: Length of this step [s]; by default the control step.
 
         Raises:
             PlantError: If the command is not finite, no message comes any more, or the sender has ended or taken over.
         """
-        link, dt = self._link, self._description.dt
+        link, dt = self._link, self._description.dt if dt is None else dt
         numbers = np.concatenate([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff])
         if not np.isfinite(numbers).all():
             raise PlantError("the command holds numbers that are not finite")
