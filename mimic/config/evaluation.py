@@ -72,7 +72,7 @@ class TableSettings:
     senses: tuple[str, ...] = ("the paper's noise", "training's noise", "no noise", "deaf to velocity")
     """What the policy senses; each is a row of its own. The first one counts."""
     walks: int = 3
-    """Walks at each asked speed, with still and with moving arms."""
+    """Walks at each asked speed, with still and with moving arms; no more than ``episodes``."""
     workers: int = 0
     """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)

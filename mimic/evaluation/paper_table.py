@@ -260,6 +260,6 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
             table[senses][kinds] = over_seeds(groups)
             episodes[senses][kinds] = [asdict(found[kinds]) | {"group": group} for group, found in played]
     paper = {name: {"mean": mean, "std": std} for name, (mean, std) in PAPER.items()}
-    seeds = range(settings.seed, settings.seed + settings.walks)
+    seeds = range(settings.seed, settings.seed + min(settings.walks, settings.episodes))
     walking = evaluate_walking(policy_path, seeds, settings.robot, workers=settings.workers, progress=progress)
     return {"policy": policy_path.name, "paper": paper, "table": table, "walking": walking, "episodes": episodes}

@@ -15,7 +15,7 @@ from mimic.io.assets import shipped
 def walked():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walking, "SPEEDS", (-0.3, 0.0, 0.6))
-        patch.setattr(walking, "SECONDS", 7.0)
+        patch.setattr(walking, "SECONDS", 5.5)
         return evaluate_walking(shipped("policies", "stand_track.onnx"), range(1, 2), AS_DESCRIBED, workers=1)
 
 
