@@ -105,7 +105,10 @@ class _Rows:
 
 
 def screen(
-    logs: Sequence[tuple[JointLog, MachineModel]], settings: ScreenSettings | None = None, effects: Sequence[str] = ()
+    logs: Sequence[tuple[JointLog, MachineModel]],
+    settings: ScreenSettings | None = None,
+    effects: Sequence[str] = (),
+    given: Sequence[str] = (),
 ) -> Screen:
     """Rank effects and sets of effects by the torque that they explain.
 
@@ -113,6 +116,7 @@ def screen(
         logs: What one machine did, with the model for each (payloads may differ); gains are those of the log.
         settings: Thresholds.
         effects: Names that may be claimed; empty for all.
+        given: Effects that are there anyhow, with the thresholds that suit them best: all others come on top.
 
     Raises:
         CalibrationError: If there is nothing to compare: no torque, too little motion.
@@ -122,8 +126,15 @@ def screen(
     columns = Columns(motions)
     base = columns.baseline()
     search = _Search(motions, base, settings)
+    candidates = columns.candidates(search.left_of_baseline())
+    for name in given:
+        own = [c for c in candidates if c.name == name]
+        if own:
+            base.append(min(own, key=lambda c: _total(search.score((c,)))))
+            candidates = [c for c in candidates if c.name != name]
+            search = _Search(motions, base, settings)
     baseline = search.score(())
-    candidates = [c for c in columns.candidates(search.left_of_baseline()) if not effects or c.name in effects]
+    candidates = [c for c in candidates if not effects or c.name in effects]
     singles, sets = search.run(candidates)
     return Screen(
         joints=motions[0].machine.joints,
@@ -408,3 +419,28 @@ def _evidence(difference: FloatArray) -> tuple[float, float]:
         if z > best[1]:
             best = (mean * share, z)
     return best if np.isfinite(best[1]) else (0.0, 0.0)
+
+
+def worth_a_fit(
+    log: JointLog, model: MachineModel, effects: Sequence[str], given: Sequence[str] = (), most: int = 8
+) -> tuple[str, ...]:
+    """Return the effects that a log asks for in the torque domain, best first, and those that it cannot judge.
+
+    Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all).
+
+    Args:
+        log: What a machine did.
+        model: What it should have done.
+        effects: To choose from.
+        given: Effects that are in the model by now.
+        most: Of those that torques can judge, by gain and by z.
+    """
+    both = [log] if log.tau is None or log.q_des is None else [log, replace(log, tau=None)]
+    found: dict[str, list[Score]] = {}
+    for one in both:
+        for s in screen([(one, model)], ScreenSettings(most=0), effects, given).singles:
+            found.setdefault(s.names[0], []).append(s)
+    by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
+    by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
+    chosen = [n for n in by_gain if n in by_gain[:most] or n in by_z[:most]]
+    return (*chosen, *(n for n in effects if n not in found))
