@@ -67,7 +67,7 @@ FAMILIES: Mapping[str, Family] = {
     "delay_jitter": Family("s", 0.06, "three targets"),
     "lost_commands": Family("1", 0.5, "every other target"),
 }
-"""Every effect of the catalogue that is not baseline."""
+"""Effects of the catalogue that are not baseline and that the physics of this suite has."""
 
 ALIEN_CAPS: Mapping[str, tuple[float, str]] = {
     "cable_stop": (30.0, "as stiff as Kp"),

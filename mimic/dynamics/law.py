@@ -42,6 +42,9 @@ device.
 LITTLE = 1 << 14
 """Torques up to which a device takes longer to begin an operation than to do it."""
 
+OWN_STATES = {"goal": "target_filter", "integral": "drive_integral", "bristle": "presliding"}
+"""States that only one effect needs."""
+
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
 
@@ -154,8 +157,10 @@ class Law:
             state += ["heat"]
         if self.rotor is not None:
             state += ["theta", "omega", "omega_open", "omega_slope"]
+        state += [name for name, of in OWN_STATES.items() if of in has]
         for name in state:
             self.states[name] = xp.zeros_like(self._zero)
+        self._lag_u = self._lag("target_filter")
         self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
 
     def _lag(self, name: str) -> tuple[Any, Any] | None:
@@ -205,7 +210,15 @@ class Law:
 
     def begin(self, q: Any, dq: Any, heat: Any = None, where: Any = None) -> None:
         """Begin a run at link positions q, in all simulations or in those of ``where`` (N, 1), the others go on."""
-        known = {"velocity": dq, "velocity_before": dq, "theta": q, "omega": dq, "omega_open": dq, "heat": heat}
+        known = {
+            "velocity": dq,
+            "velocity_before": dq,
+            "theta": q,
+            "omega": dq,
+            "omega_open": dq,
+            "heat": heat,
+            "goal": q,
+        }
         for name, before in self.states.items():
             value = known.get(name)
             value = self._zero + (0.0 if value is None else value)
@@ -218,11 +231,27 @@ class Law:
             q = q - self.get("encoder_offset", "angle")
         if "encoder_scale" in self._has:
             q = q / self.get("encoder_scale", "factor")
+        return self._centred(q)
+
+    def _centred(self, turned: Any) -> Any:
+        """Return the angle that an eccentric encoder reads as this one."""
+        q = turned
+        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
+            q = turned - self._beside(q)
         return q
+
+    def _beside(self, q: Any) -> Any:
+        """Return what an eccentric encoder reads too much."""
+        xp, get = self.xp, self.get
+        angle = self._zero + q
+        cosine = get("encoder_eccentricity", "cosine") * xp.cos(angle)
+        return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
         """Return what the encoders read at link positions q; call it after `step` or `reset`."""
         value = self._position(q)
+        if "encoder_eccentricity" in self._has:
+            value = value + self._beside(value)
         if "encoder_scale" in self._has:
             value = value * self.get("encoder_scale", "factor")
         if "encoder_offset" in self._has:
@@ -242,6 +271,10 @@ class Law:
     def settle(self, dq: Any) -> None:
         """Bring the states to the end of the step just made, whose velocities are dq (N, J)."""
         s, dt = self.states, self.dt
+        if "bristle" in s:
+            sign = self.xp.where(dq < 0, self._zero - 1.0, self._zero + 1.0)
+            left = self.xp.exp(-self.xp.abs(dq) * dt / self.get("presliding", "way"))
+            s["bristle"] = sign + (s["bristle"] - sign) * left
         if self.rotor is not None:
             s["omega"] = s["omega_open"] + s["omega_slope"] * dq
             s["theta"] = s["theta"] + dt * s["omega"]
@@ -278,6 +311,10 @@ class Law:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
+        if self._lag_u is not None:
+            left, held = self._lag_u
+            wanted, ctrl, parts = ctrl, ctrl + held * (s["goal"] - ctrl), ()
+            s["goal"] = wanted + left * (s["goal"] - wanted)
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
             if "heat" in s:
@@ -286,6 +323,12 @@ class Law:
             kp, kd = kp * factor, kd * factor
         if "encoder_step" in has:
             bias = bias - kp * (self._rounded(theta) - theta)
+        error = ctrl - theta
+        if "encoder_eccentricity" in has:
+            more = self._beside(theta)
+            bias, error = bias - kp * more, error - more
+        if has & {"deadband", "drive_integral"}:
+            bias = bias + self._beyond_kp(error, kp)
         if "velocity_before" in s:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:
@@ -307,7 +350,7 @@ class Law:
             load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
-        friction, bent = self._friction(dq, load)
+        friction, bent = self._friction(q, dq, load)
         applied = self._outside(q, dq, time) - bent
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
         if self.rotor is not None:
@@ -315,6 +358,18 @@ class Law:
         return StepInputs(
             ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
         )
+
+    def _beyond_kp(self, error: Any, kp: Any) -> Any:
+        """Return what the drive makes of an error of its position beside kp times the error."""
+        xp, torque = self.xp, self._zero
+        if "deadband" in self._has:
+            width = self._zero + self.get("deadband", "width")
+            inside = xp.minimum(xp.maximum(error, -width), width)
+            torque, error = torque - kp * inside, error - inside
+        if "drive_integral" in self._has:
+            self.states["integral"] = self.states["integral"] + self.dt * error
+            torque = torque + self.get("drive_integral", "gain") * self.states["integral"]
+        return torque
 
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
@@ -386,7 +441,7 @@ class Law:
         power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
         return 1.0 - self.get("supply_sag", "drop") * power - left
 
-    def _friction(self, dq: Any, load: Any) -> tuple[Any, Any]:
+    def _friction(self, q: Any, dq: Any, load: Any) -> tuple[Any, Any]:
         """Return dry friction at these motor torques, and the torque by which one direction has more.
 
         Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
@@ -396,6 +451,9 @@ class Law:
             level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
         if "load_friction" in self._has:
             level = level + get("load_friction", "ratio") * load
+        if "position_friction" in self._has:
+            level = level + (get("position_friction", "slope") + get("position_friction", "curvature") * q) * q
+            level = xp.clip(level, 0.0, None)
         if "asymmetric_friction" in self._has:
             more = get("asymmetric_friction", "level")
             forward, backward = xp.clip(level + more, 0.0, None), xp.clip(level - more, 0.0, None)
@@ -406,6 +464,8 @@ class Law:
         xp, get, has, applied = self.xp, self.get, self._has, self._zero
         if "asymmetric_friction" in has:
             applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
+        if "bristle" in self.states:
+            applied = applied - get("presliding", "level") * self.states["bristle"]
         if "quadratic_drag" in has:
             applied = applied - get("quadratic_drag", "coefficient") * dq * xp.abs(dq)
         if "coupling" in has:

@@ -54,7 +54,7 @@ class Motion:
     bias: FloatArray
     """Part of it that is there without acceleration: gravity, Coriolis, springs [N m]."""
     moving: BoolArray
-    """Where friction is not that of a joint at rest."""
+    """Where friction is not that of a joint at rest, in rows that may be looked at."""
     slow: FloatArray
     """Speed below which a sign cannot be told (J,)."""
     cut_off: float
@@ -87,13 +87,14 @@ def cut_off_of(log: JointLog, machine: MachineModel) -> float:
     return float(np.clip(BANDWIDTH * fastest, min(LEAST, most), log.rate / 8.0))
 
 
-def motion_of(log: JointLog, model: MachineModel, delay: float) -> Motion:
+def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray | None = None) -> Motion:
     """Return a log at even times.
 
     Args:
         log: Of the joints of the model.
         model: What it should have done.
         delay: Of the targets [s].
+        rows: Rows of the log that may be looked at (T,), all by default.
     """
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
     rate, t0 = log.rate, log.t[0]
@@ -110,6 +111,10 @@ def motion_of(log: JointLog, model: MachineModel, delay: float) -> Motion:
     on = np.ones((len(t), 1))
     if TORQUE_ON in log.extra:
         on = (_held(t, log.t - t0, log.extra[TORQUE_ON][:, None]) > 0.5).astype(float)
+
+    seen = np.ones((len(t), 1), dtype=bool)
+    if rows is not None:
+        seen = np.interp(t, log.t - t0, rows.astype(float))[:, None] > 0.99
 
     def asked(u: FloatArray) -> FloatArray:
         return on * np.clip(kp * (u - q_read) - kd * dq + force, -most, most)
@@ -134,7 +139,7 @@ def motion_of(log: JointLog, model: MachineModel, delay: float) -> Motion:
         on=on,
         need=np.zeros_like(q),
         bias=np.zeros_like(q),
-        moving=_low_pass((np.abs(dq) > slow).astype(float), cut_off, rate) > 0.9,
+        moving=(_low_pass((np.abs(dq) > slow).astype(float), cut_off, rate) > 0.9) & seen,
         slow=slow,
         cut_off=cut_off,
         every=max(1, round(rate / (2.5 * cut_off))),

@@ -19,6 +19,12 @@ from mimic.sysid.screen.motion import Motion, motion_of
 DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
 """Delays of the targets that are tried before anything else [s]; the baseline moves between them."""
 
+GAUGE = ("gains", "kt_gain")
+"""They multiply the torque itself, so that a regression of torques hardly sees them."""
+
+SHORTLIST = 8
+"""Effects that are worth a fit by gain, and as many by z; of what was hidden the worst was fifth of either."""
+
 RIVAL = 2.0
 """Standard errors by which an effect must be behind another to be told from it."""
 
@@ -109,6 +115,7 @@ def screen(
     settings: ScreenSettings | None = None,
     effects: Sequence[str] = (),
     given: Sequence[str] = (),
+    rows: Sequence[BoolArray] | None = None,
 ) -> Screen:
     """Rank effects and sets of effects by the torque that they explain.
 
@@ -117,12 +124,13 @@ def screen(
         settings: Thresholds.
         effects: Names that may be claimed; empty for all.
         given: Effects that are there anyhow, with the thresholds that suit them best: all others come on top.
+        rows: Rows of each log that may be looked at (T,); all by default.
 
     Raises:
         CalibrationError: If there is nothing to compare: no torque, too little motion.
     """
     settings = settings or ScreenSettings()
-    delay, motions = _with_delay(logs)
+    delay, motions = _with_delay(logs, rows or [np.ones(len(log.t), dtype=bool) for log, _ in logs])
     columns = Columns(motions)
     base = columns.baseline()
     search = _Search(motions, base, settings)
@@ -148,27 +156,29 @@ def screen(
     )
 
 
-def _with_delay(logs: Sequence[tuple[JointLog, MachineModel]]) -> tuple[float, list[Motion]]:
+def _with_delay(logs: Sequence[tuple[JointLog, MachineModel]], seen: Sequence[BoolArray]) -> tuple[float, list[Motion]]:
     """Return the delay of the targets with which the baseline leaves least, and the motions with it."""
     by_target = any(log.tau is None and log.q_des is not None for log, _ in logs)
-    found = {d: _plain(logs, d) for d in (DELAYS if by_target else (0.0,))}
+    found = {d: _plain(logs, seen, d) for d in (DELAYS if by_target else (0.0,))}
     delay = min(found, key=lambda d: found[d][0])
     for _ in range(REFINED if by_target else 0):
         nearer = float(np.clip(delay + found[delay][1], 0.0, 2 * DELAYS[-1]))
         if nearer not in found:
-            found[nearer] = _plain(logs, nearer)
+            found[nearer] = _plain(logs, seen, nearer)
         if found[nearer][0] >= found[delay][0]:
             break
         delay = nearer
     return delay, found[delay][2]
 
 
-def _plain(logs: Sequence[tuple[JointLog, MachineModel]], delay: float) -> tuple[float, float, list[Motion]]:
+def _plain(
+    logs: Sequence[tuple[JointLog, MachineModel]], seen: Sequence[BoolArray], delay: float
+) -> tuple[float, float, list[Motion]]:
     """Return the log error of each joint's own inertia and friction, summed, by how much later is better, the motions.
 
     The error is that of a torque in units of the declared one, since all torques scale with inertia and friction.
     """
-    motions = [motion_of(log.of(model.joints), model, delay) for log, model in logs]
+    motions = [motion_of(log.of(m.joints), m, delay, use) for (log, m), use in zip(logs, seen, strict=True)]
     rows = _rows(motions, ScreenSettings())
     left, later, weight = 0.0, 0.0, 0.0
     for j in range(motions[0].q.shape[1]):
@@ -422,25 +432,34 @@ def _evidence(difference: FloatArray) -> tuple[float, float]:
 
 
 def worth_a_fit(
-    log: JointLog, model: MachineModel, effects: Sequence[str], given: Sequence[str] = (), most: int = 8
+    log: JointLog,
+    model: MachineModel,
+    effects: Sequence[str],
+    given: Sequence[str] = (),
+    rows: BoolArray | None = None,
 ) -> tuple[str, ...]:
     """Return the effects that a log asks for in the torque domain, best first, and those that it cannot judge.
 
-    Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all).
+    Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all). Where
+    there is too little motion to judge anything, all effects are returned.
 
     Args:
         log: What a machine did.
         model: What it should have done.
         effects: To choose from.
         given: Effects that are in the model by now.
-        most: Of those that torques can judge, by gain and by z.
+        rows: Rows of the log that may be looked at (T,).
     """
     both = [log] if log.tau is None or log.q_des is None else [log, replace(log, tau=None)]
+    seen, quick = None if rows is None else [rows], ScreenSettings(most=0)
     found: dict[str, list[Score]] = {}
-    for one in both:
-        for s in screen([(one, model)], ScreenSettings(most=0), effects, given).singles:
-            found.setdefault(s.names[0], []).append(s)
+    try:
+        for one in both:
+            for s in screen([(one, model)], quick, effects, given, seen).singles:
+                found.setdefault(s.names[0], []).append(s)
+    except CalibrationError:
+        return tuple(effects)
     by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
     by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
-    chosen = [n for n in by_gain if n in by_gain[:most] or n in by_z[:most]]
-    return (*chosen, *(n for n in effects if n not in found))
+    chosen = [n for n in by_gain if n in by_gain[:SHORTLIST] or n in by_z[:SHORTLIST]]
+    return (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))

@@ -82,7 +82,7 @@ def forward_selection(state: CalibrationState) -> list[Stage]:
 
 
 def _candidates(state: CalibrationState) -> list[str]:
-    allowed = state.settings.effects or tuple(CATALOGUE)
+    allowed = state.settings.effects or tuple(n for n, e in CATALOGUE.items() if not e.by_request)
     machine = state.problem.machine
     out = set(state.names)
     if any(CATALOGUE[n].random for n in state.names):  # one law of late targets is enough

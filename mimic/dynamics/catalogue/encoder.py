@@ -1,0 +1,50 @@
+"""What the encoder says, and where the joint is."""
+
+from mimic.dynamics.catalogue.kinds import Effect, Parameter
+
+ENCODER = (
+    Effect(
+        name="encoder_offset",
+        title="encoder offset",
+        equation="reading = q + angle",
+        parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=-1.0, high=1.0, step=0.01, spread=50),),
+        signature="constant in the reading, so that only gravity and limits show it",
+        experiment="wide static poses, or a touch of the end stop",
+        enters="target and reading",
+        source="zero of the encoder",
+    ),
+    Effect(
+        name="encoder_scale",
+        title="encoder scale",
+        equation="reading = factor q",
+        parameters=(Parameter(name="factor", unit="1", neutral=1.0, low=0.5, high=2.0, step=0.01, spread=10),),
+        signature="as gravity and inertia of a scaled motion",
+        experiment="wide static poses",
+        enters="target, reading and gains",
+        source="gear ratio or calibration table of the encoder",
+    ),
+    Effect(
+        name="encoder_step",
+        title="coarse encoder",
+        equation="reading = angle round(q / angle)",
+        parameters=(Parameter(name="angle", unit="rad", neutral=0.0, low=0.0, high=0.1, step=0.001, fixed=True),),
+        signature="steps of equal size in the reading",
+        experiment="slow ramps",
+        enters="reading and actuator bias at every step",
+        source="resolution of the encoder",
+    ),
+    Effect(
+        name="encoder_eccentricity",
+        title="eccentric encoder",
+        equation="reading = q + cosine cos(q) + sine sin(q)",
+        parameters=(
+            Parameter(name="cosine", unit="rad", neutral=0.0, low=-0.2, high=0.2, step=0.01, spread=30),
+            Parameter(name="sine", unit="rad", neutral=0.0, low=-0.2, high=0.2, step=0.01, spread=30),
+        ),
+        by_request=True,
+        signature="an offset that turns with the joint; small motions show an offset and a scale",
+        experiment="static poses over the whole range",
+        enters="reading and actuator bias at every step",
+        source="a magnet or disc beside the axis",
+    ),
+)

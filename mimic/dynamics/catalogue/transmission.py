@@ -1,0 +1,45 @@
+"""What is between motor and link."""
+
+from mimic.dynamics.catalogue.kinds import Effect, Parameter
+
+GAPS = tuple(2.5 * 1.2**k for k in range(19))
+"""Starts of a backlash, in differences that matter: a fit finds one only from within a sixth of it."""
+
+
+TRANSMISSION = (
+    Effect(
+        name="backlash",
+        title="backlash",
+        equation="motor and link move freely against each other within gap; the encoder is on the motor",
+        parameters=(
+            Parameter(name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),
+        ),
+        structural=True,
+        signature="dwell at each reversal of torque",
+        experiment="small reversals around zero load, and the same preloaded by gravity",
+        enters="rotor state in the law, implicit in the actuator bias",
+        source="Nordin and Gutman 2002",
+    ),
+    Effect(
+        name="compliance",
+        title="joint compliance",
+        equation="tau = (theta - q) / compliance between motor angle theta and link; the encoder is on the motor",
+        parameters=(
+            Parameter(
+                name="compliance",
+                unit="rad/(N m)",
+                neutral=0.0,
+                low=0.0,
+                high=0.2,
+                step=0.003,
+                starts=(3.0, 12.0),
+                spread=50,
+            ),
+        ),
+        structural=True,
+        signature="a resonance; reads as delay without friction",
+        experiment="chirp through the resonance, and a second log with a higher Kp",
+        enters="rotor state in the law, implicit in the actuator bias",
+        source="Spong 1987",
+    ),
+)
