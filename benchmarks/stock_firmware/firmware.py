@@ -69,6 +69,10 @@ EXTENSIONS = (
 """Additions to the bench: compiled models (.mjb), factors on the gains of each motor, a delay of commands in ticks."""
 
 
+REAL_TIME = ("chrt", "-f", "5") if os.geteuid() == 0 else ("nice", "-n", "0")
+"""Bench and firmware run before other work where that is allowed: a robot's board does nothing else either."""
+
+
 class NotHere(Exception):
     """The firmware cannot be built or run here; says why."""
 
@@ -140,7 +144,7 @@ class Bench:
         work.mkdir(parents=True, exist_ok=True)
         self.csv, self._log = work / "bench.csv", work / "bench.log"
         program = folder / "build" / "firmware" / "control" / "user" / "cyberdog_control"
-        command = ["nice", "-n", "5", folder / "build" / "bench.mimic", "--model", model, "--firmware", program]
+        command = [*REAL_TIME, folder / "build" / "bench.mimic", "--model", model, "--firmware", program]
         command += ["--log", self.csv, "--firmware-log", work / "firmware.log", *options]
         self._command = [str(word) for word in command]
 

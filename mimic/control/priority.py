@@ -11,14 +11,19 @@ LOOP, WATCHDOG = 10, 20
 
 
 @contextmanager
-def real_time(priority: int) -> Generator[bool]:
+def real_time(priority: int, *, inherited: bool = False) -> Generator[bool]:
     """Run this thread before all threads without real-time priority; yield whether the system allowed it.
 
-    Linux allows it to root and to users with an ``rtprio`` limit. Processes started meanwhile do not inherit it.
+    Linux allows it to root and to users with an ``rtprio`` limit.
+
+    Args:
+        priority: LOOP or WATCHDOG.
+        inherited: Threads and processes that are started meanwhile have it too.
     """
+    policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
         allowed = True
     except OSError:
         allowed = False

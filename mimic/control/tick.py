@@ -114,7 +114,8 @@ class Run:
         builder.acted(action)
         q_des, zeros = joint_command(contract, action), np.zeros(12)
         gains = np.full(12, contract.kp), np.full(12, contract.kd)
-        command = JointCommand(q_des=q_des, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
+        ramp = contract.dt if contract.interpolate else 0.0
+        command = JointCommand(q_des=q_des, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros, ramp=ramp)
         clamped += int(np.count_nonzero(np.abs(action) > contract.action_clip))
         asked = {"v_des": v_des, "heading_des": desired.heading, "p_BE_des": p_BE_des}
         seen = np.full(self._width, np.nan)

@@ -199,6 +199,8 @@ def command_in_effect(
     before_that: Any,
     where: Any,
     older: Sequence[Any] = (),
+    *,
+    interpolate: bool = False,
 ) -> Any:
     """Return the command that acts during a physics step.
 
@@ -212,9 +214,15 @@ def command_in_effect(
         before_that: And of the one before that.
         where: ``np.where`` or ``torch.where``.
         older: Those before, newest first.
+        interpolate: Move linearly from one command to the next, over a control step; needs one command more.
     """
     commands = (newest, before, before_that, *older)
     acting = commands[-1]
     for age in reversed(range(len(commands) - 1)):
-        acting = where(delay_steps - age * decimation <= substep, commands[age], acting)
+        value = commands[age]
+        if interpolate:
+            steps = substep + 1 + age * decimation - delay_steps  # physics steps on the way, at the end of this one
+            share = where(steps < decimation, steps / decimation, 1.0)
+            value = commands[age + 1] + share * (value - commands[age + 1])
+        acting = where(delay_steps - age * decimation <= substep, value, acting)
     return acting

@@ -114,7 +114,7 @@ def play_on_robot(
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
-    from mimic.hardware.plant import CanRobot
+    from mimic.hardware.plant import INTERPOLATION_PARTS, CanRobot
     from mimic.hardware.session import robot_session
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
@@ -136,6 +136,8 @@ def play_on_robot(
     for one in (policy, sit_down):
         for _ in range(WARM_UP):
             one.act(np.zeros(one.contract.observation_size))
+    parts = INTERPOLATION_PARTS if policy.contract.interpolate else 1
+    rate_hz = parts / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
     supervisor, signals = Supervisor(description), Signals()
     what = "It stands up now." if standing else f"It stands up now and plays {name}."
@@ -152,7 +154,7 @@ def play_on_robot(
                 bus_url,
                 bus,
                 description,
-                rate_hz=1.0 / description.dt,
+                rate_hz=rate_hz,
                 report=operator.show_findings,
                 go=lambda: operator.confirm(f"{what} Ctrl-C sits down, a second one damps at once."),
             )
@@ -166,7 +168,7 @@ def play_on_robot(
             recorder.abandon()
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
         if isinstance(plant, CanRobot):
-            load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, 1.0 / description.dt))
+            load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
     inputs = {**done.inputs, **({} if file is None else {"source": file})}
     made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
     more: dict[str, Any] = {}

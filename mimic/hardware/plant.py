@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +15,9 @@ from mimic.hardware.shutdown import damp, shutdown_report, switch_off
 from mimic.hardware.wiring import Wiring
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
+
+INTERPOLATION_PARTS = 4
+"""A command that is interpolated goes out in so many parts: 200 Hz with a control step of 20 ms."""
 
 ANSWER_WINDOW = 0.005
 """A step listens for answers at least this long, even if it started late [s]; twelve motors take 3.4 ms."""
@@ -85,6 +89,7 @@ class CanRobot:
         self._watchdog = watchdog
         self._torque_limit = description.torque_max if torque_limit is None else torque_limit
         self._on = self._closed = False
+        self._before: FloatArray | None = None
         self._missed = np.zeros(len(JOINTS), dtype=int)
         self._bits = self.motor_bus.bits.copy()
         self._began = self._ended = self._due = self._link.now()
@@ -106,7 +111,7 @@ class CanRobot:
             BusError: If a bus fails.
         """
         motor_bus = self.motor_bus
-        self._closed = False
+        self._closed, self._before = False, None
         self._need(motor_bus.stop())
         if Register.CONTROL_MODE in motor_bus.motors.facts.registers:  # only a motor that is off may change it
             motor_bus.set(Register.CONTROL_MODE, motor_bus.motors.facts.impedance_mode)
@@ -142,15 +147,28 @@ class CanRobot:
         motor_bus.drain()
         asked = link.now()
         compute = asked - self._ended
-        sent = motor_bus.command(command)
+        sent = self._send(command, asked)
         self._due += dt
-        motor_bus.listen(max(self._due, asked + ANSWER_WINDOW))
+        motor_bus.listen(max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW))
         now = link.now()
         late, self._ended = now - self._due, now
         if late > dt:
             self._due = now  # missed time is not caught up
         self.count(asked)
         return Tick(state=self.state(asked, now), sent=sent, health=self.health(compute, late, now))
+
+    def _send(self, command: JointCommand, asked: float) -> JointCommand:
+        """Send a command, in several parts where it is interpolated; return what was sent last."""
+        before, self._before = self._before, command.q_des
+        if command.ramp <= 0.0 or before is None:
+            return self.motor_bus.command(command)
+        sent = command
+        for part in range(1, INTERPOLATION_PARTS + 1):
+            q_des = before + part / INTERPOLATION_PARTS * (command.q_des - before)
+            sent = self.motor_bus.command(replace(command, q_des=q_des))
+            if part < INTERPOLATION_PARTS:
+                self.motor_bus.listen(asked + part * command.ramp / INTERPOLATION_PARTS)
+        return replace(sent, ramp=command.ramp)
 
     def beat(self) -> None:
         """Report to the watchdog that this process is alive."""

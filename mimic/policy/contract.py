@@ -128,6 +128,8 @@ class PolicyContract:
     """SHA-256 of the training settings."""
     task: str = "stand_track"
     """What it was trained to do: stand_track or sit_down."""
+    interpolate: bool = False
+    """Whether commanded positions move linearly from one control step's to the next, instead of at once."""
 
     @property
     def observation_size(self) -> int:
@@ -181,9 +183,31 @@ class PolicyContract:
         for what, given, expected in pairs:
             if given != expected:
                 raise ContractError(f"the policy's {what} is {given}; this robot expects {expected}")
+        self._check_numbers(description)
         low, high = np.array(self.q_min), np.array(self.q_max)
         if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):
             raise ContractError("the policy may command joint positions outside this robot's limits; expected inside")
+
+    def _check_numbers(self, description: RobotDescription) -> None:
+        """Refuse numbers that no trained policy has, before they reach a motor."""
+        for name in ("default_q", "action_scale", "q_min", "q_max", "neutral_toes"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ContractError(f"the policy's {name} holds a number that is not finite; export the policy again")
+        ranges = (
+            ("kp", self.kp, MAX_KP_RATIO * description.kp, "N m/rad"),
+            ("kd", self.kd, description.kd_max, "N m s/rad"),
+            ("action_clip", self.action_clip, MAX_ACTION, "units"),
+        )
+        for name, value, most, unit in ranges:
+            if not 0.0 < value <= most:  # NaN is refused too
+                raise ContractError(f"the policy's {name} is {value:g} {unit}; expected more than 0, at most {most:g}")
+
+
+MAX_KP_RATIO = 5.0
+"""A policy's position gain is at most this times the robot's own; the stiffest that was tried is five times."""
+
+MAX_ACTION = 100.0
+"""Actions are clipped at most to this; trained policies stay below 20."""
 
 
 def commanded_joints(action: Any, default_q: Any, scale: Any, q_min: Any, q_max: Any, xp: Any) -> Any:

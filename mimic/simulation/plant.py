@@ -155,7 +155,8 @@ class SimulatedPlant:
         mujoco.mj_forward(self.model, data)
         reach = -(-self.variation.delay_steps // self._description.decimation)
         self._steps = 0
-        self._commands = [qpos[7:].copy()] * max(reach + 1, 3)
+        self._commands = [qpos[7:].copy()] * max(reach + 2, 3)
+        self._ramps = False
         self._next_push = self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
         if self._motors is not None:
             self._motors.start(data.qpos[7:], data.qvel[6:])
@@ -194,7 +195,15 @@ class SimulatedPlant:
             return
         newest, before, before_that, *older = self._commands
         data.ctrl[:] = command_in_effect(
-            substep, decimation, self.variation.delay_steps, newest, before, before_that, np.where, older
+            substep,
+            decimation,
+            self.variation.delay_steps,
+            newest,
+            before,
+            before_that,
+            np.where,
+            older,
+            interpolate=self._ramps,
         )
         self.disturber.pull(data)
 
@@ -219,6 +228,12 @@ class SimulatedPlant:
         """
         if not np.all(np.isfinite(command.q_des)):
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
+        if command.ramp and (self._motors is not None or not np.isclose(command.ramp, self._description.dt)):
+            raise PlantError(
+                f"this simulated robot interpolates commands over {self._description.dt:g} s, and without calibrated "
+                f"effects only; asked for was {command.ramp:g} s"
+            )
+        self._ramps = command.ramp > 0.0
         if np.any(command.dq_des) or np.any(command.tau_ff):
             raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
         dropped = self.disturber.command_dropped()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -347,3 +349,19 @@ def test_asking_for_nothing_has_no_gains():
     command = idle_command(np.array([np.nan, 1.0] * 6))
     assert np.isfinite(command.q_des).all()
     assert not np.any([command.kp, command.kd, command.tau_ff])
+
+
+def test_an_interpolated_command_goes_out_in_four_parts_on_a_line(made, description):
+    robot, plant = made()
+    plant.start()
+    lie = description.poses["lie"]
+    plant.step(hold(description))
+    targets = []
+    drive = robot.body.drive
+    robot.body.drive = lambda joint, command, t: (joint == 1 and targets.append(command.q), drive(joint, command, t))
+    tick = plant.step(replace(hold(description, lie + 0.1), ramp=description.dt))
+    plant.step(hold(description, lie + 0.1))
+    np.testing.assert_allclose(np.diff(targets[:4]), 0.025, atol=1e-3)
+    assert targets[3] - targets[0] == pytest.approx(0.075, abs=1e-3)
+    assert (tick.sent.ramp, len(targets)) == (description.dt, 5)
+    np.testing.assert_allclose(tick.sent.q_des, lie + 0.1, atol=1e-3)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from mimic.errors import ContractError
 from mimic.policy.contract import FRAME_SIZE, TERMS, ObservationBuilder, PolicyContract, joint_command
+from mimic.policy.runtime import load_policy
 
 UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
 numbers = st.floats(allow_nan=False, allow_infinity=False)
@@ -186,3 +187,22 @@ def test_the_clock_starts_at_zero_and_comes_round(contract):
     assert np.allclose(clocks[-1], clocks[0])
     assert np.allclose(np.linalg.norm(clocks, axis=1), 1.0)
     assert clocks[1][0] > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"kp": 500.0}, "kp is 500 N m/rad; expected more than 0, at most 150"),
+        ({"kp": float("nan")}, "kp is nan"),
+        ({"kp": -50.0}, "kp is -50"),
+        ({"kd": 0.0}, "kd is 0 N m s/rad; expected more than 0"),
+        ({"kd": 50.0}, "kd is 50"),
+        ({"action_clip": 1e9}, r"action_clip is 1e\+09"),
+        ({"action_scale": (float("inf"),) * 12}, "action_scale holds a number that is not finite"),
+        ({"default_q": (float("nan"),) * 12}, "default_q holds a number that is not finite"),
+    ],
+)
+def test_numbers_that_no_policy_has_are_refused_before_they_reach_a_motor(description, change, expected):
+    contract = load_policy(None, description).contract
+    with pytest.raises(ContractError, match=expected):
+        dataclasses.replace(contract, **change).check(description)

@@ -199,3 +199,36 @@ def test_the_shipped_policy_stands_up_and_stays_up(description):
     for name in ("q", "dq", "tau", "quat_WB", "p_WB", "action", "q_sent", "observation"):
         assert np.array_equal(getattr(log, name), getattr(runs[1].log, name)), name
     assert np.array_equal(runs[0].samples.tau, runs[1].samples.tau)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.015, 0.03])
+def test_interpolated_commands_move_linearly_from_one_to_the_next_after_their_delay(description, delay):
+    seen = []
+    ranges = dataclasses.replace(NOMINAL, delay=(delay, delay))
+    plant = SimulatedPlant(description, ranges=ranges, observer=lambda model, data: seen.append(data.ctrl[1]))
+    q, dt = plant.start().q, description.dt
+    zeros = np.zeros(12)
+    for target in (0.0, 0.1, -0.1, -0.1, -0.1):
+        q_des = q + target
+        gains = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        plant.step(JointCommand(q_des=q_des, dq_des=zeros, tau_ff=zeros, ramp=dt, **gains))
+    t = description.timestep * np.arange(1, len(seen) + 1) - delay
+    expected = q[1] + np.interp(t, dt * np.arange(6), [0.0, 0.0, 0.1, -0.1, -0.1, -0.1])
+    np.testing.assert_allclose(seen, expected, atol=1e-9)
+
+
+def test_commands_act_at_once_where_interpolation_is_not_asked_for(description):
+    seen = []
+    plant = SimulatedPlant(description, observer=lambda model, data: seen.append(data.ctrl[1]))
+    q, zeros = plant.start().q, np.zeros(12)
+    for target in (0.0, 0.1, 0.1):
+        gains = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        plant.step(JointCommand(q_des=q + target, dq_des=zeros, tau_ff=zeros, **gains))
+    assert set(np.round(seen - q[1], 9)) == {0.0, 0.1}
+
+
+def test_an_interpolation_over_another_time_than_the_control_step_is_refused(description):
+    plant = SimulatedPlant(description)
+    command = dataclasses.replace(damping_command(plant.start().q, 5.0), ramp=0.01)
+    with pytest.raises(PlantError, match=r"interpolates commands over 0\.02 s"):
+        plant.step(command)

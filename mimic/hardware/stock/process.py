@@ -240,15 +240,15 @@ def main(arguments: list[str]) -> int:
         except OSError:
             return  # no process is left to read it
 
-    try:
-        wiring = load_board(Path(path))
-        sender = Sender(wiring, load_description(robot))
-        bus = LcmBus(wiring, int(ttl), sender.heard)
-    except MimicError as reason:
-        say(str(reason))
-        return 2
-    orders.send(_READY)
-    with real_time(WATCHDOG):
+    with real_time(WATCHDOG, inherited=True):  # also for the thread in which LCM receives
+        try:
+            wiring = load_board(Path(path))
+            sender = Sender(wiring, load_description(robot))
+            bus = LcmBus(wiring, int(ttl), sender.heard)
+        except MimicError as reason:
+            say(str(reason))
+            return 2
+        orders.send(_READY)
         _run(sender, bus, orders, say)
     return 0
 
