@@ -13,7 +13,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.baseline import fit_baseline, problem_of
+from mimic.sysid.fit.baseline import fit_baseline, fit_sending_times, problem_of
 from mimic.sysid.fit.least_squares import Fit, fit, left_out
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.random_search import random_search
@@ -85,7 +85,7 @@ def calibrate(
         fitted = random_search(problem, start, settings.samples, settings.seed, report)
     else:
         report("fitting the baseline model", problem.replay.replays)
-        fitted = fit_baseline(problem, start, names, where)
+        fitted = fit_sending_times(problem, fit_baseline(problem, start, names, where), names, where)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(errors_of(problem, fitted.residual).train / np.maximum(spread, 1e-9))
@@ -162,7 +162,12 @@ def calibrate(
         traces=traces,
         replays=problem.replay.replays,
         seconds=time.monotonic() - began,
-        metadata={"log": dict(log.metadata), "rate": log.rate, "duration": log.duration},
+        metadata={
+            "log": dict(log.metadata),
+            "rate": log.rate,
+            "duration": log.duration,
+            "sending_times": problem.replay.sending.how,
+        },
     )
 
 
@@ -217,6 +222,9 @@ def _effect_set(state: CalibrationState, final: Fit) -> EffectSet:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
                 half = np.hypot(half, state.unsure.get((name, p.name), 0.0))
                 low, high = values[p.name] - half, values[p.name] + half
+                if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
+                    times = state.problem.replay.sending
+                    low, high = np.maximum(low - times.later, np.minimum(low, 0.0)), high + times.earlier
                 if np.isfinite(half).all():
                     intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
         joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.least_squares import Fit, chain_costs, fit
 from mimic.sysid.fit.point import Key, Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
@@ -20,6 +21,7 @@ from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.log.quantisation import coarse_steps
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
+from mimic.sysid.timing import sending_times
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; only measured torque tells them from it."""
@@ -68,15 +70,44 @@ def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
 
 
 def _replay(log: JointLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
+    own: dict[str, Any] = {
+        "timestep": step,
+        "threads": settings.threads,
+        "torque": settings.torque,
+        "sending": sending_times(log)[0],
+    }
     if settings.device == "cpu":
-        return Replay(machine, log, timestep=step, threads=settings.threads, torque=settings.torque)
+        return Replay(machine, log, **own)
     try:
         from mimic.sysid.replay.gpu import WorldReplay
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
-    return WorldReplay(
-        machine, log, device=settings.device, timestep=step, threads=settings.threads, torque=settings.torque
-    )
+    return WorldReplay(machine, log, device=settings.device, **own)
+
+
+def fit_sending_times(problem: Problem, fitted: Fit, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:
+    """Return the fit with the sending times of targets that explain most, of all that the log allows.
+
+    From rows alone it is open whether a steady clock sends targets beside rows that jitter, or whoever writes the rows
+    sends them too. The motion tells.
+    """
+    best = problem.replay.sending
+    for times in sending_times(problem.replay.log)[1:]:
+        before = problem.replay.sending
+        shift = float(np.mean(times.at - before.at))
+        values = dict(fitted.point.values)
+        if ("delay", "time") in values:
+            values["delay", "time"] = values["delay", "time"] - shift
+        problem.send_at(times)
+        other = fit(problem, Point(values), names, joints, most=3)
+        if _left(problem, other) < _left(problem, fitted):
+            best, fitted = times, other
+        problem.send_at(best)
+    return fitted
+
+
+def _left(problem: Problem, fitted: Fit) -> float:
+    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.free_parameters))
 
 
 def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:

@@ -24,6 +24,7 @@ from mimic.sysid.log.blocks import Blocks, Sums
 from mimic.sysid.log.noise import period
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import Job
+from mimic.sysid.timing import SendingTimes
 
 REMEMBERED = 4
 """Replays in fine steps that are kept: they are dear, and some points are asked for again."""
@@ -83,6 +84,12 @@ class Problem:
         part = Problem(replay, self.noise[:joints], torque, blocks)
         part.pinned, part.encoder_steps, part._scales = self.pinned, self.encoder_steps, self._scales
         return part
+
+    def send_at(self, sending: SendingTimes) -> None:
+        """Let targets be sent at these times from now on; what was remembered is forgotten."""
+        self.replay.send_at(sending)
+        self._fine.clear()
+        self.correction = None
 
     @cached_property
     def period(self) -> float | None:

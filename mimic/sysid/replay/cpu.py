@@ -25,6 +25,7 @@ from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.replay.records import Job, Prediction, Readings, stretch_starts
 from mimic.sysid.replay.targets import Targets, acting, on_grid
+from mimic.sysid.timing import SendingTimes, at_rows
 
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
@@ -71,6 +72,7 @@ class Replay:
         lead_in: float = 0.8,
         threads: int = 0,
         torque: bool = False,
+        sending: SendingTimes | None = None,
     ) -> None:
         """Cut the log into segments.
 
@@ -82,6 +84,7 @@ class Replay:
             lead_in: Time that a segment runs before its readings count [s].
             threads: Of MuJoCo; 0 takes one for each core.
             torque: Also predict the torque.
+            sending: When targets were sent; without, when the row was written that first shows them.
         """
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
@@ -98,8 +101,7 @@ class Replay:
         self.counts = t - stretch_starts(t) >= lead_in
         """Readings that count: all but those of the settling at the beginning and after each gap (T,)."""
         asked = log.q_des if log.q_des is not None else log.q * 0.0
-        self.sent = np.flatnonzero(np.concatenate([[True], (np.diff(asked, axis=0) != 0).any(1)]))
-        """Rows at which a new target was sent (K,)."""
+        self.sending = sending or at_rows(log)
         self.late: FloatArray | None = None
         """How long after the delay of all each target acts (K,) [s]; None where all act in time."""
         self._targets = asked
@@ -126,13 +128,37 @@ class Replay:
 
     def _again(self, timestep: float, segment: float) -> Replay:
         return Replay(
-            self.machine, self.log, timestep=timestep, segment=segment, threads=self.threads, torque=self.torque
+            self.machine,
+            self.log,
+            timestep=timestep,
+            segment=segment,
+            threads=self.threads,
+            torque=self.torque,
+            sending=self.sending,
         )
 
     def of_beginning(self, rows: int) -> Replay:
         """Return the replay of so many of the first readings."""
         log = self.log.part(slice(rows))
-        return Replay(self.machine, log, timestep=self.dt, threads=self.threads, torque=self.torque)
+        return Replay(
+            self.machine,
+            log,
+            timestep=self.dt,
+            threads=self.threads,
+            torque=self.torque,
+            sending=self.sending.of_beginning(len(log.t)),
+        )
+
+    @property
+    def sent(self) -> IntArray:
+        """Rows that first show each target (K,)."""
+        return self.sending.rows
+
+    def send_at(self, sending: SendingTimes) -> None:
+        """Let targets be sent at these times from now on."""
+        self.sending = sending
+        self._finer.clear()
+        self.set_late(None)
 
     @property
     def segments(self) -> int:
@@ -150,7 +176,7 @@ class Replay:
 
     def delayed(self, late: FloatArray) -> Targets:
         """Return the targets when each acts so much later (K,) [s]."""
-        arrival = (self.log.t - self.log.t[0])[self.sent] + late
+        arrival = self.sending.at + late
         arrival[0] = 0.0
         kept = arrival <= np.minimum.accumulate(np.append(arrival[1:], np.inf)[::-1])[::-1]
         return on_grid(arrival[kept], self._targets[self.sent[kept]], self.dt, self.total)

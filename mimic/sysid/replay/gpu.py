@@ -28,6 +28,7 @@ from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.gpu_batch import STATIC, WorldBatch
 from mimic.sysid.replay.records import Job, Prediction
 from mimic.sysid.replay.targets import Targets, acting
+from mimic.sysid.timing import SendingTimes
 
 T = TypeVar("T")
 Values = dict[tuple[str, str], FloatArray]
@@ -87,6 +88,7 @@ class WorldReplay(Replay):
         segment: float = SEGMENT,
         threads: int = 0,
         torque: bool = False,
+        sending: SendingTimes | None = None,
     ) -> None:
         """Cut the log into segments (see `mimic.sysid.replay.cpu.Replay`).
 
@@ -98,13 +100,16 @@ class WorldReplay(Replay):
             segment: Length of a segment [s].
             threads: For what is worked out on the processor; 0 takes one for each core.
             torque: Also predict the torque.
+            sending: When targets were sent.
 
         Raises:
             ConfigError: If there is no such device.
         """
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-        super().__init__(machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque)
+        super().__init__(
+            machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque, sending=sending
+        )
         if ":" in device:
             torch.cuda.set_device(device)  # streams and graphs are those of the current device
         wp.config.log_level = wp.LOG_ERROR
@@ -133,6 +138,7 @@ class WorldReplay(Replay):
             segment=segment,
             threads=self.threads,
             torque=self.torque,
+            sending=self.sending,
         )
 
     def _tensor(self, values: object, dtype: torch.dtype = torch.float64) -> torch.Tensor:

@@ -16,6 +16,7 @@ from mimic.sysid.fit.step_refinement import FINE
 from mimic.sysid.log.missing import valid_samples
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
+from mimic.sysid.timing import sending_times
 
 
 def predict(
@@ -44,7 +45,8 @@ def predict(
     pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {}
     made = []
     for times in (FINE, 2 * FINE):
-        replay = Replay(machine, log, timestep=physics_step(log.rate) / times, threads=threads, **pieces)
+        step = physics_step(log.rate) / times
+        replay = Replay(machine, log, timestep=step, threads=threads, sending=sending_times(log)[0], **pieces)
         if spread:
             replay.set_late(np.full(len(replay.sent), spread / 2))
         if ("kt_heat", "time") in p and not whole:

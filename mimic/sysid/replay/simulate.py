@@ -11,6 +11,7 @@ from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.timing import AT_ROW, SENT
 
 
 def simulate_log(
@@ -68,6 +69,7 @@ def simulate_log(
             "kp": dict(zip(machine.joints, map(float, drives.kp), strict=True)),
             "kd": dict(zip(machine.joints, map(float, drives.kd), strict=True)),
             "simulated": True,
+            SENT: AT_ROW,
         },
     )
 

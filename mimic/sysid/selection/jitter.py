@@ -205,12 +205,12 @@ def _weights(
 
 def _period(problem: Problem) -> float:
     """Time between targets [s]."""
-    return float(np.median(np.diff(problem.replay.log.t[problem.replay.sent])))
+    return problem.replay.sending.period
 
 
 def _gaps(problem: Problem) -> FloatArray:
     """Return after how many periods the next other target follows each (K,): until then it is sent again in each."""
-    between = np.diff(problem.replay.log.t[problem.replay.sent]) / _period(problem)
+    between = np.diff(problem.replay.sending.at) / _period(problem)
     return np.append(np.maximum(np.round(between), 1.0), 1.0)
 
 

@@ -297,7 +297,8 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
     dq = np.gradient(q, t, axis=0)
     target = log.q_des if log.q_des is not None else q
     delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
-    late = np.stack([np.interp(t - max(delay, 0.0), t, column) for column in target.T], -1)
+    delay -= float(np.mean(t[problem.replay.sent] - problem.replay.sending.at))
+    late = np.stack([np.interp(t - delay, t, column) for column in target.T], -1)
     tau = np.asarray(machine.drives.kp) * (late - q) - np.asarray(machine.drives.kd) * dq
     if log.force is not None:
         tau = tau + log.force
