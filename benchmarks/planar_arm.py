@@ -160,7 +160,8 @@ def targets(seconds: float, seed: int) -> FloatArray:
     t = np.arange(0.0, seconds, SENT_EVERY)
     phase = rng.uniform(0, 2 * np.pi, (6, 2))
     sines = sum(
-        0.45 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.2, 0.5, 1.1, 1.9, 3.1, 5))
+        0.45 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k])
+        for k, f in enumerate((0.2, 0.5, 1.1, 1.9, 3.1, 5))
     )
     steps = np.repeat(rng.uniform(-0.7, 0.7, (len(t) // 25 + 1, 2)), 25, axis=0)[: len(t)]
     slow = 0.8 * np.abs((t[:, None] * np.array([0.3, 0.23]) + phase[0] / 6) % 2.0 - 1.0) - 0.4

@@ -103,9 +103,10 @@ COMMANDS = {
     ),
     "calibrate": (
         "mimic.cli.calibrate:calibrate",
-        "Find what a model lacks, from a log of the machine.",
+        "Find what a model lacks, from logs of the machine.",
         "mimic calibrate log.parquet",
         "mimic calibrate log.csv --model arm.xml -o out",
+        "mimic calibrate a.parquet b.csv --note b.csv:kp=10 --held-out c.parquet",
         "mimic calibrate log.parquet --effects stribeck backlash",
     ),
     "emulate": (

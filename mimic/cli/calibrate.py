@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    log: Path,
-    /,
-    *,
+    *logs: Path,
     model: Path | None = None,
+    held_out: tuple[Path, ...] = (),
+    note: tuple[str, ...] = (),
     out: o.Out = None,
     settings: o.Calibrate = None,
 ) -> int:
@@ -27,10 +27,16 @@ def calibrate(
 
     Parameters
     ----------
-    log
-        Parquet or CSV file with a row for each reading: t, q.JOINT and q_des.JOINT; see docs/manual/log-format.md.
+    logs
+        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; see
+        docs/manual/log-format.md.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+    held_out
+        Further logs of the machine, which are only predicted.
+    note
+        What is said of the logs beside their metadata: KEY=VALUE of all, or FILE:KEY=VALUE of one, such as kp=20 or
+        b.csv:payload=0.5.
     out
         Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
     """
@@ -38,8 +44,8 @@ def calibrate(
     from mimic.flows.calibrate import EFFECTS, REPORT, RESULT
     from mimic.flows.calibrate import calibrate as explain
 
-    folder = out or Path("calibration") / log.stem
-    result = explain(log, model, settings, out=folder, reporter=ConsoleReporter())
+    folder = out or Path("calibration") / (logs[0].stem if logs else "log")
+    result = explain(list(logs), model, settings, held_out=held_out, notes=note, out=folder, reporter=ConsoleReporter())
     files = [folder / name for name in (REPORT, RESULT, EFFECTS)]
     _show(result, [file for file in files if file.exists()])
     return DONE if result.log_matches_model else USER_ERROR
@@ -59,6 +65,8 @@ def _show(result: Calibration, written: list[Path]) -> None:
         stages["final"] = result.stages[-1].errors
     columns = {name: e.held_out for name, e in stages.items()}
     show_errors("Held-out error", result.joints, {**columns, "noise floor": result.noise}, unit)
+    if result.logs:
+        _show_logs(result, unit)
     found = _found(result)
     if found:
         table("Found", found)
@@ -67,6 +75,25 @@ def _show(result: Calibration, written: list[Path]) -> None:
     for line in result.experiments:
         note(f"log next: {line}")
     note(f"wrote {', '.join(map(str, written))} ({result.replays} replays, {result.seconds:.0f} s)")
+
+
+def _show_logs(result: Calibration, unit: Unit) -> None:
+    """Print the error of each log."""
+    from mimic.cli.console import matrix
+    from mimic.sysid.result import Errors
+    from mimic.view.report.svg import figure
+
+    rows = {}
+    for log in result.logs:
+        columns = {"baseline fitted": log.baseline, "final": log.final}
+        if any(one.left_out_final is not None for one in result.logs):
+            columns["baseline, fitted to the others"] = log.left_out_baseline if log.fitted else log.baseline
+            columns["final, fitted to the others"] = log.left_out_final if log.fitted else log.final
+        rows[log.name + ("" if log.fitted else " (held out)")] = {
+            name: "" if values is None else figure(unit.factor * Errors.total(values))
+            for name, values in columns.items()
+        }
+    matrix(f"Error of each log [{unit.name}]", rows, as_is=True)
 
 
 def show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatArray], unit: Unit) -> None:

@@ -200,6 +200,13 @@ class Law:
                 kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
         self._kp[:], self._kd[:] = kp, kd
 
+    def scale_supply(self, share: Any) -> None:
+        """Let the supply have this share of its voltage from now on (N, 1): the torque-speed line moves with it."""
+        torque, flat, speed = self._limits
+        stall = torque * speed / (speed - flat) * share
+        torque = self.xp.minimum(torque, stall)
+        self._limits = torque, speed * share * (1.0 - torque / stall), speed * share
+
     def limit_torque(self, most: Any) -> None:
         """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
         self._most = most

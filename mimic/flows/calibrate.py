@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.errors import AssetError, ConfigError
+from mimic.errors import AssetError, CalibrationError, ConfigError
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
 from mimic.io import store
@@ -29,17 +30,22 @@ NO_EFFECTS = "as given"
 
 
 def calibrate(
-    log: str | Path | JointLog,
+    log: str | Path | JointLog | Sequence[str | Path | JointLog],
     model: str | Path | MachineModel | None = None,
     settings: CalibrateSettings | None = None,
     *,
+    held_out: Sequence[str | Path | JointLog] = (),
+    notes: Sequence[str] = (),
     out: Path | None = None,
     reporter: Reporter | None = None,
 ) -> Calibration:
-    """Find what a model of a machine lacks, with evidence, from a log of the machine.
+    """Find what a model of a machine lacks, with evidence, from logs of the machine.
 
     Args:
-        log: Parquet or CSV file with a row for each reading (docs/manual/log-format.md), or a log in memory.
+        log: Parquet or CSV file with a row for each reading (docs/manual/log-format.md), a log in memory, or several,
+            each with its own gains, supply voltage and payload.
+        held_out: Further logs of the machine, which are only predicted.
+        notes: What is said of the logs beside their metadata: KEY=VALUE of all, FILE:KEY=VALUE of one.
         model: MJCF whose base is held, or a machine; by default the CyberDog 2 hung up.
         settings: How the log is explained.
         out: Also write report.html, calibration.json and effects.toml into this folder.
@@ -49,9 +55,9 @@ def calibrate(
         Effects with their values and intervals, errors before and after on held-out data, and what stays unexplained.
 
     Raises:
-        CalibrationError: If the log cannot be used, or does not fit the model.
+        CalibrationError: If a log cannot be used, does not fit the model, or contradicts another.
         AssetError: If a file cannot be read.
-        ConfigError: If a setting names an effect that does not exist.
+        ConfigError: If a setting names an effect that does not exist, or a note is none.
     """
     from mimic.dynamics.effect_set import EffectSet
     from mimic.sysid.calibrate import calibrate as explain
@@ -63,19 +69,37 @@ def calibrate(
             raise ConfigError(f"{out} is a file; name a folder with --out")
         store.check_writable(out)
     check_names(settings)
+    logs = [log] if isinstance(log, (str, Path)) or hasattr(log, "q_des") else list(log)  # type: ignore[arg-type]
+    given = [*logs, *held_out]
+    if not logs:
+        raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
+    names, said = _names(given), _said(notes, given)
+    checks, warnings = [], []
     with reporter.activity("replays") as show:
-        show("reading the log", 0)
-        check, machine, warnings = checked_log(log, model, show)
-        result = explain(check.log, machine, settings, show)
-    inputs = {name: Path(p) for name, p in (("log", log), ("model", model)) if isinstance(p, (str, Path))}
-    name = inputs["log"].name if "log" in inputs else "a log in memory"
+        for one, called, told in zip(given, names, said, strict=True):
+            show(f"reading {called}" if len(given) > 1 else "reading the log", 0)
+            try:
+                check, machine, found = checked_log(one, model, show, told)
+            except CalibrationError as wrong:
+                raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
+            checks.append(check)
+            warnings += [f"{called}: {line}" if len(given) > 1 else line for line in found]
+            if len(checks) == 1:
+                first = machine
+        fitted, unseen = [c.log for c in checks[: len(logs)]], [c.log for c in checks[len(logs) :]]
+        result = explain(fitted, first, settings, show, held_out=unseen, names=names)
+    inputs = {
+        **{"log" if i == 0 else f"log {i + 1}": Path(p) for i, p in enumerate(given) if isinstance(p, (str, Path))},
+        **({"model": Path(model)} if isinstance(model, (str, Path)) else {}),
+    }
+    name = names[0] if len(logs) == 1 else f"{len(logs)} logs: {', '.join(names[: len(logs)])}"
     metadata = {"name": name, **result.metadata, "provenance": store.plain(provenance(settings, inputs))}
     effects = EffectSet(tuple(replace(e, source=f"calibration of {name}") for e in result.effects))
     result = replace(
         result,
         warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
         metadata=metadata,
-        repeatability=check.repeatability,
+        repeatability=checks[0].repeatability if len(given) == 1 else None,
         effects=effects,
     )
     if out is not None:
@@ -83,10 +107,69 @@ def calibrate(
     return result
 
 
+def _names(logs: Sequence[str | Path | JointLog]) -> list[str]:
+    """Return a name for each log: that of its file, with its folder where two files have the same.
+
+    Raises:
+        ConfigError: If a file is given twice.
+    """
+    files = [Path(one) if isinstance(one, (str, Path)) else None for one in logs]
+    paths = [file.resolve() for file in files if file is not None]
+    if len(set(paths)) < len(paths):
+        twice = next(file for file in files if file is not None and paths.count(file.resolve()) > 1)
+        raise ConfigError(f"{twice} is given twice; a log that is held out must be another than the fitted ones")
+    short = [file.name for file in files if file is not None]
+    names = []
+    for i, file in enumerate(files):
+        if file is None:
+            names.append("a log in memory" if len(logs) == 1 else f"log {i + 1}")
+        else:
+            names.append(file.name if short.count(file.name) == 1 else str(file))
+    return names
+
+
+def _said(notes: Sequence[str], logs: Sequence[str | Path | JointLog]) -> list[dict[str, Any]]:
+    """Return what notes say of each log.
+
+    Raises:
+        ConfigError: If one is not KEY=VALUE, or names no log.
+    """
+    said: list[dict[str, Any]] = [{} for _ in logs]
+    for note in notes:
+        head, equals, text = note.partition("=")
+        file, colon, key = head.rpartition(":")
+        if not equals or not key:
+            raise ConfigError(f"--note {note}: expected KEY=VALUE or FILE:KEY=VALUE, such as kp=20 or b.csv:kp=10")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        of = [
+            i
+            for i, one in enumerate(logs)
+            if not colon or (isinstance(one, (str, Path)) and file in (str(one), Path(one).name))
+        ]
+        if not of:
+            known = ", ".join(str(one) for one in logs if isinstance(one, (str, Path)))
+            raise ConfigError(f"--note {note}: {file} is none of the logs: {known}")
+        for i in of:
+            said[i][key] = value
+    return said
+
+
 def checked_log(
-    log: str | Path | JointLog, model: str | Path | MachineModel | None, show: Activity
+    log: str | Path | JointLog,
+    model: str | Path | MachineModel | None,
+    show: Activity,
+    notes: Mapping[str, Any] | None = None,
 ) -> tuple[LogCheck, MachineModel, list[str]]:
     """Return a log that can be used, its machine, and warnings about them.
+
+    Args:
+        log: The log.
+        model: The machine.
+        show: Receives progress.
+        notes: What is said of the log beside its metadata, which it overrides.
 
     Raises:
         CalibrationError, AssetError: If one of them cannot be used.
@@ -96,7 +179,10 @@ def checked_log(
     from mimic.io.joint_log import read_log
     from mimic.sysid.log.checks import check_log
 
-    log = read_log(Path(log)) if isinstance(log, (str, Path)) else log
+    if isinstance(log, (str, Path)):
+        log = read_log(Path(log), notes)
+    elif notes:
+        log = replace(log, metadata={**log.metadata, **notes})
     machine = machine_of(model, log.metadata)
     log = log.of(machine.joints)
     show("checking the log", 0)

@@ -107,11 +107,12 @@ class JointLog:
         return JointLog(joints=tuple(joints), t=self.t, metadata=self.metadata, extra=self.extra, **picked)
 
 
-def read_log(path: str | Path) -> JointLog:
+def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointLog:
     """Read a Parquet or CSV log.
 
     Args:
         path: The file, or a run folder that holds ``joints.parquet``.
+        notes: Metadata that overrides that of the file and the one beside it.
 
     Raises:
         CalibrationError: If the file cannot be read as one; the message names what is missing.
@@ -122,7 +123,7 @@ def read_log(path: str | Path) -> JointLog:
     if path.is_dir():
         inside = path / "joints.parquet"
         if inside.exists():
-            return read_log(inside)
+            return read_log(inside, notes)
         raise CalibrationError(
             f"{path} is a folder without joints.parquet; give a log (.parquet or .csv) or a run folder"
         )
@@ -130,6 +131,8 @@ def read_log(path: str | Path) -> JointLog:
     side = path.with_suffix(".json")
     if side.exists() and side != path:
         metadata = {**metadata, **_notes(side.read_bytes(), f"{side} beside the log")}
+    if notes:
+        metadata = {**metadata, **_notes(json.dumps(notes).encode(), f"what is said of {path}")}
     if "t" not in columns:
         raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/manual/log-format.md")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))

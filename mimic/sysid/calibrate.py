@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,19 +14,23 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.baseline import fit_baseline, fit_sending_times, problem_of
-from mimic.sysid.fit.least_squares import Fit, fit, left_out
+from mimic.records import BoolArray
+from mimic.sysid.fit.baseline import MOST_STEPS, fit_baseline, fit_sending_times, problem_of, step_of
+from mimic.sysid.fit.by_log import errors_by_log, errors_of_unseen
+from mimic.sysid.fit.least_squares import Fit, fit, fit_all, fitting, left_out
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.random_search import random_search
+from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, compared, correct, refine_steps
 from mimic.sysid.fit.uncertainty import deviations, of_white_noise
 from mimic.sysid.log.checks import targets_match_log
-from mimic.sysid.result import Calibration, Errors, Stage, Traces
+from mimic.sysid.log.pool import pool
+from mimic.sysid.result import Calibration, Errors, LogErrors, Stage, Traces
 from mimic.sysid.selection.encoders import with_encoders
 from mimic.sysid.selection.evidence import stopped
 from mimic.sysid.selection.forward import forward_selection, prune
 from mimic.sysid.selection.jitter import widening
-from mimic.sysid.selection.screening import predicted
+from mimic.sysid.selection.screening import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
 from mimic.sysid.state import CalibrationState, Progress, errors_of
 from mimic.sysid.summary import experiments, no_match, of_base, of_baseline, sentence, stopped_at, weak
@@ -50,28 +55,44 @@ def check_names(settings: CalibrateSettings) -> None:
 
 
 def calibrate(
-    log: JointLog, model: MachineModel, settings: CalibrateSettings, progress: Progress | None = None
+    log: JointLog | Sequence[JointLog],
+    model: MachineModel,
+    settings: CalibrateSettings,
+    progress: Progress | None = None,
+    *,
+    held_out: Sequence[JointLog] = (),
+    names: Sequence[str] = (),
 ) -> Calibration:
-    """Find what a model lacks to explain a log.
+    """Find what a model lacks to explain logs of a machine.
 
     Args:
-        log: What a machine did.
+        log: What the machine did, in one log or several.
         model: What it should have done; its base is held.
         settings: How.
+        held_out: Further logs, which are only predicted.
+        names: Of all logs, for messages and the result.
         progress: Called with what is being done and the number of replays so far.
 
     Raises:
-        CalibrationError: If log and model do not fit together in joints, the log cannot be used, or the model has a
-            number that is not fitted so large.
+        CalibrationError: If logs and model do not fit together in joints, a log cannot be used, logs contradict each
+            other, or the model has a number that is not fitted so large.
         ConfigError: If the settings name an effect that does not exist.
     """
     began = time.monotonic()
     check_names(settings)
     report = progress or (lambda text, replays: None)
-    log = log.of(model.joints)
+    logs = [one.of(model.joints) for one in ([log] if isinstance(log, JointLog) else log)]
+    others = [one.of(model.joints) for one in held_out]
+    called = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs) + len(others)))
+    if others:
+        pool([*logs, *others], model, 1.0, called)  # they may contradict each other
+    together = pool(logs, model, step_of(logs, settings), called[: len(logs)])
+    log = together.log
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
-    problem = problem_of(log, machine, settings)
+    problem = problem_of(together, machine, settings)
     names = list(settings.baseline)
+    rough = [n for n in names if effect(n).structural and settings.method == "least-squares"]
+    names = [n for n in names if n not in rough]
     start = Point.of(names, machine)
     _check_bounds(start, machine)
     moves = np.ptp(log.q, axis=0) > 0
@@ -86,6 +107,9 @@ def calibrate(
     else:
         report("fitting the baseline model", problem.replay.replays)
         fitted = fit_sending_times(problem, fit_baseline(problem, start, names, where), names, where)
+        for name in rough:
+            fitted = _with_threshold(problem, fitted, name, names, where)
+            names.append(name)
     spread = np.nanstd(log.q, axis=0)
     joints = len(machine.joints)
     error = Errors.total(errors_of(problem, fitted.residual).train / np.maximum(spread, 1e-9))
@@ -127,6 +151,13 @@ def calibrate(
         None if state.base is None else state.base.residual[:, :joints],
     )
     effects = _effect_set(state, final)
+    by_log: tuple[LogErrors, ...] = ()
+    if len(logs) > 1 or others:
+        report("predicting each log", problem.replay.replays)
+        by_log = errors_by_log(problem, before, replace(final, residual=left), state.joints)
+    if others:
+        unseen = pool(others, model, step_of(others, settings), called[len(logs) :])
+        by_log += errors_of_unseen(problem_of(unseen, machine, settings), before, final)
     scale = problem.noise[:joints]
     if not log_matches_model:
         said = no_match(why)
@@ -160,6 +191,7 @@ def calibrate(
         warnings=(*state.rejections, *(stopped_at(*row, machine) for row in stopped(final, problem))),
         not_identifiable=weak(final, problem),
         traces=traces,
+        logs=by_log,
         replays=problem.replay.replays,
         seconds=time.monotonic() - began,
         metadata={
@@ -169,6 +201,13 @@ def calibrate(
             "sending_times": problem.replay.sending.how,
         },
     )
+
+
+def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:
+    """Return the best fit with an effect that has no derivative where it is none, from all its starts."""
+    starts = starts_of(name, fitted, problem, predicted(problem, fitted))
+    fits = fit_all(problem, [fitting(problem, p, [*names, name], where, most=MOST_STEPS) for p in starts])
+    return min(fits, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
 
 
 def _check_bounds(start: Point, machine: MachineModel) -> None:

@@ -29,6 +29,22 @@ class Errors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LogErrors:
+    """Root mean square of measured - predicted of one of several logs, (J,) in the unit of the positions."""
+
+    name: str
+    fitted: bool
+    """False for a log that was held out whole."""
+    baseline: FloatArray
+    """With the baseline parameters fitted to the logs that are fitted."""
+    final: FloatArray
+    """With what was found."""
+    left_out_baseline: FloatArray | None = None
+    """The same fitted to the other logs alone, of three or more."""
+    left_out_final: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
     """An effect that was tried at one stage."""
 
@@ -140,6 +156,8 @@ class Calibration:
     """Time taken [s]."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Log, model, settings."""
+    logs: tuple[LogErrors, ...] = ()
+    """Of several logs, one each."""
 
     def to_json(self) -> dict[str, Any]:
         """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""
@@ -182,6 +200,7 @@ class Calibration:
                     for e in self.effects
                 ],
                 "unexplained": self.unexplained,
+                "logs": self.logs,
                 "experiments": self.experiments,
                 "not_identifiable": self.not_identifiable,
                 "warnings": self.warnings,

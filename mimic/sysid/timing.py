@@ -8,6 +8,7 @@ goes into the interval of the delay.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +37,7 @@ ALIKE = 2e-5
 """Two sets of times that differ by less, beside a constant, are one: it moves no joint by its noise [s]."""
 
 MOST_RATES = 100000
-"""Most rates that are tried; targets further apart share none that could be told."""
+"""Most rates that are tried, the lowest ones."""
 
 BEND = 10.0
 """Time between the places where the rate of a clock may change, where a steady one does not fit [s]."""
@@ -151,8 +152,9 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     middle = (low + high) / 2
     gaps = np.diff(middle)
     first = middle[: min(len(middle), 100)] - middle[0]
-    rates = np.arange(0.4 / np.quantile(gaps, 0.1), 1.6 / max(np.quantile(gaps, 0.02), 1e-4), 0.1 / first[-1])
-    if len(rates) > MOST_RATES or not len(rates):
+    rates = np.arange(0.4 / np.quantile(gaps, 0.1), 1.3 / max(gaps.min(), 1e-3), 0.1 / first[-1])
+    rates = rates[:MOST_RATES]
+    if not len(rates):
         return None
     parts = np.array_split(rates, max(len(rates) // 1000, 1))
     together = np.concatenate([np.abs(np.exp(2j * np.pi * p[:, None] * first).mean(axis=1)) for p in parts])
@@ -219,3 +221,24 @@ def _through(basis: FloatArray, low: FloatArray, high: FloatArray) -> tuple[Floa
     slack = 0.5 * scale * float(np.mean(ends[1] - ends[0]))
     return near + scale * (ends[0] + ends[1]) / 2, max(slack, 0.0), scale * outside
 
+
+def joined(times: Sequence[tuple[SendingTimes, ...]], begins: Sequence[tuple[int, float]]) -> tuple[SendingTimes, ...]:
+    """Return the sending times of logs one after another, one for each way in which they may have been sent.
+
+    Args:
+        times: What each log allows.
+        begins: First row of each, and its time [s].
+    """
+    found = []
+    for how in dict.fromkeys(one.how for allowed in times for one in allowed):
+        own = [next((one for one in allowed if one.how == how), allowed[0]) for allowed in times]
+        found.append(
+            SendingTimes(
+                how=how,
+                rows=np.concatenate([one.rows + row for one, (row, _) in zip(own, begins, strict=True)]),
+                at=np.concatenate([one.at + begin for one, (_, begin) in zip(own, begins, strict=True)]),
+                earlier=max(one.earlier for one in own),
+                later=max(one.later for one in own),
+            )
+        )
+    return tuple(found)

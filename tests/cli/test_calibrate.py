@@ -83,6 +83,28 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
 
 
 @pytest.mark.slow
+def test_logs_with_gains_of_their_own_are_explained_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for seed, gains in enumerate((("30", "1.5"), ("15", "0.8"), ("30", "1.5"), ("20", "1.0"))):
+        options = ("--motion", "random", "--seed", str(seed), "--kp", gains[0], "--kd", gains[1])
+        assert simulated("-o", f"{seed}.csv", "--seconds", "8", *options) == 0
+        (here / f"{seed}.json").write_text("{}")  # nothing is said beside the log
+    notes = [word for i, kp, kd in ((0, 30, 1.5), (1, 15, 0.8), (2, 30, 1.5), (3, 20, 1.0)) for word in (
+        "--note", f"{i}.csv:kp={kp}", "--note", f"{i}.csv:kd={kd}")]  # fmt: skip
+    files = ["0.csv", "1.csv", "2.csv", "--held-out", "3.csv"]
+    assert main(["calibrate", *files, "--model", "robot.xml", *notes, "-o", "out", *SPRING]) == 0
+    data = json.loads((here / "out" / "calibration.json").read_text())
+    assert data["found"] == ["spring"]
+    assert [(log["name"], log["fitted"]) for log in data["logs"]] == [
+        ("0.csv", True), ("1.csv", True), ("2.csv", True), ("3.csv", False)]  # fmt: skip
+    for log in data["logs"]:
+        assert log["final"][0] < 0.5 * log["baseline"][0]
+    for log in data["logs"][:3]:
+        assert log["left_out_final"][0] < 1.2 * log["final"][0]
+    assert "Error of each log" in capsys.readouterr().out
+    assert "Each log" in (here / "out" / "report.html").read_text()
+
+
+@pytest.mark.slow
 def test_a_second_log_shows_whether_effects_hold(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulated("-o", "second.csv", "--motion", "random", "--seed", "5") == 0
     (here / "wrong.toml").write_text(HIDDEN.replace("2.0", "3.0"))
@@ -134,6 +156,11 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--model", "missing.xml"], "there is no model missing.xml"),
         (["calibrate", "log.csv"], "the model has joint 'FL_abad'"),
         (["calibrate", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
+        (["calibrate"], "no log is given"),
+        (["calibrate", "log.csv", "--held-out", "log.csv"], "log.csv is given twice"),
+        (["calibrate", "log.csv", "--note", "kp"], "--note kp: expected KEY=VALUE"),
+        (["calibrate", "log.csv", "--note", "b.csv:kp=1"], "b.csv is none of the logs: log.csv"),
+        (["calibrate", "log.csv", "--model", "robot.xml", "--note", "kp=-1"], "what is said of log.csv: kp is -1"),
         (["calibrate", "log.csv", "-o", "robot.xml"], "robot.xml is a file"),
         (["calibrate", "log.csv", "-o", "robot.xml/out"], "nothing can be written to robot.xml/out"),
         (["calibrate", "log.csv", "--effects", "spring", "--effects", "spring"], "names an effect twice"),

@@ -18,13 +18,14 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.log.missing import valid_samples
 from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.log.pool import Pool, enabled, pool
 from mimic.sysid.log.quantisation import coarse_steps
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
-from mimic.sysid.timing import sending_times
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
-"""Numbers that brake as viscous friction does; only measured torque tells them from it."""
+"""Numbers that brake as viscous friction does; measured torque tells them from it, another Kd, or drives that are off.
+"""
 
 LEAST_NOISE = 1e-9
 """Noise floor where no reading shows any [rad or m]."""
@@ -40,25 +41,28 @@ saves nothing.
 """
 
 
-def problem_of(log: JointLog, machine: MachineModel, settings: CalibrateSettings) -> Problem:
-    """Return the problem of a log and a model, as the log says (`mimic.dynamics.machine.as_logged`).
+def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: CalibrateSettings) -> Problem:
+    """Return the problem of logs and a model, as they say (`mimic.dynamics.machine.as_logged`).
 
     Raises:
         CalibrationError: If the log cannot be replayed.
         MissingExtra: If the device's libraries are not installed.
     """
-    step = settings.timestep or physics_step(log.rate)
-    replay = _replay(log, machine, settings, step)
-    noise = _of_moving(log.q[valid_samples(log)], noise_floor(log.q, log.rate, valid_samples(log)))
+    together = logs if isinstance(logs, Pool) else pool([logs], machine, step_of([logs], settings))
+    log = together.log
+    replay = _replay(together, machine, settings)
+    noise = _of_moving(log.q[valid_samples(log)], _noise(log, replay, log.q, valid_samples(log)))
     steps = np.zeros_like(noise)
     if not settings.effects or "encoder_step" in settings.effects:
         steps, noise = coarse_steps(log.q[valid_samples(log)], noise)
     torque = None
     if log.tau is not None and replay.torque:
-        torque = _of_moving(log.tau, noise_floor(log.tau, log.rate))
-    problem = Problem(replay, noise, torque, make_blocks(log.t, replay.counts & valid_samples(log)))
-    problem.encoder_steps = steps
-    if torque is None and "viscous" in settings.baseline:
+        torque = _of_moving(log.tau, _noise(log, replay, log.tau))
+    blocks = make_blocks(log.t, replay.counts & valid_samples(log), logs=[part.slice for part in together.parts])
+    problem = Problem(replay, noise, torque, blocks)
+    problem.encoder_steps, problem.sending = steps, together.sending
+    kd = np.stack([part.kd for part in together.parts])
+    if torque is None and "viscous" in settings.baseline and np.all(kd == kd[0]) and enabled(log).all():
         problem.pinned = frozenset(SAME_AS_VISCOUS)
     return problem
 
@@ -69,12 +73,26 @@ def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
     return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
 
 
-def _replay(log: JointLog, machine: MachineModel, settings: CalibrateSettings, step: float) -> Replay:
+def step_of(logs: Sequence[JointLog], settings: CalibrateSettings) -> float:
+    """Return the physics step for logs [s]."""
+    return settings.timestep or physics_step(max(log.rate for log in logs))
+
+
+def _noise(log: JointLog, replay: Replay, x: FloatArray, known: BoolArray | None = None) -> FloatArray:
+    """Return the noise floors of signals (T, J), over all logs (J,)."""
+    known = np.ones(len(x), dtype=bool) if known is None else known
+    floors = [noise_floor(x[rows], log.part(rows).rate, known[rows]) for rows in (p.slice for p in replay.parts)]
+    return np.sqrt(np.mean(np.square(floors), axis=0))
+
+
+def _replay(together: Pool, machine: MachineModel, settings: CalibrateSettings) -> Replay:
+    log = together.log
     own: dict[str, Any] = {
-        "timestep": step,
+        "timestep": together.step,
         "threads": settings.threads,
         "torque": settings.torque,
-        "sending": sending_times(log)[0],
+        "sending": together.sending[0],
+        "parts": together.parts,
     }
     if settings.device == "cpu":
         return Replay(machine, log, **own)
@@ -92,7 +110,7 @@ def fit_sending_times(problem: Problem, fitted: Fit, names: Sequence[str], joint
     sends them too. The motion tells.
     """
     best = problem.replay.sending
-    for times in sending_times(problem.replay.log)[1:]:
+    for times in problem.sending[1:]:
         before = problem.replay.sending
         shift = float(np.mean(times.at - before.at))
         values = dict(fitted.point.values)
@@ -123,7 +141,7 @@ def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: M
     """
     log = problem.replay.log
     share = max(BEGINNING, LEAST_BEGINNING / max(log.duration, 1e-9))
-    if problem.replay.shorter_is_faster and share <= MOST_BEGINNING:
+    if problem.replay.shorter_is_faster and len(problem.replay.parts) == 1 and share <= MOST_BEGINNING:
         part = problem.of_beginning(int(share * len(log.t)))
         if np.ptp(part.blocks.index) > 0:
             start = fit(part, start, names, joints, most=MOST_STEPS).point

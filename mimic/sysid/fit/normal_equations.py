@@ -17,12 +17,15 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
     log, drives = replay.log, replay.machine.drives
     t = log.t - log.t[0]
-    q = signal.sosfiltfilt(signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos"), log.q, axis=0)
-    dq = np.gradient(q, t, axis=0)
-    ddq = np.gradient(dq, t, axis=0)
+    low_pass = signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos")
+    pieces = [part.slice for part in replay.parts]
+    q = np.concatenate([signal.sosfiltfilt(low_pass, log.q[rows], axis=0) for rows in pieces])
+    dq = np.concatenate([np.gradient(q[rows], t[rows], axis=0) for rows in pieces])
+    ddq = np.concatenate([np.gradient(dq[rows], t[rows], axis=0) for rows in pieces])
     tau = log.tau
     if tau is None:
-        tau = np.asarray(drives.kp) * ((q if log.q_des is None else log.q_des) - q) - np.asarray(drives.kd) * dq
+        kp, kd = replay.row_gains
+        tau = kp * ((q if log.q_des is None else log.q_des) - q) - kd * dq
         tau = tau + (0.0 if log.force is None else log.force)
     limit = np.asarray(drives.torque)
     rows = (q - q.mean(0), dq, ddq, np.clip(tau, -limit, limit))

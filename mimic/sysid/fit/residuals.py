@@ -65,6 +65,8 @@ class Problem:
         self.channels = len(self.channel_joint)
         self.weight = np.ones(int(self.machine.chain.max()) + 1)
         """Of each chain (K,), see `weigh`."""
+        self.sending: tuple[SendingTimes, ...] = (replay.sending,)
+        """All that the logs allow."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps = np.zeros(joints)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,13 @@ class Blocks:
         return np.flatnonzero(~self.held_out)
 
 
-def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 1.0, every: int = 4) -> Blocks:
+SHORT, LEAST_BLOCKS = 10.0, 16
+"""A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
+
+
+def make_blocks(
+    t: FloatArray, counts: BoolArray, seconds: float = 1.0, every: int = 4, logs: Sequence[slice] = ()
+) -> Blocks:
     """Cut time into blocks and hold every fourth out.
 
     Args:
@@ -32,12 +39,20 @@ def make_blocks(t: FloatArray, counts: BoolArray, seconds: float = 1.0, every: i
         counts: Readings that count (T,).
         seconds: Length of a block [s].
         every: One block in this many is held out.
+        logs: Rows of each log, of several.
     """
-    index = np.floor((t - t[0]) / seconds).astype(int)
-    count = int(index.max()) + 1
-    if np.sum(index == count - 1) < 0.5 * np.sum(index == 0) and count > 1:
-        index[index == count - 1] = count - 2
-        count -= 1
+    logs = logs or [slice(0, len(t))]
+    total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
+    seconds = seconds if total > SHORT else min(seconds, total / LEAST_BLOCKS)
+    index, count = np.zeros(len(t), dtype=int), 0
+    for rows in logs:
+        own = np.floor((t[rows] - t[rows][0]) / seconds).astype(int)
+        last = int(own.max())
+        if last and np.sum(own == last) < 0.5 * np.sum(own == 0):
+            own[own == last] = last - 1
+            last -= 1
+        index[rows] = count + own
+        count += last + 1
     return Blocks(index=np.where(counts, index, -1), held_out=np.arange(count) % every == every // 2)
 
 

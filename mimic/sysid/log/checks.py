@@ -12,11 +12,12 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log import faults, missing
 from mimic.sysid.log.faults import FOLLOWS
 from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
+from mimic.sysid.log.pool import followed
 
 MOST_LOST = 0.2
 """Greatest share of rows that may be left out."""
 
-SHORTEST = 10.0
+SHORTEST = 5.0
 """Shortest log that is accepted [s]."""
 
 
@@ -63,7 +64,7 @@ def check_log(
     wrong = [*faults.units(log, limits, unit)] or [*faults.turns(log, unit)]
     if wrong:
         raise CalibrationError("\n".join(wrong))
-    target = log.q_des
+    target = followed(log)
     found = None if target is None else following(log.t, log.q, target)
     if found is not None:
         wrong = list(faults.misassigned(log, found.correlation, found.moves))
@@ -106,7 +107,9 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
     """
     if log.q_des is None:
         return True, ""
-    near = following(log.t, log.q, log.q_des)
+    asked = followed(log)
+    assert asked is not None
+    near = following(log.t, log.q, asked)
     moving = near.moves & (np.ptp(log.q, axis=0) > 0)
     if not moving.any():
         return False, "no target of the log moves"
@@ -118,10 +121,10 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
     if follows > FOLLOWS and (np.nan_to_num(lag) < -1.5 / log.rate).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
-    back = median(following(log.t, log.q, log.q_des[::-1]))
+    back = median(following(log.t, log.q, asked[::-1]))
     if back > FOLLOWS and back > follows + 0.01:
         return False, f"positions follow the targets read backwards (correlation {back:.3f}, forwards {follows:.3f})"
-    far = following(log.t, log.q, log.q_des, (-0.4 * log.duration, 0.4 * log.duration))
+    far = following(log.t, log.q, asked, (-0.4 * log.duration, 0.4 * log.duration))
     if median(far) > FOLLOWS and median(far) > follows + 0.1:
         late = float(np.nanmedian(far.lag[moving]))
         when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
@@ -201,7 +204,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"
         )
-    if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 10 s ends a target before
+    if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 5 s ends a target before
         raise CalibrationError(
             f"the log lasts {log.duration:.2f} s by its column t (in seconds);"
             f" {SHORTEST:g} s are needed, 120 s are good"

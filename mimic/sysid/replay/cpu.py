@@ -19,10 +19,11 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mimic.dynamics.law import Law, Parameters
-from mimic.dynamics.machine import SOLREF_STEPS, MachineModel
+from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.log.pool import Part, enabled, rows_of, single
 from mimic.sysid.replay.records import Job, Prediction, Readings, stretch_starts
 from mimic.sysid.replay.targets import Targets, acting, on_grid
 from mimic.sysid.timing import SendingTimes, at_rows
@@ -73,6 +74,7 @@ class Replay:
         threads: int = 0,
         torque: bool = False,
         sending: SendingTimes | None = None,
+        parts: Sequence[Part] = (),
     ) -> None:
         """Cut the log into segments.
 
@@ -85,17 +87,20 @@ class Replay:
             threads: Of MuJoCo; 0 takes one for each core.
             torque: Also predict the torque.
             sending: When targets were sent; without, when the row was written that first shows them.
+            parts: Logs that this one is made of, with the drives of each; without, it is one, with the machine's.
         """
+        self.parts = tuple(parts) or (single(log, machine),)
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
         self.total = math.floor(t[-1] / timestep + 1e-6)
-        count = max(1, round(t[-1] / segment))
-        edges = np.linspace(0, self.total, count + 1).round().astype(int)
         self._lead = round(lead_in / timestep)
-        self._begin = np.maximum(edges[:-1] - self._lead, 0)
-        self._edges = edges
-        self.length = int((edges[1:] - self._begin).max())
+        cuts = [self._cut(part, segment) for part in self.parts]
+        self._part_of = np.repeat(np.arange(len(cuts)), [len(c) - 1 for c in cuts])
+        first, last = (np.concatenate([c[a : len(c) + b] for c in cuts]) for a, b in ((0, -1), (1, 0)))
+        self._begin = np.maximum(first - self._lead, np.array([c[0] for c in cuts])[self._part_of])
+        self._first = first
+        self.length = int((last - self._begin).max())
         self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
         self._part = t / timestep - self._rows
         self.counts = t - stretch_starts(t) >= lead_in
@@ -107,6 +112,9 @@ class Replay:
         self._targets = asked
         self._grid = self.delayed(np.zeros(len(self.sent)))
         self._force = None if log.force is None else self._mean_over_steps(log.force)
+        on = enabled(log)
+        row = np.clip(np.searchsorted(t, np.arange(self.total) * timestep + 1e-9, side="right") - 1, 0, len(t) - 1)
+        self._most = None if on.all() else np.where(on[row], UNLIMITED, 0.0)
         self.readings = self._readings()
         self.replays = 0
         self.heat: FloatArray | None = None
@@ -135,10 +143,23 @@ class Replay:
             threads=self.threads,
             torque=self.torque,
             sending=self.sending,
+            parts=self.parts,
         )
 
+    def _cut(self, part: Part, segment: float) -> IntArray:
+        """Return the steps at which the segments of a part begin, and its last."""
+        begin, end = round(part.begin / self.dt), math.floor(part.end / self.dt + 1e-6)
+        return np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
+
+    @property
+    def row_gains(self) -> tuple[FloatArray, FloatArray]:
+        """Kp and Kd in each row (T, J); 0 where a drive is switched off."""
+        on = enabled(self.log)
+        kp, kd = (rows_of(self.parts, [getattr(p, k) for p in self.parts]) * on for k in ("kp", "kd"))
+        return kp, kd
+
     def of_beginning(self, rows: int) -> Replay:
-        """Return the replay of so many of the first readings."""
+        """Return the replay of so many of the first readings of one log."""
         log = self.log.part(slice(rows))
         return Replay(
             self.machine,
@@ -292,8 +313,17 @@ class Replay:
         sets = len(next(iter(parameters.values()))) if parameters else 1
         segments, joints = self.segments, len(self.machine.joints)
         n = sets * segments
+        part_of = np.tile(self._part_of, sets)
         p = {key: np.repeat(value, segments, 0) for key, value in parameters.items()}
+        if any(part.payload.any() for part in self.parts):
+            load = np.stack([part.payload for part in self.parts])[part_of]
+            p["payload", "mass"] = load + p.get(("payload", "mass"), 0.0)
         law = Law(self.machine.drives, p, self.dt, (n, joints), np)
+        kp, kd = (np.stack([getattr(part, gain) for part in self.parts])[part_of] for gain in ("kp", "kd"))
+        law.set_gains(kp, kd)
+        if any(part.supply != 1.0 for part in self.parts):
+            law.scale_supply(np.array([part.supply for part in self.parts])[part_of, None])
+        began = np.array([part.begin for part in self.parts])[part_of]
         batch = self._batch(n)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
@@ -323,7 +353,9 @@ class Replay:
             now = begin + k
             target, shares = self._target(now, shifts, targets, which)
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
-            inputs = law.step(q, dq, target, (now * self.dt)[:, None], force, shares)
+            if self._most is not None:
+                law.limit_torque(self._most[np.minimum(now, self.total - 1)])
+            inputs = law.step(q, dq, target, (now * self.dt - began)[:, None], force, shares)
             if pushed is not None:
                 shaken = pushed[own, np.minimum(now, self.total - 1)]
                 inputs = replace(inputs, applied=inputs.applied + shaken)
@@ -356,7 +388,7 @@ class Replay:
         step, part = self._rows[row], self._part[row]
         whole = part < 1e-6  # at the end of the step before
         step, part = np.where(whole, step - 1, step), np.where(whole, 1.0, part)
-        segment = np.clip(np.searchsorted(self._edges, step + 1e-9, side="right") - 1, 0, self.segments - 1)
+        segment = np.clip(np.searchsorted(self._first, step + 1e-9, side="right") - 1, 0, self.segments - 1)
         step = step - self._begin[segment]
         inside = (step >= 0) & (step < self.length) | (row == 0) & (step == -1)
         row, segment, step, part = (x[inside] for x in (row, segment, step, part))
@@ -379,7 +411,9 @@ class Replay:
         t = self.log.t - self.log.t[0]
         at = begin * self.dt
         q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
-        around = np.clip(at + np.array([[-AROUND], [AROUND]]), 0.0, t[-1])
+        low, high = (np.array([getattr(part, end) for part in self.parts]) for end in ("begin", "end"))
+        part = np.tile(self._part_of, len(begin) // self.segments)
+        around = np.clip(at + np.array([[-AROUND], [AROUND]]), low[part], high[part])
         before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
         return q, (after - before) / (around[1] - around[0])[:, None]
 
@@ -397,6 +431,8 @@ class Replay:
         for i in range(1, len(rows)):
             own = self.heat[rows[i - 1] : rows[i]]
             age = np.arange(len(own))[::-1, None] * dt
+            if self._part_of[i] != self._part_of[i - 1]:
+                continue  # another log: cold again
             heat[:, i] = heat[:, i - 1] * np.exp(-len(own) * dt / time[:, 0])
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
         return heat.reshape(-1, heat.shape[2])

@@ -24,6 +24,7 @@ from mimic.dynamics.servo import static_fields, target_shift
 from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.log.pool import Part
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.gpu_batch import STATIC, WorldBatch
 from mimic.sysid.replay.records import Job, Prediction
@@ -89,6 +90,7 @@ class WorldReplay(Replay):
         threads: int = 0,
         torque: bool = False,
         sending: SendingTimes | None = None,
+        parts: Sequence[Part] = (),
     ) -> None:
         """Cut the log into segments (see `mimic.sysid.replay.cpu.Replay`).
 
@@ -101,6 +103,7 @@ class WorldReplay(Replay):
             threads: For what is worked out on the processor; 0 takes one for each core.
             torque: Also predict the torque.
             sending: When targets were sent.
+            parts: Logs that this one is made of: one, whose drives were never off.
 
         Raises:
             ConfigError: If there is no such device.
@@ -108,8 +111,19 @@ class WorldReplay(Replay):
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
         super().__init__(
-            machine, log, timestep=timestep, segment=segment, threads=threads, torque=torque, sending=sending
+            machine,
+            log,
+            timestep=timestep,
+            segment=segment,
+            threads=threads,
+            torque=torque,
+            sending=sending,
+            parts=parts,
         )
+        if len(self.parts) > 1 or self._most is not None or self.parts[0].payload.any():
+            raise ConfigError(
+                f"device is {device}, which replays one log without payload whose drives stay on; use --device cpu"
+            )
         if ":" in device:
             torch.cuda.set_device(device)  # streams and graphs are those of the current device
         wp.config.log_level = wp.LOG_ERROR
@@ -139,6 +153,7 @@ class WorldReplay(Replay):
             threads=self.threads,
             torque=self.torque,
             sending=self.sending,
+            parts=self.parts,
         )
 
     def _tensor(self, values: object, dtype: torch.dtype = torch.float64) -> torch.Tensor:

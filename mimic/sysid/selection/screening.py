@@ -299,7 +299,8 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
     delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
     delay -= float(np.mean(t[problem.replay.sent] - problem.replay.sending.at))
     late = np.stack([np.interp(t - delay, t, column) for column in target.T], -1)
-    tau = np.asarray(machine.drives.kp) * (late - q) - np.asarray(machine.drives.kd) * dq
+    kp, kd = problem.replay.row_gains
+    tau = kp * (late - q) - kd * dq
     if log.force is not None:
         tau = tau + log.force
     limit = np.asarray(machine.drives.torque)

@@ -47,6 +47,7 @@ def html_report(calibration: Calibration) -> str:
         _tiles(calibration, unit),
         _effects(calibration),
         _errors(calibration, unit),
+        _logs(calibration, unit),
         evidence(calibration),
         _unexplained(calibration),
         _baseline(calibration),
@@ -192,6 +193,23 @@ def _errors(c: Calibration, unit: Unit) -> str:
     if c.repeatability is not None:
         lead += " The same excitation occurs twice in this log; no model can explain the difference between the two."
     return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows))
+
+
+def _logs(c: Calibration, unit: Unit) -> str:
+    if not c.logs:
+        return ""
+
+    def cell(values: FloatArray | None) -> str:
+        return "" if values is None else figure(Errors.total(values) * unit.factor)
+
+    rows = []
+    for log in c.logs:
+        alone = (log.left_out_baseline, log.left_out_final) if log.fitted else (log.baseline, log.final)
+        name = escape(log.name) + ("" if log.fitted else " <small>held out</small>")
+        rows.append(("", [name, *(cell(v) for v in (log.baseline, log.final, *alone))]))
+    headings = ["log", "baseline fitted", "final", "baseline, fitted to the others", "final, fitted to the others"]
+    lead = f"Root mean square over all joints [{unit.name}]. A log that is left out has no part in the numbers."
+    return section("Each log", lead, table(headings, rows))
 
 
 def _unexplained(c: Calibration) -> str:

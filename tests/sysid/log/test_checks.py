@@ -122,9 +122,9 @@ def test_the_lag_is_that_of_the_drive(log: JointLog) -> None:
 
 
 def test_too_short(log: JointLog) -> None:
-    with pytest.raises(CalibrationError, match=r"lasts 9\.9\d s .* 10 s are needed"):
-        check_log(log.part(slice(0, 1990)))
-    check_log(log.part(slice(0, 1997)))  # what `mimic log simulate --seconds 10` makes
+    with pytest.raises(CalibrationError, match=r"lasts 4\.9\d s .* 5 s are needed"):
+        check_log(log.part(slice(0, 985)))
+    check_log(log.part(slice(0, 997)))  # what `mimic log simulate --seconds 5` makes
 
 
 def test_one_row(log: JointLog) -> None:
