@@ -116,6 +116,9 @@ def calibrate(
     together, why = targets_match_log(log)
     log_matches_model = together and error < UNRELATED
     if settings.method == "least-squares" and log_matches_model:
+        if problem.weigh_logs(fitted.residual):
+            report("fitting the baseline model with logs of equal weight", problem.replay.replays)
+            fitted = fit(problem, fitted.point, names, where, most=MOST_STEPS)
         report("refining the step size", problem.replay.replays)
         fitted = compared(problem, fitted, names, where)
     state = CalibrationState(
@@ -140,15 +143,16 @@ def calibrate(
             stages, left = with_encoders(state, stages, final)
     stages[-1] = replace(stages[-1], errors=errors_of(problem, left))
     motion = predicted(problem, final)
+    shown, first = problem.in_floors(left), problem.in_floors(before.residual)
     target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
     rest = unexplained_residuals(
         machine.joints,
-        left[:, :joints],
+        shown[:, :joints],
         motion,
         target,
         problem.blocks.index,
         np.asarray(machine.drives.neighbour),
-        None if state.base is None else state.base.residual[:, :joints],
+        None if state.base is None else problem.in_floors(state.base.residual)[:, :joints],
     )
     effects = _effect_set(state, final)
     by_log: tuple[LogErrors, ...] = ()
@@ -172,10 +176,10 @@ def calibrate(
         q=log.q,
         dq=motion.dq,
         tau=motion.tau,
-        before=before.residual[:, :joints] * scale,
-        after=left[:, :joints] * scale,
-        torque_before=before.residual[:, joints:] * problem.noise[joints:] if measured else None,
-        torque_after=left[:, joints:] * problem.noise[joints:] if measured else None,
+        before=first[:, :joints] * scale,
+        after=shown[:, :joints] * scale,
+        torque_before=first[:, joints:] * problem.noise[joints:] if measured else None,
+        torque_after=shown[:, joints:] * problem.noise[joints:] if measured else None,
     )
     return Calibration(
         joints=machine.joints,

@@ -48,6 +48,6 @@ class CalibrationState:
 def errors_of(problem: Problem, residual: FloatArray) -> Errors:
     """Return the errors of each joint [rad or m] of a residual (T, C) in noise floors."""
     joints = len(problem.machine.joints)
-    scale = problem.noise[:joints]
+    scale, residual = problem.noise[:joints], problem.in_floors(residual)
     train, held = (np.sqrt(problem.mean_squares(residual, side)[:joints]) * scale for side in (False, True))
     return Errors(train=train, held_out=held)

@@ -66,7 +66,7 @@ def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogError
 def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
     """Return the root mean square of the positions in some rows (J,), in the unit of the log."""
     joints = len(problem.machine.joints)
-    inside = residual[rows & (problem.blocks.index >= 0), :joints].astype(np.float64)
+    inside = problem.in_floors(residual)[rows & (problem.blocks.index >= 0), :joints].astype(np.float64)
     return np.sqrt(np.nanmean(inside**2, axis=0)) * problem.noise[:joints]
 
 

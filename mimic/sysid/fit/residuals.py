@@ -67,6 +67,8 @@ class Problem:
         """Of each chain (K,), see `weigh`."""
         self.sending: tuple[SendingTimes, ...] = (replay.sending,)
         """All that the logs allow."""
+        self.log_scale = np.ones((len(replay.log.t), 1), dtype=np.float32)
+        """Of each row's log: its residuals are divided by it, see `weigh_logs`."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps = np.zeros(joints)
@@ -192,7 +194,7 @@ class Problem:
 
     def _whitened(self, residual: FloatArray) -> FloatArray:
         """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
-        residual /= self.noise.astype(np.float32)
+        residual /= self.noise.astype(np.float32) * self.log_scale
         residual[..., self.blocks.index < 0, :] = np.nan
         return residual
 
@@ -249,6 +251,26 @@ class Problem:
     def leave_out(self, rows: BoolArray) -> None:
         """Mask these readings (T,)."""
         self.blocks = replace(self.blocks, index=np.where(rows, -1, self.blocks.index))
+
+    def in_floors(self, residual: FloatArray) -> FloatArray:
+        """Return a whitened residual (T, C) in noise floors, whatever the weight of its log."""
+        return residual * self.log_scale
+
+    def weigh_logs(self, residual: FloatArray) -> bool:
+        """Give each of several logs the same say, whatever the baseline parameters leave of it (residual (T, C)).
+
+        Else the one log that no model explains, such as a joint that falls, is all that the others are fitted for.
+
+        Returns:
+            Whether a weight differs from 1.
+        """
+        parts, squares = self.replay.parts, self.in_floors(residual).astype(np.float64) ** 2
+        train = np.isin(self.blocks.index, self.blocks.train)
+        left = [float(np.mean(squares[p.slice][train[p.slice]])) if train[p.slice].any() else 1.0 for p in parts]
+        least = max(min(left), 1.0)
+        for part, own in zip(parts, left, strict=True):
+            self.log_scale[part.slice] = np.sqrt(max(own / least, 1.0))
+        return bool((self.log_scale > 1.0).any())
 
     def weigh(self, residual: FloatArray) -> bool:
         """Reduce the weight of poorly explained chains (residual (T, C)) in parameters that all chains share.

@@ -32,7 +32,7 @@ def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -
     parts = [made.residual]
     if made.torque_residual is not None and problem.channels > joints:
         parts.append(made.torque_residual)
-    whitened = np.concatenate(parts, -1) / problem.noise.astype(np.float32)
+    whitened = np.concatenate(parts, -1) / (problem.noise.astype(np.float32) * problem.log_scale)
     if problem.correction is not None:
         whitened += problem.correction
     whitened[:, problem.blocks.index < 0] = 0.0

@@ -291,7 +291,8 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
     """Return what the model does; velocities from the predicted positions, torques from the servo."""
     machine, log = problem.machine, problem.replay.log
     joints = len(machine.joints)
-    residual = np.nan_to_num(fitted.residual[:, :joints].astype(np.float64)) * problem.noise[:joints]
+    left = problem.in_floors(fitted.residual)[:, :joints].astype(np.float64)
+    residual = np.nan_to_num(left) * problem.noise[:joints]
     q = log.q - residual
     t = log.t - log.t[0]
     dq = np.gradient(q, t, axis=0)
