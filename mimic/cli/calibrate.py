@@ -85,7 +85,7 @@ def _show_logs(result: Calibration, unit: Unit) -> None:
 
     rows = {}
     for log in result.logs:
-        columns = {"baseline fitted": log.baseline, "final": log.final}
+        columns: dict[str, FloatArray | None] = {"baseline fitted": log.baseline, "final": log.final}
         if any(one.left_out_final is not None for one in result.logs):
             columns["baseline, fitted to the others"] = log.left_out_baseline if log.fitted else log.baseline
             columns["final, fitted to the others"] = log.left_out_final if log.fitted else log.final

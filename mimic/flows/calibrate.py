@@ -74,7 +74,7 @@ def calibrate(
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
     names, said = _names(given), _said(notes, given)
-    checks, warnings = [], []
+    checks, machines, warnings = [], [], []
     with reporter.activity("replays") as show:
         for one, called, told in zip(given, names, said, strict=True):
             show(f"reading {called}" if len(given) > 1 else "reading the log", 0)
@@ -84,10 +84,9 @@ def calibrate(
                 raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
             checks.append(check)
             warnings += [f"{called}: {line}" if len(given) > 1 else line for line in found]
-            if len(checks) == 1:
-                first = machine
+            machines.append(machine)
         fitted, unseen = [c.log for c in checks[: len(logs)]], [c.log for c in checks[len(logs) :]]
-        result = explain(fitted, first, settings, show, held_out=unseen, names=names)
+        result = explain(fitted, machines[0], settings, show, held_out=unseen, names=names)
     inputs = {
         **{"log" if i == 0 else f"log {i + 1}": Path(p) for i, p in enumerate(given) if isinstance(p, (str, Path))},
         **({"model": Path(model)} if isinstance(model, (str, Path)) else {}),

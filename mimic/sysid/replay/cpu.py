@@ -89,7 +89,7 @@ class Replay:
             sending: When targets were sent; without, when the row was written that first shows them.
             parts: Logs that this one is made of, with the drives of each; without, it is one, with the machine's.
         """
-        self.parts = tuple(parts) or (single(log, machine),)
+        self.parts: tuple[Part, ...] = tuple(parts) or (single(log, machine),)
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
