@@ -120,7 +120,7 @@ class WorldReplay(Replay):
             sending=sending,
             parts=parts,
         )
-        if len(self.parts) > 1 or self._most is not None or self.parts[0].payload.any():
+        if len(self.parts) > 1 or self._most is not None or any(part.payload.any() for part in self.parts):
             raise ConfigError(
                 f"device is {device}, which replays one log without payload whose drives stay on; use --device cpu"
             )
