@@ -86,6 +86,13 @@ COMMANDS = {
         "mimic batch videos/ -o out --workers 8",
         "mimic batch videos/ -o out --ray auto",
     ),
+    "export": (
+        "mimic.cli.export:export",
+        "Write a run as a LeRobot dataset, CSV or NPZ.",
+        "mimic export runs/video -o dataset",
+        "mimic export runs/video --format csv -o run.csv",
+        "mimic export out -o dataset --no-video",
+    ),
     "view": ("mimic.cli.play:view", "Open the Rerun scene of a run.", "mimic view runs/video"),
     "evaluate": (
         "mimic.cli.evaluate:evaluate",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
@@ -19,6 +19,7 @@ def batch(
     out: o.RequiredOut,
     workers: int = 0,
     ray: str | None = None,
+    export: Literal["lerobot"] | None = None,
     retarget: o.Retarget = None,
     run: o.Run = None,
     robot: o.Effects = None,
@@ -37,6 +38,8 @@ def batch(
         Processes; 0 takes one for each core.
     ray
         Address of a Ray cluster to play on instead, such as auto or 10.0.0.5:6379; its nodes need the same paths.
+    export
+        Also write all runs as one LeRobotDataset v3, into OUT/lerobot.
     """
     from mimic.cli.console import ConsoleReporter
     from mimic.flows.batch import batch as play_folder
@@ -47,10 +50,15 @@ def batch(
     done = play_folder(
         folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()
     )
+    if export is not None and not done.interrupted and any(row["status"] != "failed" for row in done.rows):
+        from mimic.flows.export import export_batch
+
+        dataset = export_batch(out, reporter=ConsoleReporter())
+        return _show(done, f", {dataset}")
     return _show(done)
 
 
-def _show(done: Batch) -> int:
+def _show(done: Batch, more: str = "") -> int:
     from mimic.cli.console import table, warn
 
     failed, fell = done.with_status("failed"), done.with_status("fell")
@@ -69,7 +77,7 @@ def _show(done: Batch) -> int:
         figures["clamped"] = f"{sum(clamped) / len(clamped):.1%} of the targets"
     if played:
         figures["fell"] = f"{len(fell)}"
-    table("Batch", figures | {"written": f"{done.page}, {done.summary}"})
+    table("Batch", figures | {"written": f"{done.page}, {done.summary}{more}"})
     if done.interrupted:
         return STOPPED
     if failed:

@@ -1,0 +1,221 @@
+"""A run, or all runs of a batch, in the formats of other programs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from mimic.errors import AssetError, ConfigError
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.flows.run_folder import LOG, SCRIPT
+from mimic.io import store
+from mimic.records import JOINTS, SIDES, FloatArray, RunLog
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mimic.io.lerobot import Episode
+
+Format = Literal["lerobot", "csv", "npz"]
+STATE = (
+    *(f"{name}.pos" for name in JOINTS),
+    *(f"{name}.vel" for name in JOINTS),
+    *(f"base.quat.{axis}" for axis in "wxyz"),
+    *(f"base.gyro.{axis}" for axis in "xyz"),
+)
+"""Values of observation.state: joint positions [rad] and velocities [rad/s], orientation and angular velocity [rad/s]
+of the base."""
+ACTION = tuple(f"{name}.pos" for name in JOINTS)
+"""Values of action: commanded joint positions [rad]."""
+COMMAND = tuple(f"{side}_toe.{axis}" for side in SIDES for axis in "xyz")
+"""Values of observation.target: where the front toes should be, base axes [m]."""
+PICTURE = (240, 320)
+"""Height and width of the films of a dataset [px]."""
+
+
+def export(
+    source: Path,
+    out: Path,
+    form: Format = "lerobot",
+    *,
+    video: bool = True,
+    reporter: Reporter | None = None,
+) -> int:
+    """Write a run in another format; return the number of runs written.
+
+    Args:
+        source: Folder of a run, or of a batch (each of its runs becomes an episode; lerobot only).
+        out: Folder of the dataset, or file (.csv, .npz).
+        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log).
+        video: Whether a dataset has a film of the robot, one frame for each row.
+        reporter: Receives progress.
+
+    Raises:
+        AssetError: If there is no run at ``source``.
+        ConfigError: If ``out`` exists, or the format holds one run and there are several.
+    """
+    reporter = reporter or SilentReporter()
+    folders = _runs(source)
+    if out.exists():
+        raise ConfigError(f"{out} exists; name another place with --out, or remove it")
+    store.check_writable(out.parent)
+    if form == "lerobot":
+        _export_dataset(folders, out, video=video, reporter=reporter)
+        return len(folders)
+    if len(folders) > 1:
+        raise ConfigError(
+            f"{source} holds {len(folders)} runs, and a {form} file one; use --format lerobot, or one run"
+        )
+    if out.suffix.lower() != f".{form}":
+        raise ConfigError(f"{out.name} must end in .{form}")
+    columns = _columns(store.load(folders[0] / LOG, RunLog))
+    with store.written_whole(out) as part:
+        if form == "npz":
+            np.savez_compressed(part, **columns)
+        else:
+            _save_csv(part, columns)
+    return 1
+
+
+def export_batch(out: Path, *, video: bool = True, reporter: Reporter | None = None) -> Path:
+    """Write all runs of a batch as one dataset into its folder ``lerobot``, in place of an earlier one."""
+    folder = out / "lerobot"
+    if (folder / "meta" / "info.json").is_file():
+        shutil.rmtree(folder)
+    export(out, folder, video=video, reporter=reporter)
+    return folder
+
+
+def _runs(source: Path) -> list[Path]:
+    if (source / LOG).is_file():
+        return [source]
+    found = sorted(path.parent for path in source.glob(f"items/*/{LOG}"))
+    if not found:
+        raise AssetError(f"there is no run in {source}; expected a folder with {LOG}, or the folder of a batch")
+    return found
+
+
+def _columns(log: RunLog) -> dict[str, Any]:
+    """Return the arrays of a log by name, with the names of the joints."""
+    names = (
+        "t",
+        "phase",
+        "q",
+        "dq",
+        "tau",
+        "quat_WB",
+        "omega_B",
+        "p_WB",
+        "v_WB",
+        "p_BE",
+        "p_BE_des",
+        "v_des",
+        "heading_des",
+    )
+    arrays = {name: getattr(log, name) for name in (*names, "action", "q_des", "q_sent", "kp", "kd")}
+    return {**arrays, "joint_names": np.array(JOINTS), "dt": float(log.metadata.get("dt", np.median(np.diff(log.t))))}
+
+
+def _save_csv(path: Path, columns: dict[str, Any]) -> None:
+    """Write a row for each tick; a column has the name of its array and, behind points, of joint, side or axis."""
+    labels = {12: JOINTS, 4: tuple("wxyz"), 3: tuple("xyz"), 2: tuple("xy")}
+    table: dict[str, FloatArray] = {}
+    for name, values in columns.items():
+        if name in ("joint_names", "dt"):
+            continue
+        if values.ndim == 1:
+            table[name] = values
+        elif values.ndim == 2:
+            table |= {f"{name}.{label}": values[:, i] for i, label in enumerate(labels[values.shape[1]])}
+        else:
+            table |= {
+                f"{name}.{side}.{axis}": values[:, i, k] for i, side in enumerate(SIDES) for k, axis in enumerate("xyz")
+            }
+    head = ",".join(table)
+    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=head, comments="", fmt="%.9g")
+
+
+def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Reporter) -> None:
+    from mimic.io.lerobot import write_dataset
+
+    logs = [store.load(folder / LOG, RunLog) for folder in folders]
+    rates = {round(1.0 / float(np.median(np.diff(log.t)))) for log in logs}
+    robots = {str(log.metadata.get("robot", "cyberdog2")) for log in logs}
+    if len(rates) > 1 or len(robots) > 1:
+        raise ConfigError(f"a dataset has one robot and one rate; these runs have {robots} at {rates} Hz")
+    fps, robot = rates.pop(), robots.pop()
+    with reporter.progress("dataset") as progress:
+        write_dataset(
+            out,
+            [_episode(log, folder, fps, video=video) for log, folder in zip(logs, folders, strict=True)],
+            names={"observation.state": STATE, "observation.target": COMMAND, "action": ACTION},
+            fps=fps,
+            robot=robot,
+            picture=PICTURE if video else None,
+            progress=progress,
+        )
+
+
+def _episode(log: RunLog, folder: Path, fps: int, *, video: bool) -> Episode:
+    """Return a run at equal time steps; a row that came late is that of the nearest tick."""
+    from mimic.io.lerobot import Episode
+
+    times = log.t[0] + np.arange(round(float(log.t[-1] - log.t[0]) * fps) + 1) / fps
+    ticks = _nearest(log.t, times)
+    target = log.p_BE_des[ticks].reshape(len(ticks), -1)
+    columns = {
+        "observation.state": np.hstack([log.q[ticks], log.dq[ticks], log.quat_WB[ticks], log.omega_B[ticks]]),
+        "observation.target": np.where(np.isfinite(target), target, log.p_BE[ticks].reshape(target.shape)),
+        "action": log.q_des[ticks],
+    }
+    for name, values in columns.items():
+        if not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            raise AssetError(f"{folder / LOG} lacks {name} in tick {row}; a dataset has no gaps")
+    film = (lambda path: _film(path, log, ticks, fps)) if video else None
+    return Episode(task=_task(folder), columns=columns, film=film)
+
+
+def _nearest(t: FloatArray, times: FloatArray) -> np.ndarray:
+    right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
+    return right - (times - t[right - 1] < t[right] - times)
+
+
+def _film(
+    path: Path, log: RunLog, ticks: np.ndarray, fps: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Write a film with a picture for each tick; return minimum, maximum, mean and deviation of its colours (3,)."""
+    from mimic.robot.description import load_description
+    from mimic.view.film.footage import encode_h264
+    from mimic.view.film.side_by_side import RobotFilm
+
+    height, width = PICTURE
+    seen: list[np.ndarray] = []
+
+    def pictures() -> Iterator[np.ndarray]:
+        with RobotFilm(log, load_description(), width=width, height=height) as film:
+            for tick in ticks:
+                picture = film.picture(int(tick))
+                flat = picture.reshape(-1, 3) / 255.0
+                seen.append(np.stack([flat.min(0), flat.max(0), flat.mean(0), (flat**2).mean(0)]))
+                yield picture
+
+    encode_h264(pictures(), path, fps=Fraction(fps))
+    all_of = np.stack(seen)
+    mean = all_of[:, 2].mean(0)
+    return all_of[:, 0].min(0), all_of[:, 1].max(0), mean, np.sqrt(np.maximum(all_of[:, 3].mean(0) - mean**2, 0.0))
+
+
+def _task(folder: Path) -> str:
+    """Return what a run did: its sentence, or the name of what it followed."""
+    if (folder / SCRIPT).is_file():
+        from mimic.io.keyframes import read_keyframes
+
+        if sentence := read_keyframes(folder / SCRIPT).sentence:
+            return sentence
+    return f"follow {re.sub('-[0-9a-f]{8,}$', '', folder.name)}"
