@@ -4,7 +4,7 @@
     python -m benchmarks.torque_screen --real ../shared/data/logs
 
 A planar arm of two links in closed form (Spong, Hutchinson, Vidyasagar 2006, section 7.4), stepped at 20 us by the
-semi-implicit Euler rule, logged at 200 Hz by a clock of its own 3 ms beside the targets. A third of the laws differ
+semi-implicit Euler rule, logged at 200 Hz by a clock of its own 3 ms beside the targets. A quarter of the laws differ
 from the catalogue's on purpose: "other" below says how. With ``--real`` the measured logs instead.
 """
 

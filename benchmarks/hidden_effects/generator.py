@@ -197,8 +197,31 @@ class Truth:
     """Target last sent [rad]."""
 
 
-def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP) -> Truth:
-    """Return the motion of the machine; seed draws what is random in it."""
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """When a logger writes its rows, each with the newest target beside the reading."""
+
+    rate_hz: float
+    beside: float = 0.0
+    """First row after the first target [s]."""
+    jitter: float = 0.0
+    """Standard deviation of the time of a row, which the row tells [s]."""
+
+
+CLOCKS = {
+    "grid": Clock(rate_hz=RATE),
+    "beside": Clock(rate_hz=200.0, beside=0.004, jitter=0.0003),
+    "187": Clock(rate_hz=187.0, beside=0.001),
+    "50": Clock(rate_hz=50.0, beside=0.004),
+}
+"""The first is that of the targets, which come at 50 Hz."""
+
+FINE_RATE = 1000.0
+"""Rows between which other clocks read [Hz]: straight lines over 1 ms are within a hundredth of the noise."""
+
+
+def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP, rate_hz: float = RATE) -> Truth:
+    """Return the motion of the machine at so many rows a second; seed draws what is random in it."""
     description = load_description()
     rng = np.random.default_rng((seed, 1))
     par = np.zeros((4, 3, len(ph.COLUMNS)))
@@ -260,7 +283,7 @@ def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP
             lost = float(values["share"][0])
         else:
             raise ValueError(f"the benchmark does not simulate {effect.name}")
-    rows = round((motion.t[-1] + motion.t[1]) * RATE)
+    rows = round((motion.t[-1] + motion.t[1]) * rate_hz)
     swing, extra = np.zeros((2, 3)), np.zeros((0, 4, 3))
     for alien in machine.aliens:
         index = [JOINTS.index(j) for j in alien.joints]
@@ -274,7 +297,7 @@ def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP
         elif alien.name == "random_walk":
             keep = np.zeros(12)
             keep[index] = alien.size
-            more = _wandering(rows + 400, rng) * keep.reshape(4, 3)
+            more = _wandering(round(rows * RATE / rate_hz) + 400, rng) * keep.reshape(4, 3)
             extra = more + extra if len(extra) else more
         else:
             for j in index:
@@ -284,12 +307,21 @@ def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP
     q = np.zeros((rows, 4, 3))
     tau = np.zeros((rows, 4, 3))
     ph.run(
-        step, round(SETTLE / step), round(1.0 / RATE / step), rows, par, link, gravity, swing, drop,
+        step, round(SETTLE / step), round(1.0 / rate_hz / step), rows, par, link, gravity, swing, drop,
         arrival.reshape(4, 3, -1), target.reshape(4, 3, -1), motion.q_des[0].reshape(4, 3), extra, 1.0 / RATE, q, tau,
     )  # fmt: skip
-    t = np.arange(rows) / RATE
+    t = np.arange(rows) / rate_hz
     sent = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
     return Truth(t=t, q=q.reshape(rows, 12), tau=tau.reshape(rows, 12), q_des=motion.q_des[sent])
+
+
+def read_by(clock: Clock, truth: Truth, motion: Excitation, seed: int) -> Truth:
+    """Return what a motion is when another clock reads it; ``truth`` has many rows."""
+    rng = np.random.default_rng((seed, 3))
+    t = np.arange(clock.beside, truth.t[-1] - 0.01, 1.0 / clock.rate_hz)
+    t = np.maximum.accumulate(np.maximum(t + clock.jitter * rng.standard_normal(len(t)), 0.0))
+    q, tau = (np.stack([np.interp(t, truth.t, c) for c in x.T], -1) for x in (truth.q, truth.tau))
+    return Truth(t=t, q=q, tau=tau, q_des=motion.q_des[np.searchsorted(motion.t, t + 1e-9, side="right") - 1])
 
 
 def measured(truth: Truth, seed: int, noise: float = NOISE, notes: Mapping[str, object] | None = None) -> JointLog:

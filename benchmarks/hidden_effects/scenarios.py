@@ -56,21 +56,38 @@ class Scenario:
     kind: Kind = "probe"
     seed: int = 0
     seconds: float = 60.0
+    clock: str = "grid"
+    """When the rows are written, of `generator.CLOCKS`: the same machine and motion with each."""
+
+    @property
+    def machine_key(self) -> str:
+        """Name of its machine and motion."""
+        what = "+".join(self.names) or "nothing"
+        return f"{self.group}/{what}/{self.strength}/{self.kind}/{self.seed}/{self.seconds:g}s"
 
     @property
     def key(self) -> str:
         """Its name: the same name is the same log."""
-        what = "+".join(self.names) or "nothing"
-        return f"{self.group}/{what}/{self.strength}/{self.kind}/{self.seed}/{self.seconds:g}s"
+        return self.machine_key if self.clock == "grid" else f"{self.machine_key}/{self.clock}"
 
     @staticmethod
     def of(key: str) -> Scenario:
         """Return the scenario of a name."""
-        group, what, strength, kind, seed, seconds = key.split("/")
+        group, what, strength, kind, seed, seconds, *clock = key.split("/")
         names = () if what == "nothing" else tuple(what.split("+"))
         return Scenario(
-            group=group, names=names, strength=strength, kind=kind, seed=int(seed), seconds=float(seconds[:-1])
+            group=group, names=names, strength=strength, kind=kind, seed=int(seed), seconds=float(seconds[:-1]),
+            clock=clock[0] if clock else "grid",
         )  # fmt: skip
+
+
+def for_choosing(key: str) -> bool:
+    """Return whether thresholds may be chosen by a scenario; the other half is run and reported, never looked at for
+    that.
+
+    Drawn once and for all from the name of its machine and motion, so that all clocks of one are in the same half.
+    """
+    return bool(zlib.crc32(f"half/{Scenario.of(key).machine_key}".encode()) & 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +125,7 @@ def build(scenario: Scenario) -> Built:
     Raises:
         ValueError: If an effect cannot be this strong on any joint.
     """
-    seed = zlib.crc32(scenario.key.encode())
+    seed = zlib.crc32(scenario.machine_key.encode())
     rng = np.random.default_rng(seed)
     machine = Machine.drawn(rng)
     effects, aliens, where = [], [], {}

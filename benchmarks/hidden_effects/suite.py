@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import FLOOR, Machine, Truth, measured, simulate
-from benchmarks.hidden_effects.scenarios import Built, Scenario, build, ordered
+from benchmarks.hidden_effects.generator import CLOCKS, FINE_RATE, FLOOR, Machine, Truth, measured, read_by, simulate
+from benchmarks.hidden_effects.scenarios import Built, Scenario, build, for_choosing, ordered
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.io.joint_log import JointLog
@@ -156,7 +156,11 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
             plain_truth = simulate(bare, built.motion, built.seed)
             record["change"] = change(truth, plain_truth)
             record["changes"] = changes(built, truth) if len(scenario.names) > 1 else {}
-        log = measured(truth, built.seed)
+        read = truth
+        if scenario.clock != "grid":
+            fine = simulate(built.machine, built.motion, built.seed, rate_hz=FINE_RATE)
+            read = read_by(CLOCKS[scenario.clock], fine, built.motion, built.seed)
+        log = measured(read, built.seed)
         start, used = time.perf_counter(), time.process_time()
         result = calibrate(log)
         record |= {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - used}
@@ -235,11 +239,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", action="append", default=[], help="run keys that contain this; may be repeated")
     parser.add_argument("--rounds", type=int, default=6, help="seeds of everything")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each log")
+    parser.add_argument("--clocks", nargs="+", default=["grid"], choices=list(CLOCKS), help="when rows are written")
+    parser.add_argument("--half", choices=("choosing", "reported"), help="only the scenarios of this half")
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0, … for the replays")
     parser.add_argument("--list", action="store_true", help="print the keys and stop")
     args = parser.parse_args(argv)
     began = time.monotonic()
-    chosen = [s for s in ordered(args.rounds, args.seconds) if not args.only or any(o in s.key for o in args.only)]
+    chosen = [replace(s, clock=c) for s in ordered(args.rounds, args.seconds) for c in args.clocks]
+    chosen = [s for s in chosen if not args.only or any(o in s.key for o in args.only)]
+    if args.half:
+        chosen = [s for s in chosen if for_choosing(s.key) == (args.half == "choosing")]
     if args.list:
         print(*(s.key for s in chosen), sep="\n")
         return 0

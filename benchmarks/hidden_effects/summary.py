@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from benchmarks.hidden_effects.scenarios import FAINT
+from benchmarks.hidden_effects.scenarios import FAINT, Scenario, for_choosing
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import JOINTS, FloatArray
 
@@ -282,9 +282,16 @@ def effect_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
 
 def markdown(records: Sequence[Record]) -> str:
     """Return the tables as Markdown."""
-    lines = ["| what | goal | measured (95 % interval) |", "|---|---|---|"]
-    lines += [f"| {a} | {b} | {c} |" for a, b, c in goals(records)]
-    lines += ["", f"| hidden | {' | '.join(STRENGTHS)} | otherwise named |", f"|{'---|' * (len(STRENGTHS) + 2)}"]
+    lines = []
+    for clock in dict.fromkeys(Scenario.of(r["key"]).clock for r in records):
+        mine = [r for r in records if Scenario.of(r["key"]).clock == clock]
+        halves = [[r for r in mine if for_choosing(r["key"]) == choosing] for choosing in (True, False)]
+        both = zip(*(goals(half) for half in halves), strict=True)
+        lines += [f"Rows written by the clock {clock!r}:", ""] if clock != "grid" else []
+        lines += ["| what | goal | half for choosing (95 % interval) | half for reporting |", "|---|---|---|---|"]
+        lines += [f"| {a} | {b} | {c} | {d} |" for (a, b, c), (_, _, d) in both]
+        lines += [""]
+    lines += [f"| hidden | {' | '.join(STRENGTHS)} | otherwise named |", f"|{'---|' * (len(STRENGTHS) + 2)}"]
     lines += [f"| {' | '.join(row)} |" for row in effect_rows(records)]
     seconds = [r["cpu_seconds"] for r in records if "cpu_seconds" in r]
     if seconds:

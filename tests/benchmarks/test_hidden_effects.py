@@ -17,8 +17,19 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from benchmarks.hidden_effects import physics, suite, summary
 from benchmarks.hidden_effects.agreement import disagreement
 from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
-from benchmarks.hidden_effects.generator import ALIENS, ENCODER, FLOOR, Machine, Truth, links, measured, simulate
-from benchmarks.hidden_effects.scenarios import Scenario, build, ordered, reachable, sizes
+from benchmarks.hidden_effects.generator import (
+    ALIENS,
+    CLOCKS,
+    ENCODER,
+    FLOOR,
+    Machine,
+    Truth,
+    links,
+    measured,
+    read_by,
+    simulate,
+)
+from benchmarks.hidden_effects.scenarios import Scenario, build, for_choosing, ordered, reachable, sizes
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import Excitation, hung_ranges, probe_targets
@@ -205,6 +216,42 @@ def test_a_scenario_is_drawn_from_its_name():
         assert np.array_equal(a.machine.friction, b.machine.friction)
         assert np.array_equal(a.motion.q_des, b.motion.q_des)
         assert a.where == b.where
+
+
+def test_half_of_the_scenarios_is_for_choosing_whatever_the_clock():
+    every = list(ordered(2, 20.0))
+    chosen = [for_choosing(s.key) for s in every]
+    assert 0.4 < np.mean(chosen) < 0.6
+    for scenario, half in zip(every[::23], chosen[::23], strict=True):
+        other = replace(scenario, clock="187")
+        assert Scenario.of(other.key) == other
+        assert for_choosing(other.key) == half
+        assert np.array_equal(build(other).machine.friction, build(scenario).machine.friction)
+
+
+@pytest.mark.parametrize("name", ["beside", "187", "50"])
+def test_a_clock_of_its_own_reads_the_same_motion_with_the_newest_target(name):
+    t = np.arange(0.0, MOTION.t[-1] + 0.02, 1e-3)
+    q = np.sin(3 * t)[:, None] * np.ones(12)
+    sent = np.searchsorted(MOTION.t, t + 1e-9, side="right") - 1
+    read = read_by(CLOCKS[name], Truth(t=t, q=q, tau=0 * q, q_des=MOTION.q_des[sent]), MOTION, 0)
+    assert np.abs(read.q - np.sin(3 * read.t)[:, None]).max() < 2e-6
+    assert 1 / np.diff(read.t).mean() == pytest.approx(CLOCKS[name].rate_hz, rel=1e-3)
+    last = np.floor(read.t / MOTION.t[1] + 1e-6).astype(int)
+    assert np.array_equal(read.q_des, MOTION.q_des[last])
+
+
+def test_the_table_has_both_halves_and_every_clock():
+    right = judged(stages=[("cogging", [])])
+    keys = [s.key for s in ordered(1, 20.0) if s.group == "single" and s.strength == "strong"]
+    base = {**right, "group": "single", "strength": "strong", "change": [9.0] * 12, "truth": None, "effects": []}
+    records = [{**base, "key": k + c} for k in keys for c in ("", "/187")]
+    text = summary.markdown([{**r, "truth": {"hidden": [], "declared": {}}} for r in records])
+    halves = [sum(for_choosing(k) == half for k in keys) for half in (True, False)]
+    named = [line for line in text.splitlines() if line.startswith("| one effect, strong or medium: named")]
+    assert len(named) == 2
+    assert all(f"({n} of {n};" in line for line in named for n in halves)
+    assert "clock '187'" in text
 
 
 @pytest.mark.slow
