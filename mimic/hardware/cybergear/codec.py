@@ -172,6 +172,9 @@ class Codec:
         except ValueError:
             raise FrameError(f"{frame} has the communication type {number}, which is not public") from None
         to_host = destination >= FIRST_HOST
+        if kind is Kind.FAULT and not to_host and FIRST_HOST <= area <= 0xFF:
+            # The manual has the host in bits 15 to 8 and the motor in 7 to 0; libraries have it the other way.
+            return self._from_motor(frame, kind, destination, area, data)
         if to_host:
             return self._from_motor(frame, kind, area, destination, data)
         return self._from_host(frame, kind, area, destination, data)

@@ -240,3 +240,13 @@ def test_near_zero_it_cannot_be_told_and_elsewhere_nonsense_is_named():
 def test_a_range_that_no_motor_has_is_refused():
     with pytest.raises(ConfigError, match="position_range"):
         Codec(position_range=720.0)
+
+
+def test_a_fault_report_is_understood_in_the_manuals_order_of_ids_and_in_that_of_libraries():
+    expected = FaultReport(motor=2, host=HOST, faults=DetailedFault.UNDER_VOLTAGE, warnings=1)
+    manual = CODEC.decode(frame_of("1500FD02#0400000001000000"))  # host in bits 15 to 8, motor in 7 to 0
+    libraries = CODEC.decode(frame_of("150002FD#0400000001000000"))
+    assert manual == expected
+    assert libraries == expected
+    big = Codec(fault_order="big").decode(frame_of("1500FD02#0000000400000001"))
+    assert big == expected
