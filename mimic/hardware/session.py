@@ -140,18 +140,25 @@ def robot_session(
     watchdog = WatchdogProcess(bus_url, wiring.path) if wanted else None
     try:
         with open_session(bus_url, settings) as robot:
-            checks = preflight(
-                robot.motor_bus(),
-                description,
-                rate_hz=rate_hz,
-                homing=robot.homing,
-                trust_zeros=settings.zeroed,
-                suspended=suspended,
-            )
+
+            def checked() -> list[Check]:
+                motor_bus = robot.motor_bus()
+                motor_bus.drain()  # what came while a person was asked
+                return preflight(
+                    motor_bus,
+                    description,
+                    rate_hz=rate_hz,
+                    homing=robot.homing,
+                    trust_zeros=settings.zeroed,
+                    suspended=suspended,
+                )
+
+            checks = checked()
             checks.append(check_watchdog(checks, bus_url, settings))
             report(checks)
             refuse(checks)
             go()
+            refuse(checked())  # power may have blinked meanwhile, or the robot was moved
             plant = CanRobot(
                 robot.link, robot.wiring, description, torque_limit=settings.torque_limit, watchdog=watchdog
             )

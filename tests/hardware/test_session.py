@@ -14,6 +14,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
 from mimic.hardware.cybergear.messages import Mode
+from mimic.hardware.homing import home
 from mimic.hardware.plant import CanRobot
 from mimic.hardware.wiring import load_wiring
 
@@ -67,3 +68,31 @@ def test_what_fails_before_motors_are_on_says_so(robot, description):
 
     with pytest.raises(PlantError, match="it broke; nothing was switched on"):
         get_ready(description, break_at_once)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [("power_cycle:FL_knee", "zeros: .*FL_knee"), ("imu_invalid", "IMU: .*valid"), ("motor_fault:RR_hip", "RR_hip")],
+)
+def test_what_happens_while_the_person_is_asked_is_found_before_anything_moves(
+    robot, description, monkeypatch, tmp_path, fault, expected
+):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    settings = BusSettings(yes=True, watchdog=False)
+    with session.open_session("can0", settings) as opened:
+        homing, _ = home(opened.motor_bus(), description, None)
+        homing.save(session.homing_file(opened.wiring))
+
+    def go() -> None:
+        robot.inject(parse_fault(f"{fault}@{robot.now + 0.01}"))
+        robot.advance(robot.now + 1.0)
+
+    reports = []
+    options = {"rate_hz": 50.0, "report": reports.append, "go": go}
+    with (
+        pytest.raises(PlantError, match=rf"nothing was moved\. .*{expected}"),
+        session.robot_session("can0", settings, description, **options) as plant,
+    ):
+        plant.start()
+    assert not [check for check in reports[0] if check.verdict == "stop"]
+    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
