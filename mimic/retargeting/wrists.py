@@ -25,6 +25,10 @@ TURN_CUTOFF_HZ = 0.3
 """Cut-off of the heading; faster changes are depth noise [Hz]."""
 MAX_TURN = np.radians(45)
 """A larger turn away from the clip's heading mixes forward and sideways motion [rad]."""
+MIN_ARM_SHARE = 0.8
+"""An arm that is visible in a smaller share of the frames is reported."""
+SHOWN_GAPS = 4
+"""At most this many of the times at which it is hidden are named, the longest ones."""
 DEPTH_VISIBLE = "20–65 %"
 """Share of the motion along the camera axis that BlazePose detects, on rendered and on real videos."""
 
@@ -56,7 +60,7 @@ def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Wrist
         heading=heading,
         valid=valid,
         arm_length=length,
-        warnings=(*pose.warnings, *_turn_warnings(pose, settings)),
+        warnings=(*pose.warnings, *_hidden_arm_warnings(pose), *_turn_warnings(pose, settings)),
     )
 
 
@@ -188,6 +192,28 @@ def _slow_heading(t: FloatArray, line: FloatArray, seen: BoolArray) -> FloatArra
         for i in (0, 2)
     )
     return np.unwrap(np.arctan2(z, x))
+
+
+def _hidden_arm_warnings(pose: PoseTrack) -> tuple[str, ...]:
+    """Return a warning for each arm that is often hidden, with the times."""
+    found = []
+    for side, seen in zip(SIDES, _arm_visible(pose).T, strict=True):
+        if seen.mean() >= MIN_ARM_SHARE:
+            continue
+        if not seen.any():
+            found.append(f"the {side} arm is never visible")
+            continue
+        edges = np.diff(np.concatenate([[False], ~seen, [False]]).astype(int))
+        ends = np.flatnonzero(edges < 0)
+        starts, stops = pose.t[edges[:-1] > 0], pose.t[np.minimum(ends, len(seen) - 1)]
+        longest = sorted(np.argsort(stops - starts)[::-1][:SHOWN_GAPS])
+        times = ", ".join(f"{starts[i]:.1f}–{stops[i]:.1f} s" for i in longest)
+        more = f" and {len(starts) - SHOWN_GAPS} shorter times" if len(starts) > SHOWN_GAPS else ""
+        found.append(
+            f"the {side} arm is visible in {seen.mean():.0%} of the frames, hidden at {times}{more}; there the robot's "
+            "arm is not what the person did"
+        )
+    return tuple(found)
 
 
 def _turn_warnings(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ...]:

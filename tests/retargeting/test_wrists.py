@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -232,3 +233,34 @@ def test_a_boxer_who_is_turned_to_the_right_punches_at_a_camera_on_the_left():
         assert reach.max() > 0.95
         assert forward > 0.8
         assert 0 < left < 0.6
+
+
+def hidden(pose: PoseTrack, name: str, *spans: tuple[float, float]) -> PoseTrack:
+    """The pose with a landmark hidden during some times."""
+    valid = pose.valid.copy()
+    for start, end in spans:
+        valid[(pose.t >= start) & (pose.t < end), LANDMARKS.index(name)] = False
+    return dataclasses.replace(pose, valid=valid)
+
+
+def test_an_arm_that_is_hidden_is_reported_with_the_times():
+    pose = hidden(track(*person(rows=300)), "left_wrist", (1.0, 3.0), (5.0, 8.0))
+    (warning,) = wrist_track(pose).warnings
+    share = pose.valid[:, LANDMARKS.index("left_wrist")].mean()
+    assert f"the left arm is visible in {share:.0%} of the frames, hidden at 1.0–3.0 s, 5.0–8.0 s;" in warning
+
+
+def test_an_arm_that_is_seen_most_of_the_time_is_not_reported():
+    assert wrist_track(hidden(track(*person(rows=300)), "left_wrist", (1.0, 2.5))).warnings == ()
+
+
+def test_an_arm_that_is_never_seen_is_reported():
+    (warning,) = wrist_track(hidden(track(*person(rows=300)), "right_wrist", (0.0, 99.0))).warnings
+    assert warning == "the right arm is never visible"
+
+
+def test_only_the_longest_of_many_times_are_named():
+    spans = [(n + 0.0, n + 0.5) for n in range(9)]
+    (warning,) = wrist_track(hidden(track(*person(rows=300)), "left_wrist", *spans)).warnings
+    assert warning.count("–") == 4
+    assert "and 5 shorter times" in warning

@@ -23,9 +23,11 @@ from mimic.sources.video.screening import jump_share, person_rows, shot_starts, 
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 1
+ALGORITHM = 2
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
+MISSING_FRAMES, MISSING_SHARE = 2, 0.01
+"""Fewer frames than announced are normal up to this number or share: headers count frames that are not shown."""
 MAX_SWAP_SHARE = 0.05
 """A larger share of frames with swapped left and right gives a warning."""
 MIN_PERSON_SHARE = 0.8
@@ -147,7 +149,7 @@ def _person_share(detections: _Detections, settings: PoseSettings) -> float:
 
 def _file_warnings(detections: _Detections) -> Iterator[str]:
     frames, expected = len(detections.t), detections.frame_count
-    if expected is not None and frames < expected:
+    if expected is not None and expected - frames > max(MISSING_FRAMES, MISSING_SHARE * expected):
         yield f"the file header says {expected} frames, but only {frames} could be decoded; the end may be missing"
     if detections.repaired:
         yield f"{detections.repaired} of {frames} time stamps do not increase; these frames got interpolated times"

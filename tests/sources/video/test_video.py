@@ -108,8 +108,10 @@ def test_a_person_is_tracked_in_every_frame(tracked: Tracked, name, frames):
 
 
 @pytest.mark.slow
-def test_a_frame_that_is_announced_and_missing_is_reported(tracked: Tracked):
-    assert any("110 frames, but only 109" in w for w in tracked("real/02_asl_book.mkv").warnings)
+def test_one_frame_less_than_announced_is_no_alarm(tracked: Tracked):
+    """The header announces 110 frames, and 109 are decoded."""
+    assert len(tracked("real/02_asl_book.mkv").t) == 109
+    assert not any("may be missing" in w for w in tracked("real/02_asl_book.mkv").warnings)
     assert tracked("real/01_asl_walk.mkv").warnings == ()
 
 
