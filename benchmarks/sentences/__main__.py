@@ -36,7 +36,7 @@ def main() -> None:
     rows = []
     for sentence in sentences():
         half = "held out" if sentence.held_out else "seen"
-        if options.first is not None and counts[half].total() >= options.first:
+        if options.first is not None and sum(row["half"] == half for row in rows) >= options.first:
             continue
         message = ""
         try:
