@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.screen.regression import ScreenSettings, screen
+from mimic.sysid.screen.regression import ScreenSettings, screen, worth_a_fit
 
 MASS, LENGTH, ROTOR, DRY, VISCOUS, DELAY = 0.8, 0.15, 0.004, 0.12, 0.03, 0.006
 STEP, RATE = 2e-4, 200.0
@@ -82,6 +83,30 @@ def test_short_logs_with_other_gains_are_pooled(machine: MachineModel) -> None:
 def test_only_named_effects_are_tried(machine: MachineModel) -> None:
     made = screen([(pendulum(8.0, load=0.15), machine)], effects=("spring", "stribeck"))
     assert {s.names[0] for s in made.singles} == {"spring", "stribeck"}
+
+
+def test_a_shortlist_has_what_is_hidden_first_and_what_torques_cannot_judge(machine: MachineModel) -> None:
+    every = [name for name, e in CATALOGUE.items() if not e.baseline]
+    kept = worth_a_fit(pendulum(12.0, load=0.15), machine, every)
+    assert kept[0] == "load_friction"
+    assert {"gains", "kt_gain", "delay_jitter", "lost_commands", "encoder_step"} <= set(kept) < set(every)
+
+
+def test_rows_that_may_not_be_looked_at_change_nothing(machine: MachineModel) -> None:
+    log = pendulum(16.0, load=0.15)
+    rows = log.t < 12.0
+    q = np.where(log.t[:, None] > 13.0, log.q * 0.7 + 0.2 * np.sin(9 * log.t)[:, None], log.q)
+    other = JointLog(joints=log.joints, t=log.t, q=q, q_des=log.q_des, metadata=log.metadata)
+    made, again = (screen([(x, machine)], ScreenSettings(most=0), rows=[rows]) for x in (log, other))
+    assert made.singles[0].names == again.singles[0].names == ("load_friction",)
+    assert again.error == pytest.approx(made.error, rel=0.02)
+    assert screen([(other, machine)], ScreenSettings(most=0)).error > 2 * made.error
+
+
+def test_where_nothing_can_be_judged_everything_is_worth_a_fit(machine: MachineModel) -> None:
+    log = pendulum(2.0)
+    still = JointLog(joints=log.joints, t=log.t, q=log.q * 0, q_des=log.q_des, metadata=log.metadata)
+    assert worth_a_fit(still, machine, ["spring", "stribeck"]) == ("spring", "stribeck")
 
 
 def test_a_joint_at_rest_is_refused_with_what_to_do(machine: MachineModel) -> None:
