@@ -27,7 +27,7 @@ from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
 from mimic.sysid.result import Calibration, Errors, LogErrors, Stage, Traces
 from mimic.sysid.selection.encoders import with_encoders
-from mimic.sysid.selection.evidence import stopped
+from mimic.sysid.selection.evidence import cross_validated, stopped
 from mimic.sysid.selection.forward import forward_selection, prune
 from mimic.sysid.selection.jitter import widening
 from mimic.sysid.selection.screening import predicted, starts_of
@@ -128,7 +128,7 @@ def calibrate(
         joints=where,
         names=names,
         current=fitted,
-        baseline=problem.mean_squares(fitted.residual, True),
+        baseline=cross_validated(problem, fitted),
     )
     stages = [Stage(added="baseline", errors=errors_of(problem, fitted.residual))]
     before = fitted

@@ -30,7 +30,7 @@ class CalibrationState:
     names: list[str]
     current: Fit
     baseline: FloatArray
-    """What the baseline parameters leave: mean square of each channel on the blocks held out (C,)."""
+    """What the baseline parameters leave: mean square of each channel, each block judged without itself (C,)."""
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Of the numbers that are read off the lateness of the targets."""
     unsure: dict[Key, float] = field(default_factory=dict)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
@@ -83,13 +85,27 @@ def sentence(
     if not added:
         return f"No effect of the catalogue explains the remaining error ({errors}). Unexplained: {unexplained}."
     joints = {e.name: e.joints for e in effects}
-    named = " and ".join(f"{CATALOGUE[s.added].title}{_where(joints.get(s.added, ()), machine)}" for s in added)
+    shares = [
+        f" ({100 * share:.0f} % of the unexplained error)" if unexplained else "" for share in shares_of(stages, noise)
+    ]
+    named = " and ".join(
+        f"{CATALOGUE[s.added].title}{_where(joints.get(s.added, ()), machine)}{share}"
+        for s, share in zip(added, shares, strict=True)
+    )
     alternatives = sorted({CATALOGUE[r].title for s in added for r in s.alternatives})
     return (
         f"The model lacked {named} ({errors}). "
         f"Alternatives this log cannot rule out: {', '.join(alternatives) or 'none'}. "
         f"Unexplained: {unexplained or 'none'}."
     )
+
+
+def shares_of(stages: list[Stage], noise: FloatArray) -> list[float]:
+    """Return the share of each added effect in what the baseline model leaves beyond the noise of held-out blocks."""
+    squares = [Errors.total(s.errors.held_out) ** 2 for s in stages]
+    whole = max(squares[0] - Errors.total(noise) ** 2, 1e-300)
+    fell = [(before - after) / whole for before, after in itertools.pairwise(squares)]
+    return [min(max(f, 0.0), 1.0) for f, s in zip(fell, stages[1:], strict=True) if s.added]
 
 
 def _fall(stages: list[Stage], noise: FloatArray, unit: str) -> str:

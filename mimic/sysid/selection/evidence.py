@@ -280,15 +280,21 @@ def _apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> tuple[flo
     return paired(best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
 
 
+def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
+    """Return the mean square of each channel (C,) over the fitted blocks, each judged without itself."""
+    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()), 1)
+    return left_out(fitted, problem)[0].sum(0) / readings
+
+
 def lasts(problem: Problem, before: Fit, after: Fit, tried: TriedEffect) -> bool:
-    """Return whether an effect, fitted to the end, leaves less of the blocks held out from all fits, where it acts.
+    """Return whether an effect, fitted to the end, leaves less of blocks that are judged without themselves.
 
     What is read off the log is not asked.
     """
     if CATALOGUE[tried.name].read_off:
         return True
     channels = tried.joints[problem.channel_joint]
-    left, had = (problem.mean_squares(f.residual, True)[channels].sum() for f in (after, before))
+    left, had = (cross_validated(problem, f)[channels].sum() for f in (after, before))
     return bool(left < had)
 
 
