@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from mimic.cli import options as o
-from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
+from mimic.cli.console import ConsoleReporter, console, matrix, note, number, table, warn
 from mimic.cli.exit_status import BUG, DONE, STOPPED, USER_ERROR
 from mimic.config.hardware import BusSettings
 from mimic.flows.operator import Operator
@@ -254,9 +254,14 @@ def _watched(seen: Watched) -> Table:
     for name in ("joint", "angle deg", "speed rad/s", "torque N m", "degC", "errors"):
         shown.add_column(name, justify="left" if name == "joint" else "right")
     for j, joint in enumerate(JOINTS):
-        numbers = (f"{np.rad2deg(seen.q[j]):+.1f}", f"{seen.dq[j]:+.2f}", f"{seen.tau[j]:+.1f}")
+        values = {
+            "{:+.1f}": np.rad2deg(seen.q[j]),
+            "{:+.2f}": seen.dq[j],
+            "{:+.1f} ": seen.tau[j],
+            "{:.0f}": seen.temperature[j],
+        }
         errors = f"{seen.errors[j]:#x}" if seen.errors[j] else ""
-        shown.add_row(joint, *numbers, f"{seen.temperature[j]:.0f}", errors)
+        shown.add_row(joint, *(number(float(value), form) for form, value in values.items()), errors)
     return shown
 
 

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings
 from mimic.emulator.board import EmulatedBoard
 from mimic.errors import BusError, ConfigError, PlantError
+from mimic.flows.commissioning import watch_robot
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.plant import StockRobot
@@ -150,3 +152,14 @@ def test_messages_are_those_of_lcm(wiring):
 def test_an_interface_that_does_not_exist_is_named_with_those_that_do(wiring):
     with pytest.raises(ConfigError, match=r"there is no network interface 'eth99'; this computer has lo"):
         check_network(wiring, "eth99")
+
+
+@pytest.mark.slow
+def test_watching_shows_joints_and_orientation_and_sends_nothing(served, wiring, description):
+    seen = []
+    settings = BusSettings(wiring=str(wiring.path), interface="lo")
+    watch_robot("cyberdog2", settings, seconds=1.0, every=0.5, show=seen.append)
+    np.testing.assert_allclose(seen[-1].q, served.body.data.qpos[-12:], atol=0.02)
+    np.testing.assert_allclose(seen[-1].rpy[:2], 0.0, atol=0.02)
+    assert seen[-1].err_flag is None
+    assert served.err_flag == 0
