@@ -180,7 +180,7 @@ def servo_logs(folder: Path, kp: float) -> list[tuple[JointLog, MachineModel]]:
             t=columns["timestamp"],
             q=columns["position"][:, None],
             q_des=columns["goal_position"][:, None],
-            extra={"torque_enable": columns["torque_enable"]},
+            extra={"enabled": columns["torque_enable"]},
             metadata={"kp": kp, "kd": 2.35},
         )
         with tempfile.TemporaryDirectory() as out:

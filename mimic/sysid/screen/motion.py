@@ -18,10 +18,7 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import noise_floor
-
-TORQUE_ON = "torque_enable"
-"""Column of a log that is 0 where its drives were switched off."""
-
+from mimic.sysid.log.pool import enabled
 
 BANDWIDTH = 1.2
 """Bandwidth of a comparison over the frequency of the fastest drive: beyond, an acceleration has more noise than the
@@ -48,7 +45,7 @@ class Motion:
     later: FloatArray
     """What it would be with 1 ms more delay, less what it is [N m]; zeros where it was measured."""
     on: FloatArray
-    """1 where the drives are on, else 0."""
+    """1 where a drive is switched on, else 0 (the column ``enabled`` of the log)."""
     need: FloatArray
     """Torque that the declared links need, without friction [N m]."""
     bias: FloatArray
@@ -108,10 +105,7 @@ def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray 
     kp, kd = np.asarray(machine.drives.kp), np.asarray(machine.drives.kd)
     force = 0.0 if log.force is None else _held(t, log.t - t0, log.force)
     most = np.asarray(machine.drives.torque)
-    on = np.ones((len(t), 1))
-    if TORQUE_ON in log.extra:
-        on = (_held(t, log.t - t0, log.extra[TORQUE_ON][:, None]) > 0.5).astype(float)
-
+    on = (_held(t, log.t - t0, enabled(log).astype(float)) > 0.5).astype(float)
     seen = np.ones((len(t), 1), dtype=bool)
     if rows is not None:
         seen = np.interp(t, log.t - t0, rows.astype(float))[:, None] > 0.99
