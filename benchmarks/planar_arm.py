@@ -80,7 +80,7 @@ CLOCKS = {
 }
 
 
-@njit(cache=True)
+@njit
 def _accelerate(q, v, f0, f1):
     """Inverse of the mass matrix (a, b, c) of the links with rotors, and the acceleration without friction."""
     c2, s2 = math.cos(q[1]), math.sin(q[1])
@@ -95,7 +95,7 @@ def _accelerate(q, v, f0, f1):
     return m11, m12, m22, f0 - b1, f1 - b2
 
 
-@njit(cache=True)
+@njit
 def _run(steps, dt, arrival, target, p, out):
     """Step from rest; out (steps, 2) gets what the encoders, on the motors, read at the end of each step."""
     load, spring, moment, level, width, stiffness, lopsided, drag, lag = p
