@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from mimic.dynamics.effect_set import read_effects as read_effects
     from mimic.errors import MimicError as MimicError
     from mimic.flows.calibrate import calibrate as calibrate
-    from mimic.flows.calibrate import predict_log as predict_log
-    from mimic.flows.calibrate import simulate_log as simulate_log
     from mimic.flows.evaluate import evaluate as evaluate
+    from mimic.flows.machine_log import predict_log as predict_log
+    from mimic.flows.machine_log import simulate_log as simulate_log
     from mimic.flows.motion import InputSettings as InputSettings
     from mimic.flows.motion import Motion as Motion
     from mimic.flows.motion import load_motion as load_motion
@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 _OWNERS = {
     "mimic.dynamics.effect_set": ("EffectSet", "read_effects"),
     "mimic.errors": ("MimicError",),
-    "mimic.flows.calibrate": ("calibrate", "predict_log", "simulate_log"),
+    "mimic.flows.calibrate": ("calibrate",),
+    "mimic.flows.machine_log": ("predict_log", "simulate_log"),
     "mimic.flows.evaluate": ("evaluate",),
     "mimic.flows.motion": (
         "InputSettings",

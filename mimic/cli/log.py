@@ -46,7 +46,7 @@ def simulate(
         Velocity gain of the drives [N m s/rad]; by default the model's.
     """
     from mimic.cli.console import ConsoleReporter, note
-    from mimic.flows.calibrate import LogMotion, simulate_log
+    from mimic.flows.machine_log import LogMotion, simulate_log
 
     moved = LogMotion(kind=motion, seconds=seconds, amplitude=amplitude, kp=kp, kd=kd)
     log = simulate_log(effects, model, moved, settings, out=out, reporter=ConsoleReporter())
@@ -83,7 +83,7 @@ def replay(
     """
     from mimic.cli.calibrate import show_errors
     from mimic.cli.console import ConsoleReporter, note, warn
-    from mimic.flows.calibrate import NO_EFFECTS, predict_log
+    from mimic.flows.machine_log import NO_EFFECTS, predict_log
     from mimic.view.report.plots import unit_of_size
 
     found = predict_log(log, effects, model, whole=whole, threads=threads, out=out, reporter=ConsoleReporter())

@@ -159,7 +159,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     import mimic
     from mimic.config.sysid import LogSettings
-    from mimic.flows.calibrate import LogMotion
+    from mimic.flows.machine_log import LogMotion
     from mimic.io import store
     from mimic.records import LANDMARKS
 

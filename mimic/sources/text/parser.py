@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from mimic.errors import SourceError
 from mimic.sources.text import lexicon as words
+from mimic.sources.text.phrases import Phrase, phrases, set_amount, whole
 
 BASE = ("step", "walk", "turn", "stop", "wait")
 """Verbs of the base; all others move hands."""
@@ -51,212 +52,16 @@ class Action:
         return self.verb in BASE
 
 
-@dataclass(slots=True)
-class _Phrase:
-    """The words that belong to one action, as they are collected."""
-
-    joint: str
-    """How it is joined to the phrase before."""
-    verb: str = ""
-    word: str = ""
-    said_sides: list[str] = field(default_factory=list)
-    nouns: list[str] = field(default_factory=list)
-    pronoun: str = ""
-    other: bool = False
-    ways: list[str] = field(default_factory=list)
-    amounts: dict[str, float] = field(default_factory=dict)
-    number: float | None = None
-    duration: str = ""
-    speed: float | None = None
-    together: bool = False
-    turned: bool = False
-    greeting: str = ""
-    text: list[str] = field(default_factory=list)
-
-    @property
-    def empty(self) -> bool:
-        return not (self.verb or self.names_hand or self.ways or self.amounts or self.speed or self.together) and (
-            self.number is None and not self.greeting
-        )
-
-    @property
-    def names_hand(self) -> bool:
-        return bool(self.nouns or self.said_sides or self.pronoun or self.other)
-
-    @property
-    def bare(self) -> bool:
-        """Whether it only adds an amount or a pace to the action before."""
-        return not (self.verb or self.names_hand or self.ways or self.greeting)
-
-    def quoted(self) -> str:
-        return "'" + " ".join(self.text) + "'"
-
-
 def parse(sentence: str) -> list[list[Action]]:
     """Return what a sentence asks for.
 
     Raises:
         SourceError: If a word is unknown, or anything said is not used by the action to which it belongs.
     """
-    phrases = _phrases(words.tokens_of(sentence))
-    if not phrases:
+    found = phrases(words.tokens_of(sentence))
+    if not found:
         raise SourceError(f"the sentence has no verb; say what to do with one of {', '.join(words.VERBS)}")
-    return _groups(_Resolver().actions(phrases))
-
-
-# ---------------------------------------------------------------------- words to phrases
-
-
-def _phrases(tokens: list[str]) -> list[_Phrase]:
-    found: list[_Phrase] = []
-    now = _Phrase("then")
-    joint = "then"
-    for at, token in enumerate(tokens):
-        following = tokens[at + 1] if at + 1 < len(tokens) else ""
-        if token in words.SEPARATORS:
-            found, now, joint = _closed(found, now), _Phrase("then"), _stronger(joint if now.empty else "", "then")
-            now.joint = "," if token == "," and joint == "then" else joint
-            joint = now.joint
-            continue
-        if token in words.JOINTS and _joins(token, now, tokens, at):
-            before = now.joint if now.empty else ""
-            found = _closed(found, now)
-            if before == "then" and found and token not in ("and", "with"):
-                raise SourceError(f"{token!r} at the beginning of a part is not something the phrasebook does")
-            now = _Phrase(_stronger(before, "while" if token in ("as", "with") else token))
-            continue
-        if token in words.AUXILIARIES and following in words.VERB_OF and following.endswith("ing"):
-            continue
-        if token in words.VERB_OF:
-            now, found = _verb(token, now, found)
-        else:
-            _add(now, token, following)
-        now.text.append(token)
-        joint = now.joint
-    return _closed(found, now)
-
-
-def _joins(token: str, now: _Phrase, tokens: list[str], at: int) -> bool:
-    """Return whether a joining word begins a new phrase here."""
-    rest = [t for t in tokens[at + 1 :] if t not in words.FILLERS]
-    if token == "with":
-        until = next(
-            (n for n, t in enumerate(rest) if t in words.SEPARATORS | words.JOINTS or t in words.VERB_OF), len(rest)
-        )
-        hand = any(t in words.HANDS for t in rest[:until])
-        return hand and any(t in words.WAYS for t in rest[:until])
-    if token == "and":
-        sides = now.said_sides and not now.nouns and rest[:1] and rest[0] in words.SIDES
-        if sides and any(t in words.HANDS for t in rest[1:2]):
-            now.said_sides.append("and")
-            return False
-    if token == "after" and rest and words.is_number(rest[0]):
-        raise SourceError("'after' and a time is not something the phrasebook does; say 'wait 3 seconds, then'")
-    return True
-
-
-_STRENGTH = ("", "and", ",", "then", "before", "after", "while")
-
-
-def _stronger(one: str, other: str) -> str:
-    return max(one, other, key=_STRENGTH.index)
-
-
-def _closed(found: list[_Phrase], now: _Phrase) -> list[_Phrase]:
-    if now.empty and words.SUPPORT & set(now.text):
-        raise SourceError(f"{now.quoted()} does not say what to do; begin with one of {', '.join(words.VERBS)}")
-    return found if now.empty else [*found, now]
-
-
-def _verb(token: str, now: _Phrase, found: list[_Phrase]) -> tuple[_Phrase, list[_Phrase]]:
-    """Add a verb: to the phrase that has none, or as a phrase of its own."""
-    verb = words.VERB_OF[token]
-    counted = now.number is not None and token in words.NOUNS
-    if counted and verb == "step" and now.verb in ("walk", "retreat", "step", "move"):
-        now.amounts["times"], now.number = _whole(now.number, token), None
-        if now.verb == "retreat":
-            now.ways.append("back")
-        now.verb = "step"
-        return now, found
-    if counted and verb == now.verb:
-        now.amounts["times"], now.number = _whole(now.number, token), None
-        return now, found
-    if now.verb == "stop" and token.endswith("ing"):
-        if verb in ("walk", "move", "step", "turn"):
-            return now, found
-        raise SourceError(f"'stop {token}' is not something the phrasebook does; say what to do instead")
-    if now.verb:
-        if not token.endswith("ing"):
-            raise SourceError(f"{token!r} follows {now.quoted()} without 'then', 'and' or 'while' between them")
-        found, now = _closed(found, now), _Phrase("while")
-    elif now.ways and not counted and verb != "turn":
-        raise SourceError(f"{now.quoted()} stands before the verb {token!r}; put it after the verb")
-    if counted and verb == "turn":
-        raise SourceError(f"'{now.number:g} {token}' is not something the phrasebook does; say how many degrees")
-    if counted:
-        now.amounts["times"], now.number = _whole(now.number, token), None
-    if verb == "retreat":
-        now.ways.append("back")
-        verb = "walk"
-    now.verb, now.word = verb, token
-    return now, found
-
-
-def _whole(number: float | None, what: str) -> float:
-    if number is None or number != int(number) or number < 1:
-        raise SourceError(f"{number:g} {what} is not a count; expected 1, 2, 3, …")
-    return number
-
-
-def _add(now: _Phrase, token: str, following: str) -> None:
-    """Add a word that is not a verb to a phrase."""
-    if words.is_number(token):
-        if now.number is not None:
-            raise SourceError(f"two numbers follow one another, {now.number:g} and {token}; say what each one counts")
-        now.number = float(token)
-    elif token in words.TIMES:
-        _set(now, "times", words.TIMES[token])
-    elif token in words.UNITS:
-        if now.number is None:
-            raise SourceError(f"{token!r} in {now.quoted()} has no number")
-        name, factor = words.UNITS[token]
-        _set(now, name, now.number * factor)
-        now.number = None
-    elif token in words.FOR:
-        now.duration = words.FOR[token] if words.is_number(following) else "no time"
-    elif token in words.SPEEDS:
-        if now.speed is not None:
-            raise SourceError(f"{now.quoted()} has two paces; say one")
-        now.speed = words.SPEEDS[token]
-    elif token in words.SIDES:
-        now.said_sides.append(words.SIDES[token])
-    elif token in ("to-the-left", "to-the-right"):
-        now.said_sides.append(token.removeprefix("to-the-"))
-    elif token in words.WAYS:
-        now.ways.append(words.WAYS[token])
-    elif token in words.HANDS:
-        now.nouns.append(token)
-    elif token in words.PRONOUNS:
-        now.pronoun = token
-    elif token == "other":
-        now.other = True
-    elif token == "together":
-        now.together = True
-    elif token == "turned":
-        now.turned = True
-        if not now.verb:
-            now.verb = now.word = "turn"
-    elif token in words.GREETINGS:
-        now.greeting = token
-
-
-def _set(now: _Phrase, name: str, value: float) -> None:
-    if name in now.amounts:
-        raise SourceError(f"{now.quoted()} has two amounts in {name}: {now.amounts[name]:g} and {value:g}; say one")
-    now.amounts[name] = value
-
-
-# ---------------------------------------------------------------------- phrases to actions
+    return _groups(_Resolver().actions(found))
 
 
 class _Resolver:
@@ -264,11 +69,11 @@ class _Resolver:
 
     def __init__(self) -> None:
         self.hands: tuple[str, ...] = ()
-        self.before: tuple[_Phrase, Action] | None = None
+        self.before: tuple[Phrase, Action] | None = None
 
-    def actions(self, phrases: list[_Phrase]) -> list[tuple[str, Action, bool]]:
+    def actions(self, phrases: list[Phrase]) -> list[tuple[str, Action, bool]]:
         """Return each action with how it is joined, and whether it is said to be at the same time."""
-        merged: list[_Phrase] = []
+        merged: list[Phrase] = []
         for phrase in phrases:
             if phrase.bare and merged and phrase.joint in ("then", ",", "and"):
                 self._merge(merged[-1], phrase)
@@ -286,9 +91,9 @@ class _Resolver:
             at += 1
         return found
 
-    def _merge(self, onto: _Phrase, phrase: _Phrase) -> None:
+    def _merge(self, onto: Phrase, phrase: Phrase) -> None:
         for name, value in phrase.amounts.items():
-            _set(onto, name, value)
+            set_amount(onto, name, value)
         if phrase.number is not None:
             raise SourceError(f"the number {phrase.number:g} has no unit; say seconds, times, steps, degrees or metres")
         onto.duration = phrase.duration or onto.duration
@@ -298,7 +103,7 @@ class _Resolver:
                 raise SourceError(f"{onto.quoted()} has two paces; say one")
             onto.speed = phrase.speed
 
-    def _action(self, phrase: _Phrase) -> Action:
+    def _action(self, phrase: Phrase) -> Action:
         self._complete(phrase)
         if phrase.number is not None:
             self._bare_number(phrase)
@@ -317,7 +122,7 @@ class _Resolver:
         self.before = phrase, action
         return action
 
-    def _complete(self, phrase: _Phrase) -> None:
+    def _complete(self, phrase: Phrase) -> None:
         """Find the verb of a phrase without one: "left hand up", "then the right"; tell moving a hand from walking."""
         hand = bool(phrase.nouns or phrase.pronoun or phrase.other)
         if phrase.verb == "move":
@@ -349,7 +154,7 @@ class _Resolver:
         phrase.verb, phrase.word = said.verb, said.word
         phrase.ways = phrase.ways or (list(said.ways) if not action.moves_base else [])
 
-    def _bare_number(self, phrase: _Phrase) -> None:
+    def _bare_number(self, phrase: Phrase) -> None:
         if phrase.verb == "turn" and "degrees" not in phrase.amounts and (phrase.number or 0) >= _BARE_DEGREES:
             phrase.amounts["degrees"], phrase.number = phrase.number or 0.0, None
             return
@@ -358,7 +163,7 @@ class _Resolver:
             "metres or m/s"
         )
 
-    def _base(self, phrase: _Phrase) -> Action:
+    def _base(self, phrase: Phrase) -> Action:
         verb, sides = phrase.verb, phrase.said_sides
         if phrase.nouns or phrase.pronoun or phrase.other:
             raise SourceError(f"{phrase.quoted()}: to {phrase.word} is not something a hand does")
@@ -380,7 +185,7 @@ class _Resolver:
             speed=phrase.speed or 1.0,
         )
 
-    def _turn(self, phrase: _Phrase) -> Action:
+    def _turn(self, phrase: Phrase) -> Action:
         sides = [side for side in phrase.said_sides if side in _OPPOSITE]
         degrees = phrase.amounts.get("degrees")
         if [way for way in phrase.ways if way != "around"]:
@@ -395,7 +200,7 @@ class _Resolver:
             verb="turn", sides=(sides[0] if sides else "left",), amounts=phrase.amounts, speed=phrase.speed or 1.0
         )
 
-    def _of_hands(self, phrase: _Phrase) -> Action:
+    def _of_hands(self, phrase: Phrase) -> Action:
         sides, way, verb = self._sides(phrase), "", phrase.verb
         ways = set(phrase.ways)
         if verb in ("place", "extend") and not (phrase.nouns or phrase.pronoun or phrase.other):
@@ -421,7 +226,7 @@ class _Resolver:
             verb=verb, sides=sides, way=way, amounts=amounts, stays=phrase.duration != "in", speed=phrase.speed or 1.0
         )
 
-    def _sides(self, phrase: _Phrase) -> tuple[str, ...]:
+    def _sides(self, phrase: Phrase) -> tuple[str, ...]:
         """Return the hands that a phrase names."""
         said = phrase.said_sides
         both = "both" in said or "and" in said
@@ -454,7 +259,7 @@ class _Resolver:
             return ("right",)
         raise SourceError(f"{phrase.quoted()} does not say which hand; say left hand, right hand or both hands")
 
-    def _check_amounts(self, action: Action, phrase: _Phrase) -> None:
+    def _check_amounts(self, action: Action, phrase: Phrase) -> None:
         for name, value in action.amounts.items():
             if name not in _AMOUNTS[action.verb]:
                 raise SourceError(
@@ -464,18 +269,18 @@ class _Resolver:
             if not value > 0:
                 raise SourceError(f"{phrase.quoted()}: {value:g} {name} is too little; expected more than 0")
             if name == "times":
-                _whole(value, "times")
+                whole(value, "times")
         if {"metres", "seconds", "m/s"} <= action.amounts.keys() or {"times", "metres"} <= action.amounts.keys():
             raise SourceError(f"{phrase.quoted()} says too much at once: {', '.join(action.amounts)}")
 
 
-def _raises_and_lowers(phrase: _Phrase, following: _Phrase) -> bool:
+def _raises_and_lowers(phrase: Phrase, following: Phrase) -> bool:
     """Return whether two phrases are "raise and lower the left hand"."""
     alone = phrase.verb == "raise" and not (phrase.names_hand or phrase.ways or phrase.amounts or phrase.speed)
     return alone and following.joint == "and" and following.verb == "lower" and not following.ways
 
 
-def _posture(phrase: _Phrase) -> str:
+def _posture(phrase: Phrase) -> str:
     """Return the posture that a verb and its directions mean."""
     ways = set(phrase.ways)
     if "forward" in ways or "side" in ways:
