@@ -18,6 +18,7 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
+from mimic.sources.not_read import NOT_READ
 
 if TYPE_CHECKING:
     from mimic.io.keyframes import KeyFrames
@@ -319,27 +320,6 @@ def _pose_cache() -> Path:
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
 
-
-NOT_READ = {
-    **dict.fromkeys(
-        (".fbx", ".glb", ".gltf", ".vrm", ".dae", ".blend"),
-        "a 3-D scene, which is not read; export its motion as BVH, for example from Blender",
-    ),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "a USD scene, which is not read; export its motion as BVH"),
-    **dict.fromkeys((".asf", ".amc"), "ASF/AMC motion capture, which is not read; convert it to BVH or C3D"),
-    **dict.fromkeys(
-        (".mot", ".sto"), "OpenSim joint angles or forces, which are not read; give the marker file (.trc)"
-    ),
-    **dict.fromkeys((".mvn", ".mvnx"), "an Xsens MVN recording, which is not read; export it as BVH or C3D"),
-    ".vmd": "a MikuMikuDance motion, which is not read; export it as BVH",
-    ".csv": "a table, which is not read; store its positions as NPZ (docs/manual/motion-formats.md)",
-    ".tsv": "a Qualisys table, which is not read; export it as C3D or TRC",
-    ".json": "JSON, which is not read; store the key points as NPZ (docs/manual/motion-formats.md)",
-    ".npy": "a single array, which is not read; store it with its times by numpy.savez (docs/manual/motion-formats.md)",
-    ".mcap": "an MCAP log, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
-    ".bag": "a ROS bag, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
-}
-"""Formats of motion that are not read, and what to do instead."""
 
 RECORDS = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")
 """Records that can be played."""

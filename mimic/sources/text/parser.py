@@ -1,6 +1,8 @@
 """A sentence -> groups of actions: groups one after the other, the actions of a group at the same time.
 
 Every word is used or the sentence is refused: an amount, side or direction that its verb does not take is an error.
+
+Longer than 350 lines: one class, whose methods share what was said before.
 """
 
 from __future__ import annotations
