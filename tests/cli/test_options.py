@@ -25,7 +25,7 @@ def asked(monkeypatch, tmp_path) -> list[tuple[tuple, dict]]:
         "play.play_source",
         "play.save_targets",
         "calibrate.calibrate",
-        "calibrate.predict_log",
+        "machine_log.predict_log",
         "evaluate.train",
     ):
         monkeypatch.setattr(f"mimic.flows.{flow}", reached)
