@@ -147,7 +147,7 @@ class EmulatedBoard:
         self._first = -1
         self._rules: MotorModeRules | None = None
         self.applied = MotorCommands(*(np.zeros(12) for _ in range(5)))
-        """What the motors were told last, in the firmware's order and signs."""
+        """The latest command to the motors, in the firmware's order and signs."""
         self._incoming: list[tuple[float, int, bytes]] = []
         self._outgoing: list[tuple[float, int, str, bytes]] = []
         self._count = 0

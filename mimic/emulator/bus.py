@@ -47,7 +47,7 @@ class EmulatedBus:
 
     @property
     def next_event(self) -> float:
-        """When something happens next if nobody submits anything [s]; infinite where nothing waits."""
+        """Time of the next event if nothing is submitted [s]; infinite if nothing is queued."""
         if self._sending is not None:
             return self._sending.t
         ready = min((queue[0][0] for queue in self._queues.values() if queue), default=float("inf"))

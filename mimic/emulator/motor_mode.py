@@ -75,7 +75,7 @@ class MotorModeRules:
         return cycles
 
     def cycle(self, message: Any, age: float, q: FloatArray, dq: FloatArray) -> MotorCommands:
-        """Return what the motors are told.
+        """Return the command to the motors.
 
         Args:
             message: Newest motor_ctrl.

@@ -277,7 +277,7 @@ class EmulatedRobot:
         self._apply(i)
         if motor.mode is Mode.RUN and self.body.held:
             self.body.release()
-            self.events.append((self.now, "first motor switched on; nobody holds the robot any more"))
+            self.events.append((self.now, "first motor switched on; the robot is no longer held"))
             self._faults = [fault.released(self.now) for fault in self._faults]
         if answer is not None:
             self._answer(i, answer, sent.t + self.settings.reply)

@@ -1,6 +1,6 @@
-"""IMUs on the bus: what the rest needs of one, and the Xsens MTi-600 series.
+"""IMUs on the bus: the interface of an IMU, and the Xsens MTi-600 series.
 
-Another IMU is one more file with a class that has `Imu`'s methods, and a line in `make_imu`.
+To support another IMU, add a file with a class that has the methods of `Imu`, and a line in `make_imu`.
 
 Source of ids and scales: xsens.dbc and xsens_parser.cpp of jiminghe/Xsens_MTi_CAN_ROS_Driver, commit e305ce3 (tested
 on an MTi-680-DK by its author), the maker's xscandataidentifier.h and its document MT1604P.
@@ -26,39 +26,39 @@ STALE_AFTER = 0.03
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ImuReading:
-    """The newest that an IMU told, as seen at one instant."""
+    """The latest data of an IMU at one moment."""
 
     quat_WB: FloatArray
-    """Orientation of the base, wxyz (4,); NaN where there is none or it is stale."""
+    """Orientation of the base, wxyz (4,); NaN if missing or stale."""
     omega_B: FloatArray
-    """Angular velocity, base axes (3,) [rad/s]; NaN where there is none or it is stale."""
+    """Angular velocity, base axes (3,) [rad/s]; NaN if missing or stale."""
     age: float
-    """Since the older of the two came [s]; infinite before the first."""
+    """Age of the older of the two [s]; infinite before the first."""
     unchanged: float
-    """Since anything in the frames, the counter included, was last new [s]; infinite before the first frame."""
+    """Time since any content of the frames changed, the counter included [s]; infinite before the first frame."""
     still: float
-    """Since orientation or angular velocity were last new, to the last bit [s]; a robot at rest can be still."""
+    """Time since orientation or angular velocity changed by a single bit [s]; also grows while a robot is at rest."""
     count: int
-    """How many samples (orientation and angular velocity) came so far."""
+    """Number of samples (orientation and angular velocity) received so far."""
     valid: bool | None
-    """Whether the IMU itself calls its orientation valid; None while it has not said."""
+    """Whether the IMU marks its orientation as valid; None before its first status word."""
     problem: str | None
     """Why the reading must not be used, or None."""
 
 
 class Imu(Protocol):
-    """Takes an IMU's frames and tells its newest reading."""
+    """Collects the frames of an IMU and returns its latest reading."""
 
     def feed(self, frame: CanFrame, t: float) -> bool:
-        """Take a frame that came at time t [s], and return whether it was the IMU's.
+        """Take a frame received at time t [s]; return whether it belongs to the IMU.
 
         Raises:
-            FrameError: If it has the IMU's identifier, and is malformed.
+            FrameError: If it has an identifier of the IMU but is malformed.
         """
         ...
 
     def reading(self, now: float) -> ImuReading:
-        """Return the newest reading, as it is at time ``now`` [s]."""
+        """Return the latest reading as of time ``now`` [s]."""
         ...
 
 
@@ -77,7 +77,7 @@ ORIENTATION_VALID = 1 << 1
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MtiSample:
-    """What one frame of an MTi tells; None in the fields that it does not carry."""
+    """Content of one MTi frame; fields that it does not carry are None."""
 
     quat_WI: FloatArray | None = None
     """Orientation of the IMU, wxyz (4,), normalised."""
@@ -91,7 +91,7 @@ class MtiSample:
 
 
 def decode_mti(frame: CanFrame) -> MtiSample | None:
-    """Return what a frame tells, or None if it is none of those that mimic reads.
+    """Return the content of a frame, or None if mimic does not read that message.
 
     Raises:
         FrameError: If its length is wrong, or its quaternion has no direction.
@@ -163,16 +163,16 @@ class XsensMti:
         self._samples = dict.fromkeys(self._came, 0)
 
     def feed(self, frame: CanFrame, t: float) -> bool:
-        """Take a frame that came at time t [s], and return whether it was the IMU's.
+        """Take a frame received at time t [s]; return whether it belongs to the IMU.
 
         Raises:
-            FrameError: If it has the IMU's identifier, and is malformed.
+            FrameError: If it has an identifier of the IMU but is malformed.
         """
         sample = decode_mti(frame)
         if sample is None:
             return False
-        told = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
-        self._newest = replace(self._newest, **told)
+        present = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
+        self._newest = replace(self._newest, **present)
         if frame.id in self._came:
             self._came[frame.id] = t
             self._samples[frame.id] += 1
@@ -182,7 +182,7 @@ class XsensMti:
         return True
 
     def reading(self, now: float) -> ImuReading:
-        """Return the newest reading, as it is at time ``now`` [s]."""
+        """Return the latest reading as of time ``now`` [s]."""
         newest, age = self._newest, now - min(self._came.values())
         valid = None if newest.status is None else bool(newest.status & ORIENTATION_VALID)
         counted = newest.counter is not None or newest.time is not None  # without, a robot at rest repeats itself

@@ -71,14 +71,6 @@ def two(seeds: tuple[int, int], folder: Path, captured: bool = True) -> list[tor
 
 @pytest.mark.slow
 @together
-def test_two_processes_that_see_the_same_learn_what_one_learns(tmp_path):
-    first, second = two((1, 1), tmp_path)
-    assert torch.equal(first, second)
-    assert (first - learned(1, LEARN)).abs().max() < 2e-5
-
-
-@pytest.mark.slow
-@together
 def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
     first, second = two((1, 2), tmp_path)
     assert torch.equal(first, second)

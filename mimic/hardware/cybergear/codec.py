@@ -1,7 +1,7 @@
 """Codec of the CyberGear protocol: messages to frames and back, pure.
 
 A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7
-bits. Hosts have ids from 0x80 on here, so that the destination tells the direction of a frame: type 0 and type 17 are
+bits. Hosts have ids from 0x80 on here, so the destination shows the direction of a frame: type 0 and type 17 are
 both asked and answered. (The protocol would also let a host be 0, which could be a motor.)
 
 A quantity of an operation command or a feedback is an unsigned word w that spans its range evenly. Encoding saturates
@@ -42,7 +42,7 @@ from mimic.hardware.cybergear.messages import (
 )
 
 BROADCAST = 0xFE
-"""Destination of a motor that tells its id; manual 4.1.1."""
+"""Destination of a device-id answer; manual 4.1.1."""
 
 FIRST_HOST = 0x80
 """Hosts have ids from here on, motors below."""
@@ -55,7 +55,7 @@ TEMPERATURE = (0.0, 6553.5)
 
 POSITION_RANGES = (4 * math.pi, 12.5)
 """The two ends of the position range that are in circulation [rad]: the manual's tables and ten libraries split between
-them. The scale differs by 0.53 %; ``Codec.check_range`` tells which one a motor has."""
+them. The scale differs by 0.53 %; ``Codec.check_range`` finds which one a motor uses."""
 
 BAUD_RATES = {1: 1_000_000, 2: 500_000, 3: 250_000, 4: 125_000}
 """Code -> [bit/s]; manual 4.1.15."""
@@ -187,7 +187,7 @@ class Codec:
             q, dq, tau, heat = struct.unpack(">4H", data)
             mode = area >> 14
             if mode == 3:
-                raise FrameError(f"{frame} tells mode 3; a motor has modes 0 to 2")
+                raise FrameError(f"{frame} has mode 3; a motor has modes 0 to 2")
             return Feedback(
                 motor=motor,
                 host=host,
@@ -256,7 +256,7 @@ class Codec:
                 raise FrameError(f"{frame} has the communication type {kind.value} ({kind.name}), which no host sends")
 
     def check_range(self, q: float, mech_pos: float) -> float | None:
-        """Return the end of the position range that a motor uses [rad], or None where the two readings cannot tell.
+        """Return the end of the position range that a motor uses [rad], or None if two readings cannot decide it.
 
         Args:
             q: Position of a feedback as this codec decoded it [rad].

@@ -1,6 +1,6 @@
-"""What is said to and by a CyberGear motor: messages in numbers, and the table of its parameters.
+"""Messages to and from a CyberGear motor in SI units, and its table of parameters.
 
-Quantities are those of the motor itself: its own sign and zero. `mimic.hardware.cybergear.codec` turns them into
+Quantities are in the motor's own frame: its sign and its zero. `mimic.hardware.cybergear.codec` turns them into
 frames.
 
 Source: CyberGear manual, sections 3.3 and 4.1; English translation in belovictor/cybergear-docs, commit 22c05e2.
@@ -32,7 +32,7 @@ class Kind(IntEnum):
 
 
 class Mode(IntEnum):
-    """What a motor is doing, bits 23 and 22 of a feedback's identifier; manual 4.1.3."""
+    """State of a motor, bits 23 and 22 of a feedback's identifier; manual 4.1.3."""
 
     RESET = 0
     CALIBRATION = 1
@@ -51,7 +51,7 @@ class Fault(IntFlag):
 
 
 class DetailedFault(IntFlag):
-    """Faults in a fault report; manual 4.1.14. Overload takes eight bits, of which the manual tells no more."""
+    """Faults in a fault report; manual 4.1.14. The manual does not say more about the eight bits of overload."""
 
     OVER_TEMPERATURE = 1 << 0
     DRIVER_CHIP = 1 << 1
@@ -75,7 +75,7 @@ class RunMode(IntEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
-    """One number inside a motor that can be read or written by its index."""
+    """A number in the motor that is read or written by its index."""
 
     name: str
     kind: Literal["u8", "i16", "u32", "f32"]
@@ -111,8 +111,9 @@ PARAMETERS: dict[int, Parameter] = {
     0x7020: Parameter(name="spd_ki", kind="f32", default=0.002),
     CAN_TIMEOUT: Parameter(name="CAN_TIMEOUT", kind="u32", low=0, high=100000),
 }
-"""Runtime table, manual 4.1.12, and CAN_TIMEOUT of the stored one, manual 3.3.3. limit_spd of 0, at which the position
-mode does not move, is what grrodre/cybergear found; that public firmware takes CAN_TIMEOUT at all is not proven."""
+"""Runtime table, manual 4.1.12, and CAN_TIMEOUT of the stored one, manual 3.3.3. The default 0 of
+limit_spd, at which the position mode does not move, is what grrodre/cybergear found. It is not proven that public
+firmware supports CAN_TIMEOUT."""
 
 
 def parameter(index: int) -> Parameter:
@@ -132,7 +133,7 @@ def parameter(index: int) -> Parameter:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GetDeviceId:
-    """Asks who has an id."""
+    """Requests the device id."""
 
     motor: int
     host: int
@@ -140,7 +141,7 @@ class GetDeviceId:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Operation:
-    """Torque = tau + kp (q - position) + kd (dq - velocity), from now until the next one; answered by Feedback."""
+    """Torque = tau + kp (q - position) + kd (dq - velocity), valid until the next command; answered by Feedback."""
 
     motor: int
     q: float
@@ -174,7 +175,7 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetZero:
-    """Makes the present position zero, until the power goes."""
+    """Sets the present position as zero, until power-off."""
 
     motor: int
     host: int
@@ -182,7 +183,7 @@ class SetZero:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetId:
-    """Gives the motor another id at once."""
+    """Changes the id of the motor, immediately."""
 
     motor: int
     host: int
@@ -191,7 +192,7 @@ class SetId:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadParameter:
-    """Asks for a parameter."""
+    """Reads a parameter."""
 
     motor: int
     host: int
@@ -200,7 +201,7 @@ class ReadParameter:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WriteParameter:
-    """Sets a parameter until the power goes."""
+    """Writes a parameter, until power-off."""
 
     motor: int
     host: int
@@ -210,7 +211,7 @@ class WriteParameter:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetBaudRate:
-    """Changes the speed of the bus for this motor. The maker warns of it, and mimic never sends it by itself."""
+    """Changes the motor's bit rate. The maker warns against it; mimic never sends it by itself."""
 
     motor: int
     host: int
@@ -223,7 +224,7 @@ class SetBaudRate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeviceId:
-    """Answers GetDeviceId and SetId; also sent unasked when the power comes."""
+    """Answers GetDeviceId and SetId; also sent at power-on."""
 
     motor: int
     uid: int
@@ -232,12 +233,12 @@ class DeviceId:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Feedback:
-    """What a motor measures; answers everything that is not answered otherwise."""
+    """Measurements of a motor; the answer to every message without an answer of its own."""
 
     motor: int
     host: int
     q: float
-    """[rad]; stays at the end of its range beyond it."""
+    """[rad]; saturates at the ends of its range."""
     dq: float
     """[rad/s]"""
     tau: float
@@ -260,7 +261,7 @@ class ParameterValue:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FaultReport:
-    """Sent unasked when faults or warnings change."""
+    """Sent by the motor when faults or warnings change."""
 
     motor: int
     host: int

@@ -25,7 +25,7 @@ class Blocks:
         return np.flatnonzero(~self.held_out)
 
 
-SHORT, LEAST_BLOCKS = 10.0, 16
+SHORT, LEAST_BLOCKS = 9.5, 16
 """A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
 
 
