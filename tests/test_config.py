@@ -27,7 +27,7 @@ from mimic.errors import ConfigError, MimicError
         (lambda: MdpSettings(worlds=0), "worlds is 0; it must be from 1"),
     ],
 )
-def test_a_value_out_of_range_is_told_with_its_range(make, words):
+def test_a_value_out_of_range_is_reported_with_its_range(make, words):
     with pytest.raises(ConfigError) as error:
         make()
     assert words in str(error.value)

@@ -52,7 +52,7 @@ def test_lists_and_whole_numbers_become_arrays_of_the_declared_kind():
     ("field", "shape"),
     [("p_SH", (3, 2)), ("p_SH", (3, 3, 2)), ("p_SH", (4, 2, 3)), ("heading", (3, 1)), ("heading", ()), ("valid", (2,))],
 )
-def test_a_wrong_shape_is_told_with_what_was_given_and_expected(field, shape):
+def test_a_wrong_shape_is_reported_with_what_was_given_and_expected(field, shape):
     with pytest.raises(ContractError) as error:
         wrists(**{field: np.zeros(shape)})
     text = str(error.value)
@@ -95,6 +95,6 @@ def test_a_pose_may_have_other_landmarks_than_those_of_the_detector():
     assert track.index("right_wrist") == 1
 
 
-def test_an_unknown_landmark_is_told_with_those_that_exist():
+def test_an_unknown_landmark_is_reported_with_those_that_exist():
     with pytest.raises(ContractError, match=r"left_antenna.*it has nose, left_eye_inner"):
         pose(LANDMARKS).index("left_antenna")

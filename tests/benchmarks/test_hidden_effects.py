@@ -336,7 +336,7 @@ def judged(**values) -> dict:
     }  # fmt: skip
 
 
-def test_judging_tells_right_from_rival_from_wrong():
+def test_judging_separates_right_from_rival_from_wrong():
     right = judged(stages=[("cogging", [])])
     rival = judged(stages=[("spring", ["cogging"])])
     more = judged(stages=[("cogging", []), ("spring", [])])

@@ -271,7 +271,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(line, prepare, shown, here
 
 
 @pytest.mark.parametrize(("line", "shown"), BAD_TRAINING, ids=[line for line, _ in BAD_TRAINING])
-def test_bad_training_settings_are_told_in_one_line_and_nothing_is_written(line, shown, here, capsys):
+def test_bad_training_settings_are_reported_in_one_line_and_nothing_is_written(line, shown, here, capsys):
     for library in ("torch", "mujoco_warp", "rsl_rl"):
         pytest.importorskip(library, reason="training needs the extra 'train'")
     refused(line, shown, here, capsys)

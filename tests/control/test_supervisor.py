@@ -336,7 +336,7 @@ def test_without_its_watchdog_it_sits_down(drive):
 # ---------------------------------------------------------------------- what holds for all of them
 
 
-def test_a_decision_is_never_taken_back(drive):
+def test_a_decision_is_never_revoked(drive):
     supervisor = drive([{"imu_valid": False}])
     drive([{}] * 5, supervisor=supervisor, first=1)
     assert supervisor.mode == SafetyMode.DAMP

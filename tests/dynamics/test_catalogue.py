@@ -35,12 +35,12 @@ def test_the_declared_ones_are_those_of_the_paper():
     assert BASELINE == ("coulomb", "viscous", "link_mass", "delay")
 
 
-def test_an_unknown_effect_is_told_with_all_that_there_are():
+def test_an_unknown_effect_is_reported_with_all_that_there_are():
     with pytest.raises(UnknownEffect, match=r"'strib' is not in the catalogue; it has coulomb, .*lost_commands"):
         effect("strib")
 
 
-def test_an_unknown_parameter_is_told_with_those_of_the_effect():
+def test_an_unknown_parameter_is_reported_with_those_of_the_effect():
     with pytest.raises(ConfigError, match="has no parameter 'height'; it has level, speed"):
         effect("stribeck").parameter("height")
 

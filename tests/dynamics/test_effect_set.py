@@ -85,7 +85,7 @@ def test_an_effect_replaces_the_one_of_its_name_and_leaves_the_set_as_it_was():
         ({"name": "delay", "values": {"time": 0.01}}, "belongs to the whole machine"),
     ],
 )
-def test_what_does_not_fit_the_catalogue_is_told(changes, told):
+def test_what_does_not_fit_the_catalogue_is_reported(changes, told):
     with pytest.raises(ConfigError, match=told):
         stribeck(**changes)
 
@@ -108,14 +108,14 @@ def test_an_effect_twice_is_refused():
         ("[[effect]]\nname = 'delay'\ntime = 3.0", "effects.toml: delay.time is 3 s"),
     ],
 )
-def test_a_file_that_is_no_set_of_effects_is_told(tmp_path: Path, text, told):
+def test_a_file_that_is_no_set_of_effects_is_reported(tmp_path: Path, text, told):
     path = tmp_path / "effects.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=told):
         read_effects(path)
 
 
-def test_a_joint_that_the_robot_lacks_is_told():
+def test_a_joint_that_the_robot_lacks_is_reported():
     with pytest.raises(ConfigError, match="names joint 'tail'; the model has FL_abad"):
         parameters_of(EffectSet((stribeck(joints=("tail", "FR_knee")),)), hung_robot(load_description()))
 

@@ -59,7 +59,7 @@ def test_smaller_size_moves_in_proportion():
     assert np.allclose(half.q_des - CENTRE, 0.5 * (whole.q_des - CENTRE))
 
 
-def test_ranges_of_the_hung_robot_keep_clear_of_limits_and_mirror():
+def test_ranges_of_the_suspended_robot_keep_clear_of_limits_and_mirror():
     assert np.all(np.minimum(LOW - DESCRIPTION.q_min, DESCRIPTION.q_max - HIGH) >= np.radians(4.5))
     assert np.allclose(LOW[[0, 6]], -HIGH[[3, 9]])
     assert np.allclose(LOW[[1, 2, 7, 8]], LOW[[4, 5, 10, 11]])

@@ -110,7 +110,7 @@ def test_joints_belong_to_the_chain_of_links_that_they_move(tmp_path: Path) -> N
     assert np.asarray(machine.drives.neighbour).tolist() == [1, 0, 2]
 
 
-def test_the_hung_robot_is_four_legs_with_toes_at_their_ends(description) -> None:
+def test_the_suspended_robot_is_four_legs_with_toes_at_their_ends(description) -> None:
     machine = hung_robot(description)
     assert machine.joints == JOINTS
     assert machine.chain.tolist() == [leg for leg in range(4) for _ in range(3)]

@@ -68,7 +68,7 @@ def test_until_it_is_released_somebody_holds_it(description):
     assert made.data.qpos[2] < 0.07
 
 
-def test_hung_up_its_trunk_stays_and_its_free_legs_hang(description):
+def test_suspended_its_trunk_stays_and_its_free_legs_hang(description):
     made = body(description, suspended=True)
     made.advance(4.0)
     q = joints(made)[:, 0].reshape(4, 3)
@@ -165,7 +165,7 @@ def test_an_encoder_that_is_off_reads_off(description):
     assert made.joint(KNEE, 0.0)[0] - plain.joint(KNEE, 0.0)[0] == pytest.approx(0.05)
 
 
-def test_a_tilted_stand_tilts_the_trunk_and_is_of_hung_robots_only(description):
+def test_a_tilted_stand_tilts_the_trunk_and_is_of_suspended_robots_only(description):
     tilt = effect("base_tilt", roll=0.0, pitch=0.1)
     quat, _ = body(description, suspended=True, effects=tilt).base()
     assert np.allclose(quat, [np.cos(0.05), 0, np.sin(0.05), 0])

@@ -119,7 +119,7 @@ def bench(description) -> Callable[..., Bench]:
 # ---------------------------------------------------------------------- power-up, zero
 
 
-def test_at_power_up_every_motor_tells_its_id_once(description):
+def test_at_power_up_every_motor_sends_its_id_once(description):
     told = [m for m in Bench(description).messages(0.1) if isinstance(m, DeviceId)]
     assert sorted(m.motor for m in told) == list(range(1, 13))
     assert len({m.uid for m in told}) == 12
@@ -151,7 +151,7 @@ def test_different_seeds_mount_encoders_differently(bench):
     assert readings[0] != readings[1]
 
 
-def test_a_homed_robot_reads_its_joint_angles(bench, description):
+def test_a_zeroed_robot_reads_its_joint_angles(bench, description):
     made = bench(placement=0.1, seed=5)
     truth = made.wiring.p_of(np.array(made.robot.body.data.qpos[-12:]))
     for joint in range(12):
@@ -342,7 +342,7 @@ def test_the_imu_shows_the_trunk_however_it_is_mounted(description):
     assert np.abs(reading.omega_B).max() < 3.0
 
 
-def test_it_sends_each_message_as_often_as_it_is_told(description):
+def test_it_sends_each_message_as_often_as_requested(description):
     heard = Bench(description).listen(2.005)
     ids = [r.frame.id for r in heard if not r.frame.extended]
     assert [ids.count(i) for i in (0x021, 0x032, 0x006, 0x011)] == [200, 200, 200, 20]

@@ -23,7 +23,7 @@ def test_every_speed_is_walked_with_still_and_with_moving_arms(walked):
     assert [(w["asked_m_s"], w["arms"]) for w in walked] == [(v, arms) for v in (-0.3, 0.0, 0.6) for arms in ARMS]
 
 
-def test_the_shipped_policy_walks_the_way_it_is_told_also_beyond_its_training(walked):
+def test_the_shipped_policy_walks_the_way_it_is_reported_also_beyond_its_training(walked):
     reached = {(w["asked_m_s"], w["arms"]): w["reached_m_s"] for w in walked}
     assert not any(w["fell"] for w in walked)
     assert reached[-0.3, "still"] < -0.1

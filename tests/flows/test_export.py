@@ -105,7 +105,7 @@ def test_csv_and_npz_have_every_column(run, log, tmp_path):
     assert arrays["joint_names"].tolist() == list(JOINTS)
 
 
-def test_what_cannot_be_exported_is_told_and_nothing_is_written(run, batch, tmp_path):
+def test_what_cannot_be_exported_is_reported_and_nothing_is_written(run, batch, tmp_path):
     (tmp_path / "there").mkdir()
     for source, out, form, error, message in [
         (tmp_path / "there", "ds", "lerobot", AssetError, "there is no run in"),

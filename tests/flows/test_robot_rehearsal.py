@@ -197,7 +197,7 @@ def test_scan_zero_and_check_agree_on_a_robot(emulator, tmp_path):
     assert "set since the power" in told
 
 
-def test_nobody_at_the_other_end_is_told_in_a_sentence(tmp_path):
+def test_nobody_at_the_other_end_is_reported_in_a_sentence(tmp_path):
     run = mimic(tmp_path, "--robot", "socketcand://127.0.0.1:9/can0", "--zeroed", "--yes", "-o", str(tmp_path / "run"))
     told, _ = run.communicate(timeout=PATIENCE)
     assert run.returncode == 2

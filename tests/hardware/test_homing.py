@@ -41,7 +41,7 @@ def truth(robot: EmulatedRobot) -> np.ndarray:
     return robot.body.data.qpos[7:].copy()
 
 
-def test_a_robot_that_was_just_switched_on_is_not_homed(robot, description):
+def test_a_robot_that_was_just_switched_on_is_not_zeroed(robot, description):
     motor_bus = exchange_of(robot)
     assert zero_problems(motor_bus, None)
     homing, _ = home(motor_bus, description, None)
@@ -85,7 +85,7 @@ def test_homing_twice_without_a_power_cycle_changes_nothing(robot, description):
     assert np.allclose(second.phase, first.phase)
 
 
-def test_a_motor_that_was_exchanged_is_told_and_learnt_anew(robot, description):
+def test_a_motor_that_was_exchanged_is_reported_and_learnt_anew(robot, description):
     motor_bus = exchange_of(robot)
     homing, _ = home(motor_bus, description, None)
     other = dataclasses.replace(homing, uid=(homing.uid[0] + 1, *homing.uid[1:]))
@@ -111,7 +111,7 @@ def test_a_joint_too_far_from_lying_is_refused_by_name(joint, off, description):
         check_lying(q, description)
 
 
-def test_neighbours_that_differ_are_told(description):
+def test_neighbours_that_differ_are_reported(description):
     q = description.poses["lie"].copy()
     assert uneven(q) == []
     q[1] += 0.3

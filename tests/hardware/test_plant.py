@@ -106,7 +106,7 @@ def test_every_step_lasts_a_control_step_and_brings_every_joint(made, descriptio
     assert np.allclose(np.diff(times), description.dt, atol=1e-6)
 
 
-def test_a_tick_tells_the_command_as_the_frames_rounded_it(made, description):
+def test_a_tick_records_the_command_as_the_frames_rounded_it(made, description):
     robot, plant = made()
     plant.start()
     asked = hold(description, description.poses["lie"] + np.linspace(-0.1, 0.1, 12))
@@ -170,7 +170,7 @@ def test_an_answer_that_is_late_by_a_step_is_not_taken_for_a_new_one(made, descr
         assert np.isnan(tick.state.q[tick.health.missed > 0]).all()
 
 
-def test_faults_temperature_and_mode_are_told(made, description):
+def test_faults_temperature_and_mode_are_reported(made, description):
     robot, plant = made()
     plant.start()
     robot.inject(parse_fault(f"motor_fault:RL_hip=16@{robot.now}"))
@@ -326,7 +326,7 @@ def test_the_watchdog_takes_over_where_not_all_motors_confirm(made, description)
     assert watchdog.told[-1] == "take over"
 
 
-def test_a_watchdog_that_is_gone_is_told(made, description):
+def test_a_watchdog_that_is_gone_is_reported(made, description):
     watchdog = Watchdog()
     _, plant = made(watchdog=watchdog)
     plant.start()

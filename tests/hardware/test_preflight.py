@@ -36,7 +36,7 @@ def stops(found: dict[str, Check]) -> list[str]:
     return [name for name, finding in found.items() if finding.verdict == "stop"]
 
 
-def test_a_healthy_robot_passes_and_everything_is_told(description):
+def test_a_healthy_robot_passes_and_everything_is_reported(description):
     found = look(description)
     assert stops(found) == []
     assert set(found) == {
@@ -118,7 +118,7 @@ def test_more_than_the_bus_carries_is_refused(description):
     assert "bus load" not in stops(look(description, rate=200.0))
 
 
-def test_motors_that_take_their_timeout_are_told(description):
+def test_motors_that_take_their_timeout_are_reported(description):
     assert look(description, can_timeout=True)["own timeout"].verdict == "ok"
 
 

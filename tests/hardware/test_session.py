@@ -42,7 +42,7 @@ def get_ready(description, then: Callable[[CanRobot], None]) -> None:
 
 
 @pytest.mark.parametrize("kind", [PlantError, BusError])
-def test_what_fails_while_motors_are_on_is_told_with_how_they_were_left(kind, robot, description):
+def test_what_fails_while_motors_are_on_is_reported_with_how_they_were_left(kind, robot, description):
     def break_later(plant: CanRobot) -> None:
         plant.start()
         raise kind("it broke")
@@ -52,7 +52,7 @@ def test_what_fails_while_motors_are_on_is_told_with_how_they_were_left(kind, ro
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
 
 
-def test_a_motor_that_does_not_switch_on_is_told_with_how_the_others_were_left(robot, description):
+def test_a_motor_that_does_not_switch_on_is_reported_with_how_the_others_were_left(robot, description):
     def begin(plant: CanRobot) -> None:
         robot.inject(parse_fault("motor_mute:FL_knee@0"))
         plant.start()

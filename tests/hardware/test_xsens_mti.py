@@ -126,7 +126,7 @@ def test_without_a_counter_a_robot_at_rest_is_no_problem_but_known_as_still():
     assert reading.still == pytest.approx(0.19)
 
 
-def test_a_counter_that_runs_over_the_same_content_tells_only_that_it_is_still():
+def test_a_counter_that_runs_over_the_same_content_shows_only_that_it_is_still():
     imu = XsensMti(LEVEL)
     for i in range(20):
         feed(imu, 0.01 * i, counter=i, quat_WI=LEVEL, omega_I=np.zeros(3))

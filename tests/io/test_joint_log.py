@@ -182,7 +182,7 @@ def test_the_rate_is_that_of_the_clock_without_gaps() -> None:
     assert log.rate == pytest.approx(1000.0, rel=1e-5)
 
 
-def test_angles_in_degrees_are_told_by_a_note(log: JointLog, tmp_path: Path) -> None:
+def test_angles_in_degrees_are_reported_by_a_note(log: JointLog, tmp_path: Path) -> None:
     assert log.q_des is not None
     degrees = replace(log, q=np.rad2deg(log.q), q_des=np.rad2deg(log.q_des), metadata={**log.metadata, "units": "deg"})
     found = read_log(write_log(degrees, tmp_path / "log.parquet"))

@@ -47,7 +47,7 @@ def test_plain_data_becomes_key_frames_in_radians():
         ({"speed": 3}, "'speed', which is unknown"),
     ],
 )
-def test_each_fault_is_told_with_its_frame(change, message):
+def test_each_fault_is_reported_with_its_frame(change, message):
     frames, wrong = frames_from([GOOD, {**GOOD, **change}])
     assert frames == ()
     assert len(wrong) == 1
@@ -55,7 +55,7 @@ def test_each_fault_is_told_with_its_frame(change, message):
     assert message in wrong[0]
 
 
-def test_missing_fields_are_all_told_at_once():
+def test_missing_fields_are_all_reported_at_once():
     _, wrong = frames_from([{"what": "nothing"}])
     assert [text.split()[-1] for text in wrong] == ["duration", "velocity", "heading_deg", "left_deg", "right_deg"]
 

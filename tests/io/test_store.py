@@ -172,7 +172,7 @@ def test_json_holds_arrays_settings_and_missing_numbers(tmp_path):
     assert read["one"] == 1.0
 
 
-def test_another_type_of_record_is_told_by_name(tmp_path):
+def test_another_type_of_record_is_reported_by_name(tmp_path):
     store.save(wrists(), tmp_path / "a.parquet", made_by=NOBODY)
     with pytest.raises(AssetError, match=r"a\.parquet holds a WristTrack; expected a CommandTrack"):
         store.load(tmp_path / "a.parquet", CommandTrack)

@@ -59,7 +59,7 @@ def test_no_digit_is_lost_in_json(kp, default, contract):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "3", "{}", '{"terms": 7}'])
-def test_what_is_no_contract_is_told(text):
+def test_what_is_no_contract_is_reported(text):
     with pytest.raises(ContractError, match=r"cannot be read.*export the policy again"):
         PolicyContract.from_json(text)
 

@@ -174,7 +174,7 @@ def test_they_are_live_commands(reach):
     assert isinstance(LiveTargets(reach, LiveSettings()), LiveCommands)
 
 
-def test_hands_are_neutral_until_someone_is_seen_and_the_beginning_is_told_once(reach, clock):
+def test_hands_are_neutral_until_someone_is_seen_and_the_beginning_is_reported_once(reach, clock):
     begun = []
     targets = LiveTargets(reach, LiveSettings(), clock=clock, begin=lambda: begun.append(clock.t))
     neutral = reach.toes(reach.description.poses["upright"])

@@ -36,7 +36,7 @@ def test_uneven_frames_give_the_same_motion():
     np.testing.assert_allclose(np.interp(T[30:], t, got), even[30:], atol=0.03)
 
 
-def test_it_begins_anew_where_it_was_told_to_forget_or_time_stands_still():
+def test_it_begins_anew_where_it_was_asked_to_forget_or_time_stands_still():
     filtered = OneEuro(1.5, 4.0)
     filtered(0.0, np.zeros(3))
     assert filtered(0.1, np.ones(3)) == pytest.approx(np.full(3, filtered(0.1, np.ones(3))[0]), abs=1.0)

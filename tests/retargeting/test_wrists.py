@@ -119,7 +119,7 @@ def test_turning_all_the_way_round_has_no_jump():
     assert np.degrees(heading[-1] - heading[0]) == pytest.approx(540, abs=30)
 
 
-def test_a_person_who_turns_away_is_told_to_follow_the_turns():
+def test_a_person_who_turns_away_is_advised_to_follow_the_turns():
     turning = np.r_[np.zeros(300), np.linspace(0, 110, 100), np.full(200, 110)]
     pose = track(*person(turning, rows=600), warnings=("from the source",))
     assert [("turned by more than 45°" in w) for w in wrist_track(pose).warnings] == [False, True]

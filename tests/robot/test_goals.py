@@ -27,7 +27,7 @@ def test_a_toe_out_of_reach_is_infinitely_far_from_a_solution(description):
     assert np.isinf(excess).all()
 
 
-def test_a_toe_beyond_a_limit_tells_by_how_much(description):
+def test_a_toe_beyond_a_limit_shows_by_how_much(description):
     q = description.poses["upright"].copy()
     q[0] = description.q_max[0] - MARGIN + 0.05
     _, excess = leg_joints(front_toes(q, description), description)

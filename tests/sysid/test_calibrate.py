@@ -146,7 +146,7 @@ def test_a_hidden_effect_is_named_with_its_numbers(arm: MachineModel, hidden: Ef
 
 
 @pytest.mark.slow
-def test_gains_of_one_joint_are_told_of_its_whole_chain(arm: MachineModel) -> None:
+def test_gains_of_one_joint_are_reported_of_its_whole_chain(arm: MachineModel) -> None:
     """Gains, masses and friction times a factor move alike: a joint left out since it seems to have none would fix that
     factor.
     """
@@ -194,7 +194,7 @@ def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) 
     assert all(not e.intervals for e in random.effects)
 
 
-def test_effects_that_do_not_exist_are_told_before_anything_is_fitted(arm: MachineModel) -> None:
+def test_effects_that_do_not_exist_are_reported_before_anything_is_fitted(arm: MachineModel) -> None:
     told: list[str] = []
     for wrong in (settings(effects=("stribek",)), settings(baseline=("coulom",))):
         with pytest.raises(UnknownEffect, match="coulomb, viscous"):
@@ -238,7 +238,7 @@ def test_a_log_of_forces_is_replayed_without_a_servo(arm: MachineModel) -> None:
 
 
 @pytest.mark.slow
-def test_baseline_parameters_that_stop_at_a_bound_are_told(arm: MachineModel) -> None:
+def test_baseline_parameters_that_stop_at_a_bound_are_reported(arm: MachineModel) -> None:
     """A drive that brakes less than its gains say asks for less than no friction."""
     log = clean_log(arm)
     stiffer = replace(log, metadata={**log.metadata, "kd": {"shoulder": 1.2, "elbow": 0.8}})
@@ -266,7 +266,7 @@ def test_nothing_is_named_where_a_baseline_parameter_stops_at_its_bound(arm: Mac
     assert "viscous.coefficient of shoulder, in the same chain, stops at its bound 0" in tried.why
 
 
-def test_a_device_whose_libraries_are_missing_is_told_in_a_line(arm: MachineModel, monkeypatch) -> None:
+def test_a_device_whose_libraries_are_missing_is_reported_in_a_line(arm: MachineModel, monkeypatch) -> None:
     for name in ("mimic.sysid.replay.gpu", "mimic.sysid.replay.gpu_batch"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)

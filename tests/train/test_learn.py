@@ -115,7 +115,7 @@ def test_a_training_that_is_no_longer_finite_stops_with_a_word(size, tmp_path):
     assert not (tmp_path / "policy.onnx").exists()
 
 
-def test_a_gpu_that_is_not_there_is_told_before_anything_is_written(tmp_path):
+def test_a_gpu_that_is_not_there_is_reported_before_anything_is_written(tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(ConfigError, match="PyTorch sees no GPU; use --device cpu"):
@@ -123,7 +123,7 @@ def test_a_gpu_that_is_not_there_is_told_before_anything_is_written(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_the_hash_of_the_settings_tells_trainings_apart():
+def test_the_hash_of_the_settings_identifies_trainings():
     assert settings_hash(MDP, LEARN) == settings_hash(MdpSettings(worlds=4), LEARN)
     other = dataclasses.replace(MDP, rewards=RewardWeights(slip=-0.123))
     assert settings_hash(other, LEARN) != settings_hash(MDP, LEARN)

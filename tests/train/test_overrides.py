@@ -54,7 +54,7 @@ def test_a_whole_number_may_stand_for_a_real_one():
         ("rewards=3", "rewards is 3; set one of its fields"),
     ],
 )
-def test_a_word_that_names_or_fits_no_setting_is_told(word, told):
+def test_a_word_that_names_or_fits_no_setting_is_reported(word, told):
     with pytest.raises(ConfigError) as error:
         overridden(word)
     assert told in str(error.value)

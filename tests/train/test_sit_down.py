@@ -95,6 +95,6 @@ def test_there_is_a_weight_for_each_term_in_its_order(env):
     assert list(terms) == [f.name for f in dataclasses.fields(SitDownWeights)]
 
 
-def test_states_that_are_not_there_are_told(description):
+def test_states_that_are_not_there_are_reported(description):
     with pytest.raises(AssetError, match=r"nowhere\.npz"):
         SitDownEnv(description, dataclasses.replace(SIT, sit_down=SitDownSettings(states="nowhere.npz")), "cpu", 1)

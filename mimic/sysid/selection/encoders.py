@@ -21,7 +21,7 @@ def _as_read(state: CalibrationState, fitted: Fit) -> FloatArray:
     """Return a fit's residual (T, C) with encoder rounding, in chains where rounding lowers it.
 
     Numbers are fitted without them, and what they round off is noise: a servo hunts between two steps, in an order that
-    no replay foretells for long, and derivatives of a replay that hunts are those of its steps.
+    no replay predicts for long, and derivatives of a replay that hunts are those of its steps.
     """
     problem = state.problem
     angle = np.where(state.joints["encoder_step"], problem.encoder_steps, 0.0)

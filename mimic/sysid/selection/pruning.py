@@ -87,7 +87,7 @@ def without_effects(
         stages: With the effects.
         names: Theirs.
         fitted: The fit.
-        why: What is told of them where no other effect stays.
+        why: The reason that is reported where no other effect stays.
     """
     state.current, state.names = fitted, [n for n in state.names if n not in names]
     errors = errors_of(state.problem, fitted.residual)

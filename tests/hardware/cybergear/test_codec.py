@@ -225,13 +225,13 @@ def test_a_message_that_cannot_be_is_never_sent(message):
 
 @pytest.mark.parametrize("true_end", [4 * math.pi, 12.5])
 @pytest.mark.parametrize("assumed", [4 * math.pi, 12.5])
-def test_far_from_zero_the_range_of_a_motor_can_be_told(true_end, assumed):
+def test_far_from_zero_the_range_of_a_motor_can_be_determined(true_end, assumed):
     for position in (9.8, -10.2):
         word = position / true_end
         assert Codec(position_range=assumed).check_range(word * assumed, position) == true_end
 
 
-def test_near_zero_it_cannot_be_told_and_elsewhere_nonsense_is_named():
+def test_near_zero_it_cannot_be_determined_and_elsewhere_nonsense_is_named():
     assert CODEC.check_range(0.5, 0.5) is None
     with pytest.raises(FrameError, match="0x7019"):
         CODEC.check_range(10.0, 9.0)

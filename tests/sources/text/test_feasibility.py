@@ -45,7 +45,7 @@ def test_a_joint_beyond_its_limit_is_named_with_the_limit(reach, still):
     assert message == "frame 2: FL_knee is -1 deg; it must be from -140 to -35 deg"
 
 
-def test_a_joint_that_must_turn_too_fast_is_told_how_long_to_take(reach, still):
+def test_a_joint_that_must_turn_too_fast_is_advised_how_long_to_take(reach, still):
     up = dataclasses.replace(still, q=posture("up", reach), duration=0.1)
     message = wrong(reach, still, up)
     assert any("FL_hip turns by" in text and "take at least 0.1" in text for text in message)

@@ -137,7 +137,7 @@ def test_hands_stay_where_the_clause_before_left_them(plan, reach):
         ("turn up", "not something"),
     ],
 )
-def test_what_is_not_understood_is_told_with_what_would_be(sentence, message, plan):
+def test_what_is_not_understood_is_reported_with_what_would_be(sentence, message, plan):
     with pytest.raises(SourceError) as error:
         plan(sentence)
     assert message in str(error.value)

@@ -197,7 +197,7 @@ def test_a_channel_of_nan_is_as_good_as_none(log: JointLog) -> None:
     assert check_log(replace(log, tau=np.full_like(log.q, np.nan))).log.tau is None
 
 
-def test_frozen_and_clipped_readings_are_told_apart(log: JointLog) -> None:
+def test_frozen_and_clipped_readings_are_distinguished(log: JointLog) -> None:
     def freeze(x: np.ndarray) -> np.ndarray:
         x[2000:2200] = x[2000]
         return x
@@ -282,7 +282,7 @@ def test_a_torque_with_missing_values_in_each_joint_is_kept(log: JointLog) -> No
     assert not any("torque never changes" in w for w in facts.warnings)
 
 
-def test_a_single_corrupt_reading_is_left_out_and_told(log: JointLog) -> None:
+def test_a_single_corrupt_reading_is_left_out_and_reported(log: JointLog) -> None:
     q = np.array(log.q)
     q[501, 1] = 1e6
     q[900, 0] += 2.0
@@ -297,7 +297,7 @@ def test_fast_moves_are_no_corrupt_readings(log: JointLog) -> None:
     assert valid_samples(check_log(log, LIMITS).log).all()
 
 
-def test_what_is_not_a_number_is_told_by_its_first_place(log: JointLog) -> None:
+def test_what_is_not_a_number_is_reported_by_its_first_place(log: JointLog) -> None:
     gap = changed(log, "q_des", "knee", lambda x: np.where(np.arange(len(x)) == 400, np.nan, x))
     assert any("first of them q_des.knee at t = 2.000 s" in w for w in check_log(gap, LIMITS).warnings)
 
@@ -409,7 +409,7 @@ def go2() -> JointLog:
     return JointLog(joints=joints, t=table["t"].to_numpy(), q=columns["q"], q_des=columns["qdes"])
 
 
-def test_a_hung_quadruped_is_usable(go2: JointLog) -> None:
+def test_a_suspended_quadruped_is_usable(go2: JointLog) -> None:
     facts = check_log(go2)
     assert ((facts.noise > 2e-4) & (facts.noise < 2e-3)).all()
     assert (facts.correlation > 0.95).all()

@@ -179,7 +179,7 @@ def test_fit_and_random_search_end_at_the_same_numbers(arm: MachineModel, log: J
 
 @pytest.mark.slow
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_gpu_that_is_not_there_is_told(arm: MachineModel, log: JointLog) -> None:
+def test_a_gpu_that_is_not_there_is_reported(arm: MachineModel, log: JointLog) -> None:
     with pytest.raises(ConfigError, match="PyTorch sees no GPU; use --device cpu"):
         calibrate(log, arm, CalibrateSettings(device="cuda"))
 

@@ -39,7 +39,7 @@ def rms(residual: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("whole", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_model_with_the_effects_of_the_machine_foretells_it_to_the_noise(pendulum, whole):
+def test_a_model_with_the_effects_of_the_machine_predicts_it_to_the_noise(pendulum, whole):
     spring = having("spring", stiffness=2.0)
     log = logged(pendulum, spring)
     assert rms(predict(log, pendulum, EffectSet(), whole=whole, threads=1)) > 0.02
@@ -54,7 +54,7 @@ def test_pieces_begin_where_the_machine_was_and_the_whole_where_it_began(pendulu
 
 
 @pytest.mark.slow
-def test_jitter_is_foretold_as_late_as_it_is_on_the_average(pendulum):
+def test_jitter_is_predicted_as_late_as_it_is_on_the_average(pendulum):
     jitter = having("delay_jitter", spread=0.01)
     log = logged(pendulum, jitter)
     late, mean = (predict(log, pendulum, e, threads=1) for e in (jitter, having("delay", time=0.005)))
@@ -62,7 +62,7 @@ def test_jitter_is_foretold_as_late_as_it_is_on_the_average(pendulum):
     assert rms(late) < 0.5 * rms(predict(log, pendulum, EffectSet(), threads=1))
 
 
-def test_a_joint_that_the_machine_lacks_is_told(pendulum):
+def test_a_joint_that_the_machine_lacks_is_reported(pendulum):
     elsewhere = EffectSet((EffectValues(name="spring", joints=("elbow",), values={"stiffness": np.array([2.0])}),))
     with pytest.raises(ConfigError, match="names joint 'elbow'"):
         predict(logged(pendulum, EffectSet(), 2.0), pendulum, elsewhere)

@@ -243,7 +243,7 @@ def test_chains_alike_have_equal_weights(pair: MachineModel) -> None:
 
 
 @pytest.mark.slow
-def test_the_gain_of_speed_is_fitted_only_where_torque_tells_it_from_friction(pair: MachineModel) -> None:
+def test_the_gain_of_speed_is_fitted_only_where_torque_separates_it_from_friction(pair: MachineModel) -> None:
     stiff = EffectValues(name="gains", joints=("a",), values={"kp": np.array([1.3]), "kd": np.array([1.0])})
     log = log_of(pair, stiff, timestep=LogSettings().timestep)
     result = calibrate(log, pair, CalibrateSettings(effects=("gains",)))
@@ -271,7 +271,7 @@ def test_a_name_beside_which_much_is_left_stays_with_its_share(pair: MachineMode
 
 
 @pytest.mark.slow
-def test_a_delay_of_one_joint_is_told_from_that_of_the_machine(pair: MachineModel) -> None:
+def test_a_delay_of_one_joint_is_separated_from_that_of_the_machine(pair: MachineModel) -> None:
     late = EffectValues(name="joint_delay", joints=("a",), values={"time": np.array([0.012])})
     delay = EffectValues(name="delay", values={"time": np.array([0.011])})
     result = calibrate(
@@ -333,7 +333,7 @@ def pruned_stages(pair: MachineModel, *hidden: EffectValues) -> tuple[Calibratio
 
 
 @pytest.mark.slow
-def test_a_name_whose_numbers_end_as_those_of_none_is_taken_back(pair: MachineModel) -> None:
+def test_a_name_whose_numbers_end_as_those_of_none_is_rejected(pair: MachineModel) -> None:
     """What it explained when it was found was that the others had not been fitted to the end."""
     state, stages = pruned_stages(pair)
     assert stages is not None

@@ -19,7 +19,7 @@ def result(*shares: float) -> dict:
     }
 
 
-def test_a_heat_map_is_a_picture_whose_colours_tell_the_shares(tmp_path):
+def test_a_heat_map_is_a_picture_whose_colours_show_the_shares(tmp_path):
     draw_heat_map(result(1.0, 0.6, 0.0), tmp_path / "a.png")
     picture = cv2.imread(str(tmp_path / "a.png"))
     areas = [(picture == np.array(shade(share))).all(-1).sum() for share in (1.0, 0.6, 0.0)]
