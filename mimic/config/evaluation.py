@@ -12,53 +12,59 @@ FRESH_SEED = 1_000_001
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EvaluateSettings:
+class EpisodeSettings:
+    """What every evaluation has: episodes of one robot, drawn from seeds and played in parallel."""
+
+    episodes: int
+    """How many."""
+    seconds: float
+    """Length of each [s]."""
+    seed: int = 1
+    """Seed of the first episode; episode i uses seed + i."""
+    workers: int = 0
+    """Processes; 0 takes one for each core."""
+    robot: EffectsSettings = AS_DESCRIBED
+    """Which robot is simulated."""
+
+    def check_episodes(self, shortest: float, longest: float = 600.0) -> None:
+        """Raise a ConfigError unless these settings are in their ranges; the length from shortest to longest [s]."""
+        check_range("episodes", self.episodes, 1, 100_000)
+        check_range("seconds", self.seconds, shortest, longest, "s")
+        check_range("workers", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluateSettings(EpisodeSettings):
     """Evaluation of a policy that stands and tracks."""
 
     episodes: int = 200
     """Randomised episodes from the lying start."""
     seconds: float = 20.0
     """Length of an episode [s]."""
-    seed: int = 1
-    """Seed of the first episode; episode i uses seed + i."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
-        check_range("seconds", self.seconds, 2.0, 600.0, "s")
-        check_range("workers", self.workers, 0, 1024)
+        self.check_episodes(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SitDownEvaluateSettings:
+class SitDownEvaluateSettings(EpisodeSettings):
     """Evaluation of a policy that sits down."""
 
     episodes: int = 500
     """Randomised policy switches from a tracking policy."""
     seconds: float = 10.0
     """Latest policy switch after the start [s]."""
-    seed: int = 1
-    """Seed of the first episode; episode i uses seed + i."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
     tracker: str | None = None
     """Policy that stands and tracks before the switch; None takes the shipped one."""
     randomisation: Randomisation = field(default_factory=Randomisation)
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
-        check_range("seconds", self.seconds, 2.0, 600.0, "s")
-        check_range("workers", self.workers, 0, 1024)
+        self.check_episodes(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TableSettings:
+class TableSettings(EpisodeSettings):
     """Evaluation of a policy in the figures of the paper's Table III."""
 
     episodes: int = 50
@@ -73,22 +79,16 @@ class TableSettings:
     """What the policy senses; each is a row of its own. The first one counts."""
     walks: int = 3
     """Walks at each asked speed, with still and with moving arms; no more than ``episodes``."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
         check_range("seeds", self.seeds, 1, 1000)
         check_range("walks", self.walks, 0, 1000)
-        check_range("seconds", self.seconds, 2.0, 600.0, "s")
-        check_range("workers", self.workers, 0, 1024)
+        self.check_episodes(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class CalmSettings:
+class CalmSettings(EpisodeSettings):
     """Evaluation of standing without commands, and of pushes while standing."""
 
     episodes: int = 20
@@ -101,17 +101,11 @@ class CalmSettings:
     """Robots that are pushed once at each speed."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
     randomisation: Randomisation = field(default_factory=Randomisation)
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
-        check_range("seconds", self.seconds, 5.0, 3600.0, "s")
+        self.check_episodes(5.0, 3600.0)
         check_range("pushed-episodes", self.pushed_episodes, 1, 100_000)
-        check_range("workers", self.workers, 0, 1024)
 
 
 STAND_UP_RANGES = Randomisation(
@@ -126,7 +120,7 @@ STAND_UP_RANGES = Randomisation(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class StandUpSettings:
+class StandUpSettings(EpisodeSettings):
     """Evaluation of standing up and of standing still."""
 
     episodes: int = 500
@@ -137,37 +131,21 @@ class StandUpSettings:
     """Nominal robots that stand still."""
     still_seconds: float = 20.0
     """For how long [s], from the second second on."""
-    seed: int = 1
-    """Seed of the first episode."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
     randomisation: Randomisation = STAND_UP_RANGES
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
-        check_range("seconds", self.seconds, 2.5, 600.0, "s")
+        self.check_episodes(2.5)
         check_range("still-seconds", self.still_seconds, 1.0, 600.0, "s")
-        check_range("workers", self.workers, 0, 1024)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RobustnessSettings:
+class RobustnessSettings(EpisodeSettings):
     """How much disturbance a policy survives."""
 
     episodes: int = 40
     """Episodes at each point; the same starts and commands at every point."""
     seconds: float = 10.0
     """Length of an episode [s]."""
-    seed: int = 1
-    """Seed of the first episode."""
-    workers: int = 0
-    """Processes; 0 takes one for each core."""
-    robot: EffectsSettings = AS_DESCRIBED
-    """Which robot is simulated."""
 
     def __post_init__(self) -> None:
-        check_range("episodes", self.episodes, 1, 100_000)
-        check_range("seconds", self.seconds, 2.5, 600.0, "s")
-        check_range("workers", self.workers, 0, 1024)
+        self.check_episodes(2.5)

@@ -16,10 +16,10 @@ import numpy as np
 
 from mimic.config.evaluation import CalmSettings
 from mimic.evaluation.episode import play_episode
-from mimic.evaluation.policy import TIMING, stands_at_end
+from mimic.evaluation.policy import TIMING, standing_track, stands_at_end
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import JOINTS, LEGS, BoolArray, CommandTrack, FloatArray, JointSamples
+from mimic.records import JOINTS, LEGS, BoolArray, FloatArray, JointSamples
 from mimic.robot.description import RobotDescription, load_description
 from mimic.robot.model import FLOOR
 from mimic.simulation.plant import SimulatedPlant, plant_options
@@ -111,14 +111,7 @@ def _play(job: _Job, policy_path: str) -> dict[str, Any]:
     if job.push:
         ranges = replace(ranges, push=(job.push, job.push), push_interval=PUSHED_AT)
         seconds = 2 * PUSHED_AT - 0.5
-    ticks = round((seconds - TIMING.stand_up - TIMING.blend) / description.dt)
-    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
-    track = CommandTrack(
-        t=np.arange(ticks) * description.dt,
-        v=np.zeros((ticks, 2)),
-        heading=np.zeros(ticks),
-        p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
-    )
+    track = standing_track(policy, seconds)
     plant = SimulatedPlant(description, ranges=ranges, seed=job.seed, samples=not job.push, **plant_options(s.robot))
     planted = _Planted(plant.model, description)
     if not job.push:

@@ -18,7 +18,7 @@ from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import run_all
 from mimic.metrics import run_metrics, standing
 from mimic.policy.runtime import Policy, cached_policy
-from mimic.records import CommandTrack, FloatArray
+from mimic.records import CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
 from mimic.robot.goals import draw_goals
 from mimic.simulation.plant import SimulatedPlant, plant_options
@@ -84,6 +84,29 @@ def command_script(
     return CommandTrack(t=np.arange(ticks) * dt, v=v, heading=turns[row], p_BE=goal_path(goals, ticks, dt))
 
 
+def standing_track(policy: Policy, seconds: float) -> CommandTrack:
+    """Return commands that ask for nothing but neutral toes, for a run of this length with TIMING [s]."""
+    dt = policy.contract.dt
+    ticks = round((seconds - TIMING.stand_up - TIMING.blend) / dt)
+    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+    return CommandTrack(
+        t=np.arange(ticks) * dt,
+        v=np.zeros((ticks, 2)),
+        heading=np.zeros(ticks),
+        p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
+    )
+
+
+def forward_speed(log: RunLog, begin: float) -> float:
+    """Return the mean velocity along the heading after ``begin`` [s] in m/s; NaN for a run that was over before."""
+    rows = log.t > begin
+    if rows.sum() < 2:
+        return float("nan")
+    heading = heading_from_quat(log.quat_WB[rows])[:-1]
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return float(np.sum(np.diff(log.p_WB[rows, :2], axis=0) * ahead) / np.ptp(log.t[rows]))
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Job:
     kind: str
@@ -127,11 +150,7 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     figures["stands_at_end"] = stands_at_end(result, description)
     heading = heading_from_quat(log.quat_WB)
     if job.kind == "walk":
-        rows = log.t > 2.0
-        travelled = np.diff(log.p_WB[rows, :2], axis=0)
-        ahead = np.stack([np.cos(heading[rows]), np.sin(heading[rows])], axis=-1)[:-1]
-        duration = np.ptp(log.t[rows]) if len(travelled) else np.inf  # a robot that fell before has walked nowhere
-        figures["forward_m_s"] = float(np.sum(travelled * ahead) / duration)
+        figures["forward_m_s"] = float(np.nan_to_num(forward_speed(log, 2.0)))  # who fell has walked nowhere
         figures["commanded_m_s"] = job.speed
     if job.kind == "turn":
         within = (log.t > 10.0) & (log.t <= 11.5)  # the command is given at 1.5 s, 10 s are allowed

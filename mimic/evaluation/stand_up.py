@@ -13,12 +13,11 @@ from mimic.config.evaluation import StandUpSettings
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
 from mimic.control.loop import RunResult
 from mimic.evaluation.episode import play_episode
-from mimic.evaluation.policy import STOOD_WITHIN, TIMING, stands_at_end
+from mimic.evaluation.policy import STOOD_WITHIN, TIMING, standing_track, stands_at_end
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress, run_all
 from mimic.metrics import stand_up_time
 from mimic.policy.runtime import cached_policy
-from mimic.records import CommandTrack
 from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -41,14 +40,7 @@ class _Job:
 def _stand(job: _Job, policy_path: str) -> RunResult:
     """Play a run whose only commands are neutral toes."""
     description, policy = load_description(), cached_policy(policy_path)
-    ticks = round((job.seconds - TIMING.stand_up - TIMING.blend) / description.dt)
-    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
-    track = CommandTrack(
-        t=np.arange(ticks) * description.dt,
-        v=np.zeros((ticks, 2)),
-        heading=np.zeros(ticks),
-        p_BE=np.broadcast_to(neutral, (ticks, 2, 3)).copy(),
-    )
+    track = standing_track(policy, job.seconds)
     plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **plant_options(job.robot))
     return play_episode(plant, policy, track, TIMING)
 

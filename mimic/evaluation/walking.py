@@ -12,11 +12,10 @@ import numpy as np
 from mimic.config.play import EffectsSettings
 from mimic.evaluation.disturbance_axes import START
 from mimic.evaluation.episode import play_episode
-from mimic.evaluation.policy import TIMING, command_script
-from mimic.geometry import heading_from_quat
+from mimic.evaluation.policy import TIMING, command_script, forward_speed
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import CommandTrack, FloatArray, RunLog
+from mimic.records import CommandTrack, FloatArray
 from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -41,16 +40,6 @@ class _Job:
     robot: EffectsSettings
 
 
-def forward_speed(log: RunLog) -> float:
-    """Return the mean velocity along the heading after WALKS_FROM [m/s]; NaN for a run that was over before."""
-    rows = log.t > WALKS_FROM
-    if rows.sum() < 2:
-        return float("nan")
-    heading = heading_from_quat(log.quat_WB[rows])[:-1]
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return float(np.sum(np.diff(log.p_WB[rows, :2], axis=0) * ahead) / np.ptp(log.t[rows]))
-
-
 def _asked(job: _Job, description: RobotDescription, neutral: FloatArray) -> CommandTrack:
     seconds = SECONDS - TIMING.stand_up - TIMING.blend
     rng = np.random.default_rng([job.seed, 5])
@@ -71,7 +60,7 @@ def _play(job: _Job, policy_path: str) -> dict[str, Any]:
         "asked_m_s": job.speed,
         "arms": job.arms,
         "seed": job.seed,
-        "reached_m_s": forward_speed(result.log),
+        "reached_m_s": forward_speed(result.log, WALKS_FROM),
         "fell": result.fell_at is not None,
     }
 
