@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from mimic.cli.console import ConsoleReporter
-from mimic.config.play import RunSettings
+from mimic.config.play import TOE_LAG, RunSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.control.loop import run_policy
 from mimic.flows.motion import InputSettings, load_motion
@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("videos", nargs="*", type=Path)
     parser.add_argument("--rate", type=float, default=0.1)
     parser.add_argument("--policy", default=None)
+    parser.add_argument("--lead", type=float, default=TOE_LAG, help="see RunSettings.lead")
     options = parser.parse_args()
     description = load_description()
     policy = load_policy(options.policy, description)
@@ -42,7 +43,9 @@ def main() -> None:
         targets = load_motion(video, settings, reporter=ConsoleReporter()).targets
         assert targets is not None
         plant = SimulatedPlant(description)
-        m = run_metrics(run_policy(plant, policy, command_track(targets), RunSettings()).log, description)
+        m = run_metrics(
+            run_policy(plant, policy, command_track(targets), RunSettings(lead=options.lead)).log, description
+        )
         e, r = m["toe_error_cm"], targets.report
         lines.append(
             f"| {video.stem} | {targets.t[-1]:.1f} s | {e['mean']:.1f} / {e['p95']:.1f} cm | {1e3 * m['lag_s']:.0f} ms "

@@ -71,6 +71,10 @@ def play(
         raise ConfigError(
             f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
         )
+    if camera is not None and run is not None and run.lead is not None:
+        raise ConfigError(
+            "--lead asks for targets before their time; what a camera will see is not known: leave it out"
+        )
     from mimic.flows.motion import InputSettings
 
     given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}

@@ -32,6 +32,13 @@ def target_rows(targets: TargetTrack | None) -> dict[str, str]:
     return rows
 
 
+def _lag(m: dict[str, Any]) -> str:
+    """Return how late the toes were, and what was done about it."""
+    left = number(m["toe_error_without_lag_cm"], "{:.1f} cm")
+    asked = f"each target asked for {1e3 * m['lead_s']:.0f} ms early" if m["lead_s"] else "no target asked for early"
+    return f"{number(1e3 * m['lag_s'], '{:.0f} ms')}, with {asked} (error with lag removed: {left})"
+
+
 def metric_rows(m: dict[str, Any]) -> dict[str, str]:
     """Return the figures of a run; a dash where there was nothing to measure."""
     error = m["toe_error_cm"]
@@ -40,8 +47,7 @@ def metric_rows(m: dict[str, Any]) -> dict[str, str]:
         "stood up in": number(m["stand_up_s"], "{:.2f} s"),
         "upright": number(m["standing_share"], "{:.1%} of the time after standing up"),
         "toe error": f"{number(error['mean'], '{:.1f} cm')} mean, {number(error['p95'], '{:.1f} cm')} 95th percentile",
-        "lag": f"{number(1e3 * m['lag_s'], '{:.0f} ms')} "
-        f"(error with lag removed: {number(m['toe_error_without_lag_cm'], '{:.1f} cm')})",
+        "lag": _lag(m),
         "knee torque": f"{number(m['torque_nm']['knee_rms'], '{:.1f} N m')} rms; "
         f"{number(m['torque_nm']['max'], '{:.1f} N m')} peak of any joint",
         "heat": f"{m['hottest_motor']} reaches its limit after {hot:.0f} min of this"

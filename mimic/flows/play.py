@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
@@ -157,6 +157,8 @@ def play(
     else:
         motion = as_motion(commands, reporter=reporter)
         asked = motion.commands
+    if settings.lead is None or motion is None:
+        settings = replace(settings, lead=0.0 if motion is None else TOE_LAG)
     description = load_robot() if plant is None else plant.description
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)

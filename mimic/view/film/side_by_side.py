@@ -11,6 +11,7 @@ import numpy as np
 
 from mimic.dynamics.robot_model import load_model
 from mimic.io.store import plain, written_whole
+from mimic.metrics import target_toes
 from mimic.records import PHASES, SIDES, FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film import footage, skeleton
@@ -63,7 +64,7 @@ class RobotFilm:
         self._aimed = log.aimed
         model = load_model(description)
         self._qpos = qpos_at_ticks(log, model)
-        self._target, self._actual = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
+        self._target, self._actual = in_world(self._qpos, target_toes(log)), in_world(self._qpos, log.p_BE)
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path, self._front = camera_path(log, self._qpos[:, :3]), initial_heading(log)
         self._screen = Offscreen(model, width, height, fine=fine)
@@ -157,13 +158,14 @@ def save_video(
     clock = shared_time(log)
     times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
     ticks = nearest(clock, times)
+    errors = 100 * np.linalg.norm(log.p_BE - target_toes(log), axis=-1)
     video_frames = None if video is None else _video_frames(video, pose, times, height, stamps)
 
     def frames() -> Iterator[np.ndarray]:
         with RobotFilm(log, description, width=height, height=height, targets=targets) as film:
             for done, tick in enumerate(ticks, start=1):
                 robot = film.picture(int(tick))
-                _caption(robot, log, int(tick), float(clock[tick]))
+                _caption(robot, log, int(tick), float(clock[tick]), errors[tick])
                 yield robot if video_frames is None else np.hstack([next(video_frames), robot])
                 if progress is not None:
                     progress(done, len(ticks))
@@ -210,13 +212,12 @@ def _pixel(point: FloatArray) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
 
 
-def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float) -> None:
-    """Write time, phase and toe error into a picture of the robot."""
+def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, error: FloatArray) -> None:
+    """Write time, phase and toe error (2,) [cm] into a picture of the robot."""
     phase = PHASES[log.phase[tick]]
     white: skeleton.Colour = (240, 243, 246)
     texts: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
     if phase == "track":
-        error = 100 * np.linalg.norm(log.p_BE[tick] - log.p_BE_des[tick], axis=-1)
         texts.append(("toe error", white))
         texts += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
     else:

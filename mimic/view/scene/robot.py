@@ -7,6 +7,7 @@ import rerun as rr
 
 from mimic.dynamics.robot_model import load_model
 from mimic.geometry import rotation_from_quat
+from mimic.metrics import target_toes
 from mimic.records import SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film import skeleton
@@ -88,7 +89,7 @@ def trails(points: FloatArray, ticks: int) -> FloatArray:
 
 
 def _toes(scene: rr.RecordingStream, log: RunLog, qpos: FloatArray, description: RobotDescription) -> None:
-    target, actual = in_world(qpos, log.p_BE_des), in_world(qpos, log.p_BE)
+    target, actual = in_world(qpos, target_toes(log)), in_world(qpos, log.p_BE)
     shown = np.flatnonzero(log.aimed & np.isfinite(target).all(axis=(1, 2)))
     if not len(shown):
         return
