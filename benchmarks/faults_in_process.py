@@ -129,7 +129,8 @@ class _Gone:
 
     def disarm(self) -> None: ...
 
-    def take_over(self) -> None: ...
+    def take_over(self) -> str:
+        return ""
 
 
 def drawn(seed: int, kind: str | None, at: float | None) -> tuple[str, float, EmulatedFault | None]:

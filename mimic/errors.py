@@ -43,5 +43,9 @@ class FrameError(PlantError):
     """A frame on a bus does not follow its protocol."""
 
 
+class UnknownFrame(FrameError):
+    """A frame on a bus is of another protocol, so that its sender is not known."""
+
+
 class CalibrationError(MimicError):
     """A log cannot be calibrated from."""

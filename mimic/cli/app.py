@@ -152,7 +152,7 @@ GROUPS = {
         },
     ),
     "robot": (
-        "A real robot: scan, zero, check, watch, probe.",
+        "A real robot: scan, zero, check, watch, damp, probe.",
         {
             "scan": (
                 "mimic.cli.robot:scan",
@@ -170,6 +170,11 @@ GROUPS = {
                 "mimic.cli.robot:watch",
                 "Show what a stock robot says; nothing is sent.",
                 "mimic robot watch cyberdog2 --interface eth0",
+            ),
+            "damp": (
+                "mimic.cli.robot:damp",
+                "Damp motors that a program left on, and switch them off.",
+                "mimic robot damp can0",
             ),
             "probe": (
                 "mimic.cli.robot:probe",

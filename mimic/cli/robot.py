@@ -188,6 +188,24 @@ def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus 
     return DONE
 
 
+def damp(bus_url: str, /, *, bus: o.Bus = None) -> int:
+    """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
+
+    Parameters
+    ----------
+    bus_url
+        Buses, such as can0; see mimic --help.
+    """
+    from mimic.flows.commissioning import damp_robot
+
+    ending = damp_robot(bus_url, bus)
+    if "cut the power" in ending:
+        warn(ending)
+        return STOPPED
+    note(f"done         {ending}")
+    return DONE
+
+
 def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Bus = None) -> int:
     """Run the pre-flight check alone; nothing moves.
 

@@ -48,6 +48,9 @@ class Limits(SafetyNumbers):
     """One overrun this long [s]: five control steps without a command."""
     bus_errors: int = 12
     """Error frames within a tenth of a second: one for each motor."""
+    foreign_storm: int = 12
+    """Commands of another program within a tenth of a second: as many as the robot has motors. Sitting down needs
+    motors that follow one program."""
     rest_seconds: float = 0.5
     """[s]"""
     interrupts_stop: int = 4

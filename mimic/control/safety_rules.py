@@ -220,7 +220,10 @@ def _board_error(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 def _foreign_commands(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    if report.health.foreign:
+    if history.new_foreign >= limits.foreign_storm:
+        text = f"another program commands this robot: {history.new_foreign} times within a tenth of a second"
+        yield Alert(outcome="DAMP", text=text)
+    elif report.health.foreign:
         yield Alert(outcome="SIT_DOWN", text="another program commands this robot", needs_upright=False)
 
 
@@ -305,7 +308,12 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
         "1 tick",
         "log; damp",
     ),
-    (_foreign_commands, lambda L: "stock robot: a command that is not ours", "1 tick", "sit down"),
+    (
+        _foreign_commands,
+        lambda L: f"a command that is not ours, or an answer to one; {L.foreign_storm} within 0.1 s",
+        "1 tick",
+        "sit down; damp",
+    ),
 )
 
 RULES = tuple(

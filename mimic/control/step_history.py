@@ -59,6 +59,7 @@ class StepHistory:
         """Steps in a row that ended later than planned, by the larger and by the smaller limit."""
         self._thermal: MotorHeat | None = None
         self._bus_errors: list[tuple[float, int]] = []
+        self._foreign: list[tuple[float, int]] = []
         self._last: StepReport | None = None
         self._last_rotation = np.full((3, 3), np.nan)
         self.rotation = np.full((3, 3), np.nan)
@@ -76,8 +77,8 @@ class StepHistory:
         self.jump = np.abs(state.q - self._last.state.q) if self._last is not None else np.full(len(JOINTS), np.nan)
         self.overruns = self.overruns + 1 if health.late > limits.overrun else 0
         self.small_overruns = self.small_overruns + 1 if health.late > limits.small_overrun else 0
-        recent = [(t, errors) for t, errors in self._bus_errors if t > state.t - 0.1]
-        self._bus_errors = [*recent, (state.t, health.bus_errors)]
+        self._bus_errors = _recent(self._bus_errors, state.t, health.bus_errors)
+        self._foreign = _recent(self._foreign, state.t, health.foreign)
         self._last_rotation, self.rotation = self.rotation, rotation_from_quat(state.quat_WB)
         self._compare_imu(report)
         self._compare_legs(report)
@@ -87,6 +88,11 @@ class StepHistory:
     def new_errors(self) -> int:
         """Error frames of the last tenth of a second."""
         return self._bus_errors[-1][1] - self._bus_errors[0][1]
+
+    @property
+    def new_foreign(self) -> int:
+        """Commands of other programs in the last tenth of a second."""
+        return self._foreign[-1][1] - self._foreign[0][1]
 
     def _warm(self, report: StepReport) -> None:
         if self._thermal is None:
@@ -124,3 +130,8 @@ class StepHistory:
         apart = self.hind_apart > (limits.toes_apart if stands else limits.toes_apart_moving)
         kneels = stands and self.front_above < limits.front_above
         self.legs_contradict = self.legs_contradict + 1 if apart or kneels else 0
+
+
+def _recent(counts: list[tuple[float, int]], t: float, count: int) -> list[tuple[float, int]]:
+    """Return a count of the last tenth of a second with its newest value added."""
+    return [*((before, n) for before, n in counts if before > t - 0.1), (t, count)]

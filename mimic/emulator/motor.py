@@ -38,6 +38,7 @@ from mimic.hardware.cybergear.messages import (
     Mode,
     MotorMessage,
     Operation,
+    OtherParameter,
     ParameterValue,
     ReadParameter,
     RunMode,
@@ -152,7 +153,7 @@ class EmulatedMotor:
             message = self.codec.decode(frame)
         except FrameError:
             return None
-        if isinstance(message, DeviceId | Feedback | ParameterValue | FaultReport):
+        if isinstance(message, DeviceId | Feedback | ParameterValue | FaultReport | OtherParameter):
             return None
         self.heard_at = t
         return self._execute(message, t, measured)

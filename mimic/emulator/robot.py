@@ -104,7 +104,7 @@ class EmulatedRobot:
         self._rng = np.random.default_rng([s.seed, 29])
         self._faults: list[EmulatedFault] = []
         self._happened: set[int] = set()
-        self._codec = Codec(position_range=s.position_range)
+        self._codec = Codec(position_range=s.position_range, host=wiring.host)
         self.motors = [
             EmulatedMotor(
                 id=int(wiring.motor[i]),

@@ -39,13 +39,18 @@ def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusSc
         What answered on each bus, the wiring, and what the wiring names but nobody answered to, as sentences.
 
     Raises:
+        PlantError: If another program drives the motors.
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "scan", "its motors have one fixed place each; to look at it: mimic robot check")
+    from mimic.hardware.listening import others
     from mimic.hardware.scan import scan, wiring_problems
     from mimic.hardware.session import open_session
 
     with open_session(bus_url, bus or BusSettings()) as robot:
+        driven = others(robot.motor_bus())
+        if driven:
+            raise PlantError(f"nothing was asked. {driven}")
         seen = scan(robot.link, robot.wiring)
         return seen, robot.wiring, wiring_problems(seen, robot.wiring)
 
@@ -75,22 +80,48 @@ def zero_robot(
         operator: Confirms that the robot lies.
 
     Raises:
-        PlantError: If a joint is not near the lying pose.
+        PlantError: If another program drives the motors, the robot moves or is tilted, or a joint is not near the
+            lying pose.
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
     from mimic.hardware.homing import home, uneven
+    from mimic.hardware.listening import look_first
+    from mimic.hardware.preflight import at_rest, refuse
     from mimic.hardware.session import homing_file, open_session
     from mimic.robot.description import load_description
 
     description = load_description()
     (operator or Operator()).confirm("Keep your hands off it from here on.")
     with open_session(bus_url, bus or BusSettings()) as robot:
-        known = None if again else robot.homing
-        homing, q = home(robot.motor_bus(), description, known)
+        known, motor_bus = None if again else robot.homing, robot.motor_bus()
+        look_first(motor_bus)
+        refuse(at_rest(motor_bus, description), "no zero was set")
+        homing, q = home(motor_bus, description, known)
     path = homing_file(robot.wiring)
     homing.save(path)
     return Zeroed(file=path, off=q - description.poses["lie"], warnings=uneven(q), first=known is None)
+
+
+def damp_robot(bus_url: str, bus: BusSettings | None = None) -> str:
+    """Damp all motors until the robot rests and switch them off, whoever commanded them before.
+
+    Returns:
+        How the robot was left, as a sentence without a full stop.
+
+    Raises:
+        ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
+    """
+    _only_on_can(bus_url, "damp", "it damps itself half a second after the last command")
+    from mimic.hardware.session import open_unlocked
+    from mimic.hardware.shutdown import damp, shutdown_report, switch_off
+    from mimic.robot.description import load_description
+
+    description = load_description()
+    with open_unlocked(bus_url, bus or BusSettings()) as robot, undisturbed():
+        motor_bus = robot.motor_bus()
+        damp(motor_bus, description, lambda: None)
+        return shutdown_report(switch_off(motor_bus, description, lambda: None))
 
 
 def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool = False) -> list[Check]:

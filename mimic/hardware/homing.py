@@ -5,7 +5,7 @@ lies on its folded legs has each joint within less than half a rotor turn (23 de
 known. The first homing takes the lying pose for the true angles. It stores where each rotor stood within its turn,
 and every later homing returns to the same angles, however the robot lies.
 
-The motors remember that the zero is set: register POWER_UP_MARK gets a number, and reads 0 again after a loss of
+The motors remember that the zero is set: register POWER_UP_MARK gets a number, and reads another one after a loss of
 power. Two things follow from the maker's manual and have not been tried on motors: that a reading at power-up repeats
 within a rotor turn, and that the mark is forgotten.
 """
@@ -36,7 +36,8 @@ ZERO_TOLERANCE = 0.01
 """A motor whose zero was just set must read less than this [rad]."""
 
 FIRST_MARK, MARK_STEP, LAST_MARK = 1.0, 0.37, 20.0
-"""Mark of the first homing, increase at each later one, and where it starts again."""
+"""Mark of the first homing, increase at each later one, and where it starts again. None is 0 or 2, which a motor may
+have at power-up."""
 
 UNEVEN = 0.25
 """Difference between a joint and the same joint on the other side that is reported [rad]."""
@@ -130,7 +131,15 @@ def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | No
         raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
     turned = wiring.sign * np.array([f.q for f in motor_bus.feedback if f is not None])
     mark = motor_bus.read(Register.POWER_UP_MARK)
-    fresh = np.abs(mark) < 1e-3  # no zero was set since power-up
+    kept_here = np.abs(mark - (np.nan if before is None else before.mark)) < 1e-3
+    fresh = np.isfinite(mark) & ~(kept_here | _is_mark(mark))  # no zero was set since power-up
+    other = np.flatnonzero(_is_mark(mark) & ~kept_here)
+    if before is not None and len(other):
+        names = ", ".join(JOINTS[j] for j in other)
+        raise PlantError(
+            f"the zero of {names} was set by another computer since power-up; switch the motor power off and on, then "
+            "run it again"
+        )
     phase = np.full(len(JOINTS), np.nan)
     kept = phase.copy()
     if before is not None:
@@ -149,6 +158,12 @@ def home(motor_bus: MotorBus, description: RobotDescription, before: Homing | No
         raise PlantError(f"zeros were set, but {readings}; was the robot moved? Run it again")
     motor_bus.set(Register.POWER_UP_MARK, mark)
     return Homing(uid=tuple(uid[j] for j in range(len(JOINTS))), mark=mark, offset=q, phase=phase), q
+
+
+def _is_mark(value: FloatArray) -> np.ndarray:
+    """Return whether numbers in POWER_UP_MARK are marks of a homing, and not what a motor has at power-up."""
+    steps = np.round((value - FIRST_MARK) / MARK_STEP)
+    return (np.abs(value - FIRST_MARK - steps * MARK_STEP) < 1e-3) & (value > 0.5) & (value < LAST_MARK + 1e-3)
 
 
 def joint_angles(kept: FloatArray, modulo: FloatArray, description: RobotDescription) -> FloatArray:

@@ -41,8 +41,10 @@ class Register(StrEnum):
     POSITION = "position"
     """The position of the feedback, but as a plain number with the maker's finest resolution [rad]."""
     POWER_UP_MARK = "power-up mark"
-    """A number from 1 to 20 that impedance control ignores. It must read 0 after every power-up, so that a written
-    value shows that the power, and with it the zero, was not lost."""
+    """A number from 1 to 20 that impedance control ignores. What was written must be lost at every power-up, so that
+    it shows that the power, and with it the zero, was not lost."""
+    CURRENT = "current"
+    """Current that makes torque [A]; 0 in a motor that is off."""
 
 
 class MotorCommand(NamedTuple):
@@ -106,7 +108,21 @@ class FaultReport:
     """0 when none is left."""
 
 
-Answer = Feedback | RegisterValue | Identity | FaultReport
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OtherHost:
+    """A frame between a motor and another computer."""
+
+    motor: int
+    commands: bool
+    """Whether it shows that the other computer drives the motor: a command, or the feedback to one. A question and
+    its answer do not."""
+    text: str
+    """What it is, such as "a stop for motor 3 by host 0xFD"."""
+    feedback: Feedback | None = None
+    """What the motor measured, where it says that."""
+
+
+Answer = Feedback | RegisterValue | Identity | FaultReport | OtherHost
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -203,10 +219,13 @@ class MotorProtocol(Protocol):
         ...
 
     def decode(self, frame: CanFrame) -> Answer | None:
-        """Return the answer in a frame, or None for a frame of another host or an answer that mimic does not use.
+        """Return the answer in a frame, or None for an answer that mimic does not use.
+
+        A frame of another computer, or to it, is an `OtherHost`. (Frames that this computer sends do not come back.)
 
         Raises:
-            FrameError: If the frame is not of this protocol, or malformed.
+            UnknownFrame: If the frame is not of this protocol.
+            FrameError: If it is malformed.
         """
         ...
 

@@ -7,14 +7,15 @@ its own time.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mimic.errors import FrameError, PlantError
+from mimic.errors import BusError, FrameError, PlantError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame, frame_bits
 from mimic.hardware.can.link import Link, Received
-from mimic.hardware.motor import FaultReport, Feedback, Identity, MotorCommand, Register, RegisterValue
+from mimic.hardware.motor import FaultReport, Feedback, Identity, MotorCommand, OtherHost, Register, RegisterValue
 from mimic.hardware.wiring import Wiring
 from mimic.hardware.xsens_mti import Imu, make_imu
 from mimic.records import JOINTS, FloatArray, JointCommand
@@ -33,6 +34,9 @@ REPORTED = 64
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
 
+_MOST_UNKNOWN = 1000
+"""Identifiers of unknown senders that are remembered."""
+
 READ_BACK_TOLERANCE = 1e-3
 """A register that reads back further away than this was not accepted."""
 
@@ -40,8 +44,15 @@ READ_BACK_TOLERANCE = 1e-3
 class MotorBus:
     """The motors of a robot and its IMU, by joint."""
 
-    def __init__(self, link: Link, wiring: Wiring) -> None:
-        self.link, self.wiring = link, wiring
+    def __init__(self, link: Link, wiring: Wiring, *, overhear: bool = False) -> None:
+        """Take the buses; nothing is sent.
+
+        Args:
+            link: The buses.
+            wiring: Which motor moves which joint.
+            overhear: Also keep what motors answer to other computers.
+        """
+        self.link, self.wiring, self._overhear = link, wiring, overhear
         self.motors = wiring.motors()
         """The language of these motors."""
         self.imu: Imu = make_imu(wiring.imu)
@@ -51,8 +62,14 @@ class MotorBus:
         """When each motor's newest feedback arrived [s]."""
         self.faults = np.zeros(len(JOINTS), dtype=int)
         """REPORTED where a fault report is in force."""
-        self.strays = 0
-        """Frames so far that were malformed or came from an unknown sender."""
+        self.malformed = 0
+        """Frames of motors and IMU so far that made no sense."""
+        self.foreign = 0
+        """Frames so far that show that another computer drives the motors."""
+        self.foreign_text = ""
+        """What the newest of them was."""
+        self.unknown: Counter[tuple[int, str]] = Counter()
+        """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
         self._uids: dict[int, int] = {}
         self.bits: FloatArray = np.zeros(wiring.buses)
@@ -86,7 +103,7 @@ class MotorBus:
     @property
     def errors(self) -> int:
         """Malformed frames so far, those that the adapter garbled among them."""
-        return self.strays + int(getattr(self.link, "garbled", 0))
+        return self.malformed + int(getattr(self.link, "garbled", 0))
 
     def _take(self, received: Received) -> None:
         """Keep what a frame says."""
@@ -96,16 +113,24 @@ class MotorBus:
             if bus == self.wiring.imu.bus and self.imu.feed(frame, t):
                 return
             answer = self.motors.decode(frame)
+        except UnknownFrame:
+            self._note_unknown(bus, frame)
+            return
         except FrameError:
-            self.strays += 1
+            self.malformed += 1
             return
         if answer is None:
-            return  # another program's command
+            return
         joint = self.wiring.joint_of(bus, answer.motor)
         if joint is None:
-            self.strays += 1
+            self._note_unknown(bus, frame)
             return
         match answer:
+            case OtherHost():
+                if answer.commands:
+                    self.foreign, self.foreign_text = self.foreign + 1, answer.text
+                if answer.feedback is not None and self._overhear:
+                    self.feedback[joint], self.came[joint] = answer.feedback, t
             case Feedback():
                 self.feedback[joint], self.came[joint] = answer, t
             case RegisterValue():
@@ -114,6 +139,11 @@ class MotorBus:
                 self._uids[joint] = answer.uid
             case FaultReport():
                 self.faults[joint] = REPORTED if answer.faults else 0
+
+    def _note_unknown(self, bus: int, frame: CanFrame) -> None:
+        name = f"0x{frame.id:08X}" if frame.extended else f"0x{frame.id:03X}"
+        if len(self.unknown) < _MOST_UNKNOWN or (bus, name) in self.unknown:
+            self.unknown[bus, name] += 1
 
     def drain(self) -> None:
         """Take what has arrived already."""
@@ -139,7 +169,8 @@ class MotorBus:
     def command(self, command: JointCommand, joints: Sequence[int] = ALL) -> JointCommand:
         """Send a command to all motors at once and return what was sent, rounded as the frames round it.
 
-        Joints that are left out keep their numbers in what is returned.
+        Joints that are left out keep their numbers in what is returned. Where a bus does not take a command, the motors
+        on the other buses still get theirs.
 
         Raises:
             BusError: If a bus does not take it.
@@ -148,12 +179,22 @@ class MotorBus:
         w = self.wiring
         p, dp, tau = w.p_of(command.q_des), w.sign * command.dq_des, w.sign * command.tau_ff
         kp, kd, dq_des, tau_ff = (np.array(v) for v in (command.kp, command.kd, command.dq_des, command.tau_ff))
+        failed: dict[int, BusError] = {}
         for j in joints:
             wanted = MotorCommand(float(p[j]), float(dp[j]), float(kp[j]), float(kd[j]), float(tau[j]))
             frame, sent = self.motors.command(self.id(j), wanted)
-            self.send(j, frame)
+            bus = int(w.bus[j])
+            if bus in failed:
+                continue
+            try:
+                self.send(j, frame)
+            except BusError as reason:
+                failed[bus] = reason
+                continue
             p[j], dq_des[j], tau_ff[j] = sent.q, w.sign[j] * sent.dq, w.sign[j] * sent.tau
             kp[j], kd[j] = sent.kp, sent.kd
+        for reason in failed.values():
+            raise reason
         return JointCommand(q_des=w.q_of(p), dq_des=dq_des, kp=kp, kd=kd, tau_ff=tau_ff)
 
     def ask(self, question: Callable[[int], CanFrame], answered: Callable[[int], bool]) -> list[int]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from mimic.errors import MimicError, PlantError
+from mimic.errors import BusError, MimicError, PlantError
 from mimic.hardware.can.link import Link
 from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import ALL, MotorBus
@@ -21,6 +23,10 @@ INTERPOLATION_PARTS = 4
 
 ANSWER_WINDOW = 0.005
 """A step listens for answers at least this long, even if it started late [s]; twelve motors take 3.4 ms."""
+
+
+OUTAGE = 0.1
+"""A bus that fails for longer than this ends the run [s]. The motors go on with their last commands meanwhile."""
 
 
 class Watchdog(Protocol):
@@ -42,8 +48,8 @@ class Watchdog(Protocol):
         """Stop watching: the motors are off."""
         ...
 
-    def take_over(self) -> None:
-        """Damp the robot now, because this process cannot."""
+    def take_over(self) -> str:
+        """Damp the robot now, because this process cannot; return how the robot was left, or nothing if unknown."""
         ...
 
 
@@ -74,6 +80,7 @@ class CanRobot:
         *,
         torque_limit: float | None = None,
         watchdog: Watchdog | None = None,
+        outage: float = OUTAGE,
     ) -> None:
         """Prepare the plant; nothing is sent yet.
 
@@ -82,8 +89,12 @@ class CanRobot:
             wiring: Which motor moves which joint, with the offsets of this power-up.
             torque_limit: Largest torque of each motor [N m]; by default its peak torque.
             watchdog: Damps the robot when this process cannot.
+            outage: How long a bus may fail before the run ends [s].
         """
         self._description = description
+        self._outage = outage
+        self._failing: float | None = None
+        self._outages = 0
         self.motor_bus = MotorBus(link, wiring)
         self._link = link
         self._watchdog = watchdog
@@ -139,23 +150,48 @@ class CanRobot:
         """Send a command, collect the answers, and wait for the end of the control step.
 
         Raises:
-            BusError: If a bus fails.
-            PlantError: If the watchdog process has taken over.
+            BusError: If a bus fails for longer than it may.
         """
         link, motor_bus, dt = self._link, self.motor_bus, self._description.dt
         self.beat()
-        motor_bus.drain()
+        before = self._outages
+        with self._tolerated():
+            motor_bus.drain()
         asked = link.now()
         compute = asked - self._ended
-        sent = self._send(command, asked)
         self._due += dt
-        motor_bus.listen(max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW))
+        unsent = np.full(len(JOINTS), np.nan)
+        sent = replace(command, q_des=unsent, kp=unsent, kd=unsent)
+        with self._tolerated():
+            sent = self._send(command, asked)
+        until = max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW)
+        with self._tolerated():
+            motor_bus.listen(until)
+        if self._outages == before:
+            self._failing = None
+        link.sleep(max(until - link.now(), 0.0))
         now = link.now()
         late, self._ended = now - self._due, now
         if late > dt:
             self._due = now  # missed time is not caught up
         self.count(asked)
         return Tick(state=self.state(asked, now), sent=sent, health=self.health(compute, late, now))
+
+    @contextmanager
+    def _tolerated(self) -> Iterator[None]:
+        """Go on when a bus fails, but not for long.
+
+        Raises:
+            BusError: If it has failed for longer than it may.
+        """
+        try:
+            yield
+        except BusError:
+            self._outages += 1
+            now = self._link.now()
+            self._failing = now if self._failing is None else self._failing
+            if now - self._failing >= self._outage:
+                raise
 
     def _send(self, command: JointCommand, asked: float) -> JointCommand:
         """Send a command, in several parts where it is interpolated; return what was sent last."""
@@ -212,8 +248,9 @@ class CanRobot:
             imu_valid=imu.valid,
             compute=compute,
             late=max(late, 0.0),
-            bus_errors=motor_bus.errors,
+            bus_errors=motor_bus.errors + self._outages,
             guarded=self._watchdog is None or self._watchdog.alive(),
+            foreign=motor_bus.foreign,
         )
 
     def load(self) -> FloatArray:
@@ -226,11 +263,19 @@ class CanRobot:
         if self._closed or not self._on:
             return
         self._closed, self._on = True, False
+        if self._failing is not None and self._watchdog is not None and self._watchdog.alive():
+            self.ending = self._watchdog.take_over()  # it opens the buses again
+            if self.ending:
+                return
         try:
             damp(self.motor_bus, self._description, self.beat)
             left = switch_off(self.motor_bus, self._description, self.beat)
             self.ending = shutdown_report(left)
         except MimicError as reason:
-            left, self.ending = list(ALL), f"the motors could not be stopped: {reason}"
-        if self._watchdog is not None:
-            self._watchdog.take_over() if left else self._watchdog.disarm()
+            left, self.ending = list(ALL), f"the motors could not be stopped: {reason}; cut the power"
+        if self._watchdog is None:
+            return
+        if not left:
+            self._watchdog.disarm()
+        elif told := self._watchdog.take_over():
+            self.ending = told

@@ -11,6 +11,7 @@ from mimic.errors import FrameError, PlantError
 from mimic.geometry import rotation_from_quat
 from mimic.hardware.can.load import MAX_LOAD, expected_load
 from mimic.hardware.homing import LYING_TOLERANCE, Homing, beyond_limits, uneven, zero_problems
+from mimic.hardware.listening import holding, others
 from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import set_host_timeout
@@ -39,8 +40,15 @@ MAX_LEGS_TILT = 0.2
 MAX_TURN_RATE = 0.1
 """Largest rate of turn of a robot that nobody moves [rad/s]."""
 
+MAX_MOVED = 0.02
+"""Largest motion of a joint of a robot at rest, over half a second [rad]."""
+
 IMU_RATE_TOLERANCE = 0.2
 """Share by which an IMU's rate may differ from the wiring's."""
+
+
+UNKNOWN_SHOWN = 6
+"""Identifiers of unknown senders that are named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +80,9 @@ def preflight(
         suspended: The robot hangs in the air instead of lying on the floor.
     """
     found = [_load(motor_bus, rate_hz)]
+    driven = others(motor_bus) or holding(motor_bus)
+    if driven:
+        return [*found, Check(name="other programs", verdict="stop", text=driven)]
     silent = motor_bus.stop()
     if silent:
         names = ", ".join(JOINTS[j] for j in silent)
@@ -84,7 +95,7 @@ def preflight(
         q = np.full_like(q, np.nan)
     found += [zeros, _limits(q, description) if suspended or not known else _pose(q, description)]
     found += _imu(motor_bus, q, description, suspended or not known)
-    return [*found, _timeout(motor_bus)]
+    return [*found, _timeout(motor_bus), _others(motor_bus)]
 
 
 def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
@@ -98,6 +109,22 @@ def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
         text = f"{rates} would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
         return Check(name="bus load", verdict="stop", text=text)
     return Check(name="bus load", verdict="ok", text=f"{shares} at {rates} (estimated)")
+
+
+def _others(motor_bus: MotorBus) -> Check:
+    """Return what was heard of others during all checks."""
+    name = "other programs"
+    if motor_bus.foreign:
+        text = f"another program commands the motors (the last frame was {motor_bus.foreign_text}); end it first"
+        return Check(name=name, verdict="stop", text=text)
+    if motor_bus.unknown:
+        most = [
+            f"{key[1]} on {motor_bus.link.names[key[0]]}" for key, _ in motor_bus.unknown.most_common(UNKNOWN_SHOWN)
+        ]
+        more = len(motor_bus.unknown) - len(most)
+        text = f"{motor_bus.unknown.total()} frames of unknown senders: {', '.join(most)}"
+        return Check(name=name, verdict="note", text=f"{text} and {more} more identifiers" if more else text)
+    return Check(name=name, verdict="ok", text="nobody else speaks on the buses")
 
 
 def _motors(motor_bus: MotorBus) -> Check:
@@ -233,6 +260,8 @@ def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, susp
     if tilt > MAX_TILT:
         text = f"tilted by {np.rad2deg(tilt):.0f} deg; a lying robot is level within {np.rad2deg(MAX_TILT):.0f} deg"
         return [*found, Check(name="IMU and legs", verdict="stop", text=text)]
+    if np.isnan(q).any():
+        return found
     apart = float(np.arccos(np.clip(up @ feet_normal(q, description), -1.0, 1.0)))
     text = f"up by IMU and by the four feet differ by {np.rad2deg(apart):.0f} deg"
     verdict = "stop" if apart > MAX_LEGS_TILT else "ok"
@@ -257,12 +286,36 @@ def _timeout(motor_bus: MotorBus) -> Check:
     return Check(name="own timeout", verdict="note", text=text)
 
 
-def refuse(checks: list[Check]) -> None:
-    """Raise if a check forbids moving.
+def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
+    """Check that a robot whose zeros are to be set rests and is level.
+
+    Its motors are switched off by that, as every frame that asks for a position does something.
+    """
+    silent = motor_bus.stop()
+    if silent:
+        names = ", ".join(JOINTS[j] for j in silent)
+        return [Check(name="motors", verdict="stop", text=f"no answer from {names}; run: mimic robot scan")]
+    q, _, _ = motor_bus.readings(-np.inf)
+    found = _imu(motor_bus, np.full(len(JOINTS), np.nan), description, False)
+    motor_bus.stop()
+    moved = np.abs(motor_bus.readings(-np.inf)[0] - q)
+    worst = int(np.argmax(moved))
+    if not moved[worst] <= MAX_MOVED:
+        text = f"{JOINTS[worst]} moved by {np.rad2deg(moved[worst]):.1f} deg meanwhile; keep the robot still"
+        found.append(Check(name="rest", verdict="stop", text=text))
+    return found
+
+
+def refuse(checks: list[Check], outcome: str = "nothing was moved") -> None:
+    """Raise if a check forbids going on.
+
+    Args:
+        checks: What was found.
+        outcome: What did not happen, as a sentence without its full stop.
 
     Raises:
         PlantError: With all checks that do.
     """
     against = [f"{check.name}: {check.text}" for check in checks if check.verdict == "stop"]
     if against:
-        raise PlantError("nothing was moved. " + "; ".join(against))
+        raise PlantError(f"{outcome}. {'; '.join(against)}")

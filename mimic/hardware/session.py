@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from mimic.config.hardware import BusSettings
 from mimic.config.ranges import check_range
 from mimic.errors import PlantError
+from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.link import Link
 from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
@@ -57,11 +58,22 @@ def wiring_of(bus_url: str, settings: BusSettings) -> Wiring:
 
 @contextmanager
 def open_session(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
-    """Open buses, and close them at the end.
+    """Open buses, and close them at the end; meanwhile no other program of mimic may use them.
 
     Args:
         bus_url: The buses; see `mimic.hardware.can.python_can`.
         settings: Wiring and zeros.
+
+    Raises:
+        ConfigError, AssetError, BusError: If that is not possible.
+    """
+    with bus_lock(bus_url), open_unlocked(bus_url, settings) as robot:
+        yield robot
+
+
+@contextmanager
+def open_unlocked(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
+    """Open buses that another program of mimic may be using; for who holds their lock, who only listens, or who damps.
 
     Raises:
         ConfigError, AssetError, BusError: If that is not possible.
@@ -137,9 +149,11 @@ def robot_session(
         return
     wiring = wiring_of(bus_url, settings)
     wanted = settings.watchdog and allows_second_socket(bus_url)
-    watchdog = WatchdogProcess(bus_url, wiring.path) if wanted else None
-    try:
-        with open_session(bus_url, settings) as robot:
+    with bus_lock(bus_url) as lock, ExitStack() as stack:
+        watchdog = WatchdogProcess(bus_url, wiring.path, keep=lock) if wanted else None
+        if watchdog is not None:
+            stack.callback(watchdog.close)
+        with open_unlocked(bus_url, settings) as robot:
 
             def checked() -> list[Check]:
                 motor_bus = robot.motor_bus()
@@ -169,6 +183,3 @@ def robot_session(
                 raise PlantError(f"{reason}; {plant.ending}") from reason
             finally:
                 plant.close()
-    finally:
-        if watchdog is not None:
-            watchdog.close()

@@ -100,19 +100,20 @@ def allows_second_socket(bus_url: str) -> bool:
 class WatchdogProcess:
     """Starts the watchdog process and talks to it. A `mimic.hardware.plant.Watchdog`."""
 
-    def __init__(self, bus_url: str, wiring: Path) -> None:
+    def __init__(self, bus_url: str, wiring: Path, *, keep: tuple[int, ...] = ()) -> None:
         """Start the process; it is not armed yet.
 
         Args:
             bus_url: The buses; see `mimic.hardware.can.python_can`.
             wiring: Wiring file.
+            keep: Files that the process inherits and keeps open, such as the locks of the buses.
 
         Raises:
             PlantError: If it cannot open these buses.
         """
         command = [sys.executable, "-m", "mimic.hardware.watchdog", bus_url, str(wiring)]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0, pass_fds=keep
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -161,10 +162,11 @@ class WatchdogProcess:
         """Stop watching: the motors are off."""
         self._send(_DISARM)
 
-    def take_over(self) -> None:
-        """Damp the robot now, and wait until that is done."""
+    def take_over(self) -> str:
+        """Damp the robot now, wait until that is done, and return how the robot was left; empty if nothing says so."""
         self._send(_TAKE_OVER)
-        self.close()
+        lines = self.close().splitlines()
+        return lines[-1] if any(line.startswith(_TOOK_OVER.decode()) for line in lines[:-1]) else ""
 
     def close(self) -> str:
         """Wait for the end of the process, and return what it printed. Safe to call twice."""

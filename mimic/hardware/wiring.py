@@ -132,6 +132,10 @@ class _Reader:
             ids = facts.host_ids
             raise ConfigError(f"host of the file is {host}; expected a whole number from {ids[0]} to {ids[-1]}")
         motor = np.array([_motor_id(rows[j], j, facts) for j in JOINTS])
+        if host in motor:
+            raise ConfigError(
+                f"host of the file is {host}, the id of {JOINTS[list(motor).index(host)]}; give it another"
+            )
         sign = np.array([number(rows[j], "sign", j) for j in JOINTS])
         for joint, value in zip(JOINTS, sign, strict=True):
             if value not in (-1.0, 1.0):

@@ -71,6 +71,13 @@ _QUATERNION_SCALE, _RATE_SCALE = 32767.0, 512.0
 """Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both
 are one."""
 
+OTHER_OUTPUTS = frozenset(
+    (0x001, 0x002, 0x007, 0x022, 0x031, 0x033, 0x034, 0x035, 0x041, 0x051, 0x052, 0x061, 0x062)
+    + (0x071, 0x072, 0x073, 0x074, 0x075, 0x076, 0x079, 0x07A)
+)
+"""Identifiers of what else an MTi may send: errors, UTC, Euler angles, increments, accelerations, magnetic field,
+temperature, pressure, position. Source: the DBC named above."""
+
 ORIENTATION_VALID = 1 << 1
 """Bit of the status word."""
 
@@ -170,7 +177,7 @@ class XsensMti:
         """
         sample = decode_mti(frame)
         if sample is None:
-            return False
+            return not frame.extended and frame.id in OTHER_OUTPUTS
         present = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
         self._newest = replace(self._newest, **present)
         if frame.id in self._came:

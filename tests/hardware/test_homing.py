@@ -12,8 +12,10 @@ from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import AssetError, PlantError
+from mimic.hardware.cybergear.messages import LIMIT_SPD
 from mimic.hardware.homing import check_lying, home, read_homing, uneven, with_homing, zero_problems
 from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.preflight import at_rest, refuse
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS
 
@@ -137,3 +139,57 @@ def test_another_file_is_refused(text, tmp_path):
     (tmp_path / "homing.json").write_text(text)
     with pytest.raises(AssetError):
         read_homing(tmp_path / "homing.json")
+
+
+@pytest.mark.parametrize("at_power_up", [0.0, 2.0, 30.0])
+def test_whatever_the_motors_have_at_power_up_the_second_zero_is_that_of_the_first(at_power_up, description):
+    first = EmulatedRobot(description, load_wiring(), EmulateSettings(placement=0.0, seed=4))
+    motor_bus = exchange_of(first)
+    for motor in first.motors:
+        motor.values[LIMIT_SPD] = at_power_up
+    homing, _ = home(motor_bus, description, None)
+    cycle_power(first)
+    for motor in first.motors:
+        motor.values[LIMIT_SPD] = at_power_up
+    moved = description.poses["lie"] + np.linspace(-0.25, 0.25, 12)
+    first.body.data.qpos[7:] = moved
+    assert len(zero_problems(motor_bus, homing)) == 12
+    _, q = home(motor_bus, description, homing)
+    assert np.abs(q - truth(first)).max() < 0.02
+
+
+def test_a_zero_of_another_computer_is_not_built_upon(robot, description):
+    motor_bus = exchange_of(robot)
+    homing, _ = home(motor_bus, description, None)
+    theirs, _ = home(motor_bus, description, homing)
+    home(motor_bus, description, theirs)
+    with pytest.raises(PlantError, match=r"FL_abad.*set by another computer.*power off and on"):
+        home(motor_bus, description, homing)
+    home(motor_bus, description, None)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [("imu_tilted=0.4@0", "tilted by"), ("imu_silent@0", "silent|not sent"), ("imu_frozen@0.1", "repeated")],
+)
+def test_a_robot_that_does_not_lie_level_gets_no_first_zero(fault, expected, robot, description):
+    robot.inject(parse_fault(fault))
+    motor_bus = exchange_of(robot)
+    motor_bus.link.sleep(0.2)
+    with pytest.raises(PlantError, match=f"no zero was set.*({expected})"):
+        refuse(at_rest(motor_bus, description), "no zero was set")
+
+
+def test_a_robot_that_is_moved_gets_no_zero(robot, description):
+    motor_bus = exchange_of(robot)
+    assert at_rest(motor_bus, description)[0].verdict == "ok"
+    listen = motor_bus.listen
+
+    def moved(until, enough=None):
+        if enough is None:
+            robot.body.data.qpos[9] += 0.03
+        return listen(until, enough)
+
+    motor_bus.listen = moved
+    with pytest.raises(PlantError, match="FL_knee moved by"):
+        refuse(at_rest(motor_bus, description), "no zero was set")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mimic.errors import ConfigError, FrameError
+from mimic.errors import ConfigError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame, frame_bits
 from mimic.hardware.cybergear.protocol import CyberGear
 from mimic.hardware.makers import MAKERS, make_motors
@@ -23,6 +23,7 @@ from mimic.hardware.motor import (
     MotorMaker,
     MotorMode,
     MotorProtocol,
+    OtherHost,
     Register,
     RegisterValue,
 )
@@ -128,7 +129,7 @@ def test_facts_are_consistent(motors):
     assert 0.0 <= f.position_bias <= f.position_step
     assert len(f.motor_ids) >= 12
     assert f.factory_id is None or f.factory_id in f.motor_ids
-    assert not set(f.motor_ids) & set(f.host_ids)
+    assert len(f.host_ids) >= 10
     assert Register.TORQUE_LIMIT in f.registers
     assert all(f.registers.values())
 
@@ -178,8 +179,32 @@ def test_each_question_to_each_motor_is_a_frame_of_its_own(motors):
     assert len(set(frames)) == len(frames)
 
 
-def test_frames_of_another_host_are_not_answers(motors):
-    assert [motors.decode(f) for f in frames_of_a_host(motors, 3)] == [None] * len(frames_of_a_host(motors, 3))
+def test_frames_of_another_host_are_no_answers_and_its_commands_are_told_from_its_questions(motors):
+    for sent in frames_of_a_host(motors, 3):
+        found = motors.decode(sent)
+        assert isinstance(found, OtherHost), sent
+        assert (found.motor, found.feedback) == (3, None)
+        assert found.text
+    commands = [
+        motors.command(3, within(motors, 0.3))[0],
+        *(m(3) for m in (motors.enable, motors.stop, motors.set_zero)),
+    ]
+    assert all(getattr(motors.decode(sent), "commands", False) for sent in commands)
+    questions = [motors.ask_identity(3), *(motors.read(3, register) for register in motors.facts.registers)]
+    assert not any(getattr(motors.decode(sent), "commands", True) for sent in questions)
+
+
+def test_a_feedback_to_another_host_is_not_ours(case):
+    mine = next(sent for sent, answer in case.answers if isinstance(answer, Feedback))
+    others = case.maker(host=case.host + 1, position_range=case.position_range).decode(mine)
+    assert isinstance(others, OtherHost)
+    assert others.commands
+    assert others.feedback == case.motors().decode(mine)
+
+
+def test_frames_of_another_protocol_are_told_from_malformed_ones(motors):
+    with pytest.raises(UnknownFrame):
+        motors.decode(CanFrame(0x123, bytes(8), extended=False))
 
 
 def test_an_id_that_no_motor_can_have_is_refused(motors):

@@ -24,6 +24,7 @@ class Watchdog:
     def __init__(self) -> None:
         self.told: list[str] = []
         self.there = True
+        self.report = ""
 
     def arm(self) -> None:
         self.told.append("arm")
@@ -37,8 +38,9 @@ class Watchdog:
     def disarm(self) -> None:
         self.told.append("disarm")
 
-    def take_over(self) -> None:
+    def take_over(self) -> str:
         self.told.append("take over")
+        return self.report
 
 
 @pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow)])
@@ -62,6 +64,11 @@ def hold(description, q=None) -> JointCommand:
     return JointCommand(
         q_des=q, dq_des=zeros, kp=np.full(12, description.kp), kd=np.full(12, description.kd), tau_ff=zeros
     )
+
+
+def steps(plant, description, count: int = 10) -> None:
+    for _ in range(count):
+        plant.step(hold(description))
 
 
 def modes(robot) -> set[Mode]:
@@ -268,7 +275,7 @@ def test_an_adapter_that_is_pulled_raises_and_closing_says_what_is_left(made, de
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}"))
     with pytest.raises(BusError):
-        plant.step(hold(description))
+        steps(plant, description)
     plant.close()
     assert "could not be stopped" in plant.ending
 
@@ -278,7 +285,7 @@ def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}-{robot.now + 2.0}"))
     with pytest.raises(BusError):
-        plant.step(hold(description))
+        steps(plant, description)
     plant.close()
     assert modes(robot) == {Mode.RESET}
 
@@ -292,7 +299,7 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
     plant.start()
     robot.inject(parse_fault(f"unplugged:bus1@{robot.now}"))
     with pytest.raises(BusError):
-        plant.step(hold(description))
+        steps(plant, description)
     plant.close()
     off = {wiring.bus[j]: motor.mode for j, motor in enumerate(robot.motors)}
     assert off[0] is Mode.RESET
@@ -321,9 +328,67 @@ def test_the_watchdog_takes_over_where_not_all_motors_confirm(made, description)
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}"))
     with pytest.raises(BusError):
-        plant.step(hold(description))
+        steps(plant, description)
     plant.close()
     assert watchdog.told[-1] == "take over"
+
+
+def test_a_bus_that_failed_is_left_to_the_watchdog_at_once_and_the_last_line_is_its_report(made, description):
+    watchdog = Watchdog()
+    watchdog.report = "the robot was damped and all motors are off"
+    robot, plant = made(watchdog=watchdog)
+    plant.start()
+    robot.inject(parse_fault(f"unplugged@{robot.now}"))
+    with pytest.raises(BusError):
+        steps(plant, description)
+    before = robot.now
+    plant.close()
+    assert (watchdog.told[-1], robot.now) == ("take over", before)
+    assert plant.ending == watchdog.report
+
+
+@pytest.mark.parametrize("seconds", [0.03, 0.08])
+def test_a_bus_that_fails_for_a_moment_ends_nothing(seconds, made, description):
+    robot, plant = made()
+    plant.start()
+    robot.inject(parse_fault(f"unplugged@{robot.now}-{robot.now + seconds}"))
+    seen = [plant.step(hold(description)) for _ in range(10)]
+    assert max(int(tick.health.missed.max()) for tick in seen) >= 1
+    assert not seen[-1].health.missed.any()
+    assert seen[-1].health.bus_errors > 0
+    times = np.diff([tick.state.t for tick in seen])
+    assert np.allclose(times, description.dt, atol=1e-6)
+    plant.close()
+
+
+def test_a_bus_that_takes_no_frames_but_still_hears_ends_the_run_too(made, description):
+    robot, plant = made()
+    plant.start()
+    link = plant.motor_bus.link
+
+    def refuse(bus: int, frame: object) -> None:
+        raise BusError("it takes no frames")
+
+    link.send = refuse
+    with pytest.raises(BusError):
+        steps(plant, description)
+    del link.send
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_motors_on_a_bus_that_works_get_their_commands_while_another_fails(description):
+    wiring = load_wiring(buses=2)
+    robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True, placement=0.02))
+    plant = CanRobot(EmulatedLink(robot), wiring, description)
+    plant.motor_bus.link.sleep(0.1)
+    plant.start()
+    robot.inject(parse_fault(f"unplugged:bus0@{robot.now}-{robot.now + 0.05}"))
+    done = plant.step(hold(description))
+    for joint, motor in enumerate(robot.motors):
+        assert wiring.bus[joint] == 0 or motor.drive.kp == pytest.approx(description.kp, abs=0.01)
+    assert np.isnan(done.sent.q_des).all()
+    plant.close()
 
 
 def test_a_watchdog_that_is_gone_is_reported(made, description):

@@ -50,6 +50,7 @@ def test_a_healthy_robot_passes_and_everything_is_reported(description):
         "IMU",
         "IMU and legs",
         "own timeout",
+        "other programs",
     }
     assert all(finding.text for finding in found.values())
     assert found["own timeout"].verdict == "note"

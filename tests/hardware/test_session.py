@@ -20,7 +20,7 @@ from mimic.hardware.wiring import load_wiring
 
 
 @pytest.fixture
-def robot(description, monkeypatch) -> EmulatedRobot:
+def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True))
 
@@ -30,6 +30,7 @@ def robot(description, monkeypatch) -> EmulatedRobot:
         return link
 
     monkeypatch.setattr(session, "open_buses", opened)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     return robot
 
 

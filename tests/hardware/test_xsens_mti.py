@@ -59,7 +59,7 @@ def test_a_malformed_frame_is_refused_and_changes_nothing(frame, says):
     assert imu.reading(1.0).count == 0
 
 
-@pytest.mark.parametrize("frame", [CanFrame(0x021, bytes(8)), CanFrame(0x034, bytes(6), extended=False)])
+@pytest.mark.parametrize("frame", [CanFrame(0x021, bytes(8)), CanFrame(0x0F4, bytes(6), extended=False)])
 def test_frames_of_others_are_left_alone(frame):
     assert not XsensMti(LEVEL).feed(frame, 0.0)
 

@@ -1,8 +1,8 @@
 """Codec of the CyberGear protocol: messages to frames and back, pure.
 
 A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7
-bits. Hosts have ids from 0x80 on here, so the destination shows the direction of a frame: type 0 and type 17 are
-both asked and answered. (The protocol would also let a host be 0, which could be a motor.)
+bits. Hosts may have those of the manual, 0 to 127, or from 0x80 on, as most libraries have it (0xFD). The type shows
+the direction of a frame; of type 17, which is both asked and answered, the destination does.
 
 A quantity of an operation command or a feedback is an unsigned word w that spans its range evenly. Encoding saturates
 to the range and truncates, as the maker's code does; decoding gives low + w (high - low) / 65535.
@@ -17,9 +17,10 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from mimic.errors import ConfigError, FrameError
+from mimic.errors import ConfigError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.cybergear.messages import (
+    PARAMETERS,
     DetailedFault,
     DeviceId,
     Enable,
@@ -27,10 +28,13 @@ from mimic.hardware.cybergear.messages import (
     FaultReport,
     Feedback,
     GetDeviceId,
+    HostMessage,
     Kind,
     Message,
     Mode,
+    MotorMessage,
     Operation,
+    OtherParameter,
     ParameterValue,
     ReadParameter,
     SetBaudRate,
@@ -44,8 +48,11 @@ from mimic.hardware.cybergear.messages import (
 BROADCAST = 0xFE
 """Destination of a device-id answer; manual 4.1.1."""
 
-FIRST_HOST = 0x80
-"""Hosts have ids from here on, motors below."""
+MOTOR_IDS = 0x80
+"""Motors have ids below this."""
+
+DEFAULT_HOST = 0xFD
+"""Id of a host in most libraries."""
 
 VELOCITY, TORQUE, KP, KD = (-30.0, 30.0), (-12.0, 12.0), (0.0, 500.0), (0.0, 5.0)
 """Ranges in rad/s, N m, N m/rad and N m s/rad; manual 4.1.2 and 4.1.3."""
@@ -94,6 +101,8 @@ class Codec:
 
     position_range: float = POSITION_RANGES[0]
     """Positions reach from minus this to plus this [rad]."""
+    host: int = DEFAULT_HOST
+    """Id of this computer; shows which frames of type 17 are answers."""
     fault_order: Literal["little", "big"] = "little"
     """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 
@@ -108,9 +117,9 @@ class Codec:
             FrameError: If a number is not finite, or an id or index does not exist.
         """
         m = message
-        ids = [("motor", m.motor, 0, FIRST_HOST)]
+        ids = [("motor", m.motor, 0, MOTOR_IDS)]
         if not isinstance(m, (Operation, DeviceId)):
-            ids.append(("host", m.host, FIRST_HOST, 256))
+            ids.append(("host", m.host, 0, 256))
         for name, value, low, high in ids:
             if not low <= value < high:
                 raise FrameError(f"the id of the {name} is {value}; expected from {low} to {high - 1}")
@@ -136,8 +145,8 @@ class Codec:
             case SetZero():
                 return _frame(Kind.SET_ZERO, m.host, m.motor, b"\x01" + bytes(7))
             case SetId():
-                if not 0 <= m.new < FIRST_HOST:
-                    raise FrameError(f"the new id is {m.new}; expected from 0 to {FIRST_HOST - 1}")
+                if not 0 <= m.new < MOTOR_IDS:
+                    raise FrameError(f"the new id is {m.new}; expected from 0 to {MOTOR_IDS - 1}")
                 return _frame(Kind.SET_ID, m.new << 8 | m.host, m.motor, b"\x01" + bytes(7))
             case ReadParameter():
                 parameter(m.index)
@@ -155,34 +164,36 @@ class Codec:
                     raise FrameError(f"the bit rate is {m.rate}; a motor knows {', '.join(map(str, codes))}")
                 return _frame(Kind.BAUD_RATE, m.host, m.motor, bytes([codes[m.rate]]) + bytes(7))
 
-    def decode(self, frame: CanFrame) -> Message:
+    def decode(self, frame: CanFrame) -> Message | OtherParameter:
         """Return the message of a frame, of either direction.
 
         Raises:
-            FrameError: If the frame is not of this protocol: an identifier of 11 bits, not eight bytes, an unknown
-                type, ids, an index or a code that cannot be, bits set that must be zero.
+            UnknownFrame: If the frame is not of this protocol: an identifier of 11 bits, not eight bytes, an unknown
+                type, ids that cannot be, bits set that must be zero.
+            FrameError: If it is, but with a mode, a code or a value that cannot be.
         """
         if not frame.extended:
-            raise FrameError(f"{frame} has an identifier of 11 bits; CyberGear's have 29")
+            raise UnknownFrame(f"{frame} has an identifier of 11 bits; CyberGear's have 29")
         if len(frame.data) != 8:
-            raise FrameError(f"{frame} has {len(frame.data)} bytes; CyberGear's frames have 8")
+            raise UnknownFrame(f"{frame} has {len(frame.data)} bytes; CyberGear's frames have 8")
         number, area, destination, data = frame.id >> 24, frame.id >> 8 & 0xFFFF, frame.id & 0xFF, frame.data
         try:
             kind = Kind(number)
         except ValueError:
-            raise FrameError(f"{frame} has the communication type {number}, which is not public") from None
-        to_host = destination >= FIRST_HOST
-        if kind is Kind.FAULT and not to_host and FIRST_HOST <= area <= 0xFF:
+            raise UnknownFrame(f"{frame} has the communication type {number}, which is not public") from None
+        if kind is Kind.FAULT and (area == self.host or (destination < MOTOR_IDS <= area <= 0xFF)):
             # The manual has the host in bits 15 to 8 and the motor in 7 to 0; libraries have it the other way.
             return self._from_motor(frame, kind, destination, area, data)
-        if to_host:
+        if kind in (Kind.FEEDBACK, Kind.FAULT) or destination >= MOTOR_IDS or destination == self.host:
             return self._from_motor(frame, kind, area, destination, data)
         return self._from_host(frame, kind, area, destination, data)
 
-    def _from_motor(self, frame: CanFrame, kind: Kind, area: int, host: int, data: bytes) -> Message:
+    def _from_motor(
+        self, frame: CanFrame, kind: Kind, area: int, host: int, data: bytes
+    ) -> MotorMessage | OtherParameter:
         motor = area & 0xFF
-        if motor >= FIRST_HOST:
-            raise FrameError(f"{frame} comes from the id {motor}; motors have ids below {FIRST_HOST}")
+        if motor >= MOTOR_IDS:
+            raise UnknownFrame(f"{frame} comes from the id {motor}; motors have ids below {MOTOR_IDS}")
         if kind is Kind.FEEDBACK:
             q, dq, tau, heat = struct.unpack(">4H", data)
             mode = area >> 14
@@ -198,8 +209,10 @@ class Codec:
                 mode=Mode(mode),
                 faults=Fault(area >> 8 & 0x3F),
             )
+        if kind is Kind.READ and (area >> 8 or _index_of(frame) not in PARAMETERS):
+            return OtherParameter(motor=motor, host=host, index=_index_of(frame))
         if area >> 8:
-            raise FrameError(f"{frame} has bits set where a motor leaves zeros")
+            raise UnknownFrame(f"{frame} has bits set where a motor leaves zeros")
         if kind is Kind.DEVICE_ID and host == BROADCAST:
             return DeviceId(motor=motor, uid=int.from_bytes(data, "little"))
         if kind is Kind.READ:
@@ -208,11 +221,13 @@ class Codec:
         if kind is Kind.FAULT:
             faults, warnings = (int.from_bytes(part, self.fault_order) for part in (data[:4], data[4:]))
             return FaultReport(motor=motor, host=host, faults=DetailedFault(faults), warnings=warnings)
-        raise FrameError(
+        raise UnknownFrame(
             f"{frame} has the communication type {kind.value} ({kind.name}), which no motor sends to a host"
         )
 
-    def _from_host(self, frame: CanFrame, kind: Kind, area: int, motor: int, data: bytes) -> Message:
+    def _from_host(
+        self, frame: CanFrame, kind: Kind, area: int, motor: int, data: bytes
+    ) -> HostMessage | OtherParameter:
         if kind is Kind.OPERATION:
             q, dq, kp, kd = struct.unpack(">4H", data)
             return Operation(
@@ -224,14 +239,14 @@ class Codec:
                 tau=from_word(area, *TORQUE),
             )
         host = area & 0xFF
-        if host < FIRST_HOST:
-            raise FrameError(f"{frame} comes from the host {host}; hosts have ids from {FIRST_HOST} on")
         if kind is Kind.SET_ID:
-            if area >> 8 >= FIRST_HOST:
-                raise FrameError(f"{frame} sets the id {area >> 8}; motors have ids below {FIRST_HOST}")
+            if area >> 8 >= MOTOR_IDS:
+                raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
             return SetId(motor=motor, host=host, new=area >> 8)
+        if kind in (Kind.READ, Kind.WRITE) and _index_of(frame) not in PARAMETERS:
+            return OtherParameter(motor=motor, host=host, index=_index_of(frame), write=kind is Kind.WRITE)
         if area >> 8:
-            raise FrameError(f"{frame} has bits set where a host leaves zeros")
+            raise UnknownFrame(f"{frame} has bits set where a host leaves zeros")
         match kind:
             case Kind.DEVICE_ID:
                 return GetDeviceId(motor=motor, host=host)
@@ -253,7 +268,9 @@ class Codec:
                     )
                 return SetBaudRate(motor=motor, host=host, rate=BAUD_RATES[data[0]])
             case _:
-                raise FrameError(f"{frame} has the communication type {kind.value} ({kind.name}), which no host sends")
+                raise UnknownFrame(
+                    f"{frame} has the communication type {kind.value} ({kind.name}), which no host sends"
+                )
 
     def check_range(self, q: float, mech_pos: float) -> float | None:
         """Return the end of the position range that a motor uses [rad], or None if two readings cannot decide it.
@@ -297,9 +314,8 @@ def _parameter_bytes(index: int, value: float) -> bytes:
 
 def _index_of(frame: CanFrame) -> int:
     index, zero = struct.unpack("<HH", frame.data[:4])
-    parameter(index)
     if zero:
-        raise FrameError(f"{frame} has bits set beside the parameter's index")
+        raise UnknownFrame(f"{frame} has bits set beside the parameter's index")
     return index
 
 

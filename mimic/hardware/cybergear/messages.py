@@ -87,7 +87,7 @@ class Parameter:
 
 
 RUN_MODE, IQ_REF, SPD_REF, LIMIT_TORQUE, LOC_REF = 0x7005, 0x7006, 0x700A, 0x700B, 0x7016
-LIMIT_SPD, LIMIT_CUR, MECH_POS, MECH_VEL, VBUS = 0x7017, 0x7018, 0x7019, 0x701B, 0x701C
+LIMIT_SPD, LIMIT_CUR, MECH_POS, IQF, MECH_VEL, VBUS = 0x7017, 0x7018, 0x7019, 0x701A, 0x701B, 0x701C
 LOC_KP, SPD_KP, CAN_TIMEOUT = 0x701E, 0x701F, 0x200C
 
 PARAMETERS: dict[int, Parameter] = {
@@ -102,7 +102,7 @@ PARAMETERS: dict[int, Parameter] = {
     LIMIT_SPD: Parameter(name="limit_spd", kind="f32", unit="rad/s", low=0, high=30),
     LIMIT_CUR: Parameter(name="limit_cur", kind="f32", unit="A", low=0, high=23, default=23),
     MECH_POS: Parameter(name="mechPos", kind="f32", unit="rad", writable=False),
-    0x701A: Parameter(name="iqf", kind="f32", unit="A", writable=False),
+    IQF: Parameter(name="iqf", kind="f32", unit="A", writable=False),
     MECH_VEL: Parameter(name="mechVel", kind="f32", unit="rad/s", writable=False),
     VBUS: Parameter(name="VBUS", kind="f32", unit="V", default=24, writable=False),
     0x701D: Parameter(name="rotation", kind="i16"),
@@ -270,6 +270,21 @@ class FaultReport:
     """Bit 0: over-temperature (from 75 degC by default)."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OtherParameter:
+    """A read or write of a parameter that is not in the table, or that the motor does not have.
+
+    A motor that lacks a parameter echoes the question with bits 23 to 16 set. Source: manual of the successor family,
+    RobStride, type 17.
+    """
+
+    motor: int
+    host: int
+    index: int
+    write: bool = False
+
+
 HostMessage = GetDeviceId | Operation | Enable | Stop | SetZero | SetId | ReadParameter | WriteParameter | SetBaudRate
 MotorMessage = DeviceId | Feedback | ParameterValue | FaultReport
 Message = HostMessage | MotorMessage
+"""What is encoded; what is decoded may also be OtherParameter."""

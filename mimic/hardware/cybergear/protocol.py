@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.cybergear import messages as gear
-from mimic.hardware.cybergear.codec import FIRST_HOST, KD, KP, POSITION_RANGES, TORQUE, VELOCITY, WORDS, Codec
+from mimic.hardware.cybergear.codec import KD, KP, MOTOR_IDS, POSITION_RANGES, TORQUE, VELOCITY, WORDS, Codec
 from mimic.hardware.motor import (
     Answer,
     FaultReport,
@@ -13,6 +13,7 @@ from mimic.hardware.motor import (
     MotorCommand,
     MotorFacts,
     MotorMode,
+    OtherHost,
     Register,
     RegisterValue,
 )
@@ -24,8 +25,10 @@ INDICES = {
     Register.SUPPLY_VOLTAGE: gear.VBUS,
     Register.POSITION: gear.MECH_POS,
     Register.POWER_UP_MARK: gear.LIMIT_SPD,
+    Register.CURRENT: gear.IQF,
 }
-"""Parameter of each register. LIMIT_SPD limits the position mode only; at power-up it is 0."""
+"""Parameter of each register. LIMIT_SPD limits the position mode only; at power-up it is 0, or 2 by the manual's
+stored table."""
 
 _REGISTERS = {index: register for register, index in INDICES.items()}
 
@@ -60,11 +63,11 @@ class CyberGear:
             ConfigError: If the position range is none.
         """
         self._host = host
-        self._codec = Codec(position_range=position_range)
+        self._codec = Codec(position_range=position_range, host=host)
         self._facts = MotorFacts(
             name="CyberGear",
-            motor_ids=range(FIRST_HOST),
-            host_ids=range(FIRST_HOST, 0xFE),
+            motor_ids=range(MOTOR_IDS),
+            host_ids=range(0xFE),
             factory_id=127,
             velocity=VELOCITY[1],
             torque=TORQUE[1],
@@ -122,11 +125,11 @@ class CyberGear:
         )
 
     def decode(self, frame: CanFrame) -> Answer | None:
-        """Return the answer in a frame, or None for a frame of another host or a parameter that mimic does not use."""
+        """Return the answer in a frame, or None for a parameter that mimic does not use."""
         message = self._codec.decode(frame)
         match message:
             case gear.Feedback():
-                return Feedback(
+                feedback = Feedback(
                     motor=message.motor,
                     q=message.q,
                     dq=message.dq,
@@ -135,6 +138,13 @@ class CyberGear:
                     mode=MotorMode(message.mode),
                     faults=int(message.faults),
                 )
+                if message.host == self._host:
+                    return feedback
+                text = f"motor {message.motor} answers host 0x{message.host:02X}"
+                return OtherHost(motor=message.motor, commands=True, text=text, feedback=feedback)
+            case gear.ParameterValue() if message.host != self._host:
+                text = f"motor {message.motor} tells host 0x{message.host:02X} a parameter"
+                return OtherHost(motor=message.motor, commands=False, text=text)
             case gear.ParameterValue():
                 register = _REGISTERS.get(message.index)
                 if register is None:
@@ -144,8 +154,10 @@ class CyberGear:
                 return Identity(motor=message.motor, uid=message.uid)
             case gear.FaultReport():
                 return FaultReport(motor=message.motor, faults=int(message.faults))
-            case _:
+            case gear.OtherParameter(write=False):
                 return None
+            case _:
+                return _other(message)
 
     def check_range(self, q: float, exact: float) -> float | None:
         """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
@@ -159,3 +171,25 @@ class CyberGear:
         """Return the names of fault bits; manual 4.1.3."""
         known = gear.Fault(faults)
         return known.name or str(faults)
+
+
+def _other(message: gear.HostMessage | gear.OtherParameter) -> OtherHost:
+    """Return what another computer sent."""
+    host = "another computer" if isinstance(message, gear.Operation) else f"host 0x{message.host:02X}"
+    text = f"{_WORDS[type(message)]} for motor {message.motor} by {host}"
+    commands = not isinstance(message, gear.GetDeviceId | gear.ReadParameter)
+    return OtherHost(motor=message.motor, commands=commands, text=text)
+
+
+_WORDS: dict[type, str] = {
+    gear.GetDeviceId: "a question",
+    gear.ReadParameter: "a question",
+    gear.Operation: "a command",
+    gear.Enable: "an order to switch on",
+    gear.Stop: "an order to stop",
+    gear.SetZero: "a new zero",
+    gear.SetId: "a new id",
+    gear.WriteParameter: "a new parameter",
+    gear.OtherParameter: "a new parameter",
+    gear.SetBaudRate: "a new bit rate",
+}

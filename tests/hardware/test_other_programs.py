@@ -1,0 +1,292 @@
+"""Two programs on one bus: a lock, listening before speaking, and what a robot does when somebody else commands it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings
+from mimic.control.safety_rules import RULES
+from mimic.control.step_history import StepReport
+from mimic.control.supervisor import SafetyMode, Supervisor
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
+from mimic.errors import BusError, PlantError
+from mimic.flows import commissioning
+from mimic.hardware import session
+from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import Enable, GetDeviceId, Mode, Operation, ReadParameter, SetZero, Stop
+from mimic.hardware.listening import look_first
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.preflight import preflight
+from mimic.hardware.wiring import load_wiring
+from mimic.records import PHASES, JointCommand
+
+CODEC = Codec()
+BUSES = BusSettings(zeroed=True, yes=True, watchdog=False)
+
+
+@pytest.fixture(autouse=True)
+def own_locks(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+
+
+@pytest.fixture
+def robot(description) -> EmulatedRobot:
+    return EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
+
+
+@pytest.fixture
+def reached(robot, monkeypatch) -> EmulatedRobot:
+    """Put the emulated robot behind every word for a bus."""
+    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: EmulatedLink(robot))
+    return robot
+
+
+def hold(description) -> JointCommand:
+    zeros, q = np.zeros(12), description.poses["lie"]
+    return JointCommand(q_des=q, dq_des=zeros, kp=np.full(12, 30.0), kd=np.full(12, 3.0), tau_ff=zeros)
+
+
+def driven(robot, description, steps: int = 5) -> CanRobot:
+    plant = CanRobot(EmulatedLink(robot), load_wiring(), description)
+    plant.start()
+    for _ in range(steps):
+        plant.step(hold(description))
+    return plant
+
+
+def sent_by_hosts(robot: EmulatedRobot) -> list[CanFrame]:
+    """Record what hosts send from now on."""
+    frames: list[CanFrame] = []
+    send = robot.send
+
+    def record(host, bus, frame, **more):
+        frames.append(frame)
+        send(host, bus, frame, **more)
+
+    robot.send = record
+    return frames
+
+
+class Beside:
+    """A link whose waiting lets another program drive the robot too, once in each control step."""
+
+    def __init__(self, robot: EmulatedRobot, plant: CanRobot, description) -> None:
+        self._link, self._robot, self._plant, self._command = EmulatedLink(robot), robot, plant, hold(description)
+
+    def receive(self, timeout: float):
+        end, received = self._link.now() + timeout, None
+        while received is None and self._link.now() < end:
+            self._plant.step(self._command)
+            received = self._link.receive(0.0)
+        return received if received is not None else self._link.receive(max(end - self._link.now(), 0.0))
+
+    def __getattr__(self, name: str):
+        return getattr(self._link, name)
+
+
+# ---------------------------------------------------------------------- before anything is sent
+
+
+def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(robot, description):
+    plant = driven(robot, description)
+    motor_bus = MotorBus(Beside(robot, plant, description), load_wiring())
+    frames = sent_by_hosts(robot)
+    found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
+    assert (found[-1].name, found[-1].verdict) == ("other programs", "stop")
+    assert "another program commands the motors" in found[-1].text
+    assert {CODEC.decode(frame).__class__ for frame in frames} == {Operation}
+    assert {motor.mode for motor in robot.motors} == {Mode.RUN}
+    with pytest.raises(PlantError, match="nothing was changed"):
+        look_first(motor_bus)
+    plant.close()
+
+
+def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(robot, description):
+    driven(robot, description, steps=40)  # and nobody closes it
+    upper = EmulatedLink(robot)
+    command = Operation(motor=3, q=0.4, dq=0.0, kp=30.0, kd=3.0, tau=0.0)
+    upper.send(0, CODEC.encode(command))
+    robot.advance(robot.now + 0.5)
+    motor_bus = MotorBus(EmulatedLink(robot), load_wiring())
+    motor_bus.drain()
+    motor_bus.foreign = 0
+    found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
+    assert "hold a torque" in found[-1].text
+    assert "mimic robot damp" in found[-1].text
+    assert {motor.mode for motor in robot.motors} == {Mode.RUN}
+
+
+def test_damping_switches_off_what_a_program_left_on(reached, description):
+    driven(reached, description)
+    assert commissioning.damp_robot("can0", BUSES) == "the robot was damped and all motors are off"
+    assert {motor.mode for motor in reached.motors} == {Mode.RESET}
+
+
+@pytest.mark.parametrize("call", [commissioning.scan_robot, commissioning.zero_robot, commissioning.check_robot])
+def test_no_command_speaks_beside_a_program_that_drives(call, robot, description, monkeypatch):
+    plant = driven(robot, description)
+    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: Beside(robot, plant, description))
+    frames = sent_by_hosts(robot)
+    try:
+        found = call("can0", BUSES)
+        assert any(check.verdict == "stop" and "another program" in check.text for check in found)
+    except PlantError as reason:
+        assert "another program" in str(reason)
+    assert {CODEC.decode(frame).__class__ for frame in frames} == {Operation}
+    plant.close()
+
+
+def test_a_silent_bus_lets_it_speak(robot):
+    motor_bus = MotorBus(EmulatedLink(robot), load_wiring())
+    motor_bus.link.sleep(0.1)
+    look_first(motor_bus)
+
+
+# ---------------------------------------------------------------------- the lock
+
+
+def test_a_bus_has_one_program_at_a_time():
+    with bus_lock("can0,can1"):
+        with pytest.raises(BusError, match=r"can1 is in use by mimic .*process"), bus_lock("can1"):
+            pass
+        with bus_lock("can2"):
+            pass
+    with bus_lock("can1"):
+        pass
+
+
+def test_a_process_that_inherits_the_lock_goes_on_holding_it():
+    with bus_lock("can0") as files:
+        child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=files)
+    try:
+        with pytest.raises(BusError, match="in use"), bus_lock("can0"):
+            pass
+    finally:
+        child.communicate(b"\n", timeout=60)
+    with bus_lock("can0"):
+        pass
+
+
+def test_where_no_lock_file_can_be_made_there_is_none(monkeypatch):
+    monkeypatch.setenv("TMPDIR", "/proc/nowhere")
+    with bus_lock("can0") as files:
+        assert files == ()
+
+
+def test_the_lock_is_let_go_when_opening_fails(monkeypatch):
+    def broken(bus_url, wiring):
+        raise BusError("there is no such bus")
+
+    monkeypatch.setattr(session, "open_buses", broken)
+    with pytest.raises(BusError, match="no such bus"):
+        commissioning.scan_robot("can0", BUSES)
+    with bus_lock("can0"):
+        pass
+
+
+# ---------------------------------------------------------------------- while it runs
+
+
+def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, ticks: int = 12) -> Supervisor:
+    """Hold a lying robot while another host sends frames in every so many ticks, and return the supervisor."""
+    plant, other = driven(robot, description), EmulatedLink(robot)
+    supervisor = Supervisor(description, rules=[rule for rule in RULES if rule.name == "foreign_commands"])
+    for tick in range(ticks):
+        if tick >= 2 and (tick - 2) % every == 0:
+            for frame in frames:
+                other.send(0, frame)
+        done = plant.step(hold(description))
+        report = StepReport(state=done.state, health=done.health, phase=PHASES.index("track"))
+        supervisor.update(report)
+    plant.close()
+    return supervisor
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Operation(motor=3, q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=1.0),
+        Stop(motor=3, host=0xFD),
+        Enable(motor=3, host=0x80),
+        SetZero(motor=3, host=5),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_a_command_of_another_program_makes_the_robot_sit_down(message, robot, description):
+    supervisor = play(robot, description, [CODEC.encode(message)])
+    assert supervisor.decisive is not None
+    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("foreign_commands", SafetyMode.SIT_DOWN)
+
+
+def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):
+    frames = [CODEC.encode(Operation(motor=n, q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=0.0)) for n in range(1, 13)]
+    assert play(robot, description, frames, every=1).mode == SafetyMode.DAMP
+
+
+@pytest.mark.parametrize("message", [GetDeviceId(motor=3, host=0xFD), ReadParameter(motor=3, host=0xFD, index=0x7019)])
+def test_a_question_of_another_program_changes_nothing(message, robot, description):
+    assert play(robot, description, [CODEC.encode(message)]).mode == SafetyMode.RUN
+
+
+def test_a_feedback_to_another_host_is_no_answer_to_us(robot, description):
+    plant, other = driven(robot, description), EmulatedLink(robot)
+    other.send(0, CODEC.encode(Enable(motor=3, host=0x80)))  # from now on this motor answers that host
+    plant.step(hold(description))
+    for _ in range(3):
+        done = plant.step(hold(description))
+    assert np.isnan(done.state.q[2])
+    assert done.health.missed[2] >= 3
+    assert done.health.foreign >= 3
+    plant.close()
+
+
+# ---------------------------------------------------------------------- frames that do not concern us
+
+
+def test_frames_of_unknown_senders_and_further_outputs_of_the_imu_end_nothing(robot, description):
+    plant, other = driven(robot, description), EmulatedLink(robot)
+    strangers = [CanFrame(0x034, bytes(6), extended=False), CanFrame(0x041, bytes(6), extended=False)]
+    strangers += [CanFrame(0x700 + n, bytes(8), extended=False) for n in range(5)]
+    strangers += [CanFrame(0x1D000000 | n, bytes(8)) for n in range(5)]
+    strangers += [CanFrame(0x0280_63FD, bytes(8))]  # a motor that is not in the wiring
+    supervisor = Supervisor(description)
+    for _ in range(30):
+        for frame in strangers:
+            other.send(0, frame)
+        done = plant.step(hold(description))
+        supervisor.update(StepReport(state=done.state, health=done.health, phase=PHASES.index("lie")))
+    assert supervisor.mode == SafetyMode.RUN
+    assert not supervisor.events
+    assert done.health.bus_errors == 0
+    plant.close()
+
+
+def test_pre_flight_names_unknown_senders_and_goes_on(robot, description):
+    motor_bus, other = MotorBus(EmulatedLink(robot), load_wiring()), EmulatedLink(robot)
+    motor_bus.link.sleep(0.2)
+    for n in range(100):
+        other.send(0, CanFrame(0x700 + n % 8, bytes(8), extended=False))
+    other.send(0, CanFrame(0x034, bytes(6), extended=False))
+    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    assert found["other programs"].verdict == "note"
+    assert "100 frames of unknown senders: 0x700 on" in found["other programs"].text
+    assert "2 more identifiers" in found["other programs"].text
+    assert "0x034" not in found["other programs"].text
+    assert not [check for check in found.values() if check.verdict == "stop"]
+
+
+def test_the_lock_lies_where_every_user_of_the_computer_finds_it(monkeypatch):
+    monkeypatch.delenv("TMPDIR")
+    name = f"socketcand://127.0.0.1:{os.getpid()}/can0"
+    with bus_lock(name) as files:
+        assert os.readlink(f"/proc/self/fd/{files[0]}").startswith("/tmp/mimic-socketcand-")
