@@ -8,7 +8,7 @@ import numpy as np
 
 from mimic.dynamics.thermal import seconds_to_limit, winding_rise
 from mimic.geometry import heading_from_quat, quat_parts, upright_cosine, wrap_angle
-from mimic.records import JOINTS, PHASES, FloatArray, RunLog
+from mimic.records import JOINTS, PHASES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 
 UPRIGHT_COSINE = 0.9
@@ -16,6 +16,9 @@ UPRIGHT_COSINE = 0.9
 
 UPRIGHT_HEIGHT = 0.35
 """… and the base at least this high [m], where height is measured; the paper's factor is 1 from here on."""
+
+PARTS = ("sampling", "clamp", "speed_limit", "policy", "lag")
+"""What lies between the motion of a person and that of the toes, in this order."""
 
 
 def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArray:
@@ -82,6 +85,42 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
 
     best = min(sorted(shifts, key=abs), key=error)
     return best * dt, error(best)
+
+
+def wanted_to_reached(log: RunLog, targets: TargetTrack) -> dict[str, float] | None:
+    """Return how far the toes were from what the person did, and what took how much of it [cm].
+
+    The parts add up to ``apart``: what each step adds to the mean distance from the person's own motion. Only rows in
+    which the hand was seen count. What the camera did not see of the motion is not in it.
+
+    Returns:
+        ``wanted`` and ``reached``: motion of the person and of the toes, rms about its mean; ``apart`` and ``p95``:
+        distance between the two; then its parts. None if no row was played.
+    """
+    rows = np.flatnonzero(log.phase == PHASES.index("track"))[: len(targets.t)]
+    n = len(rows)
+    valid = targets.valid[:n]
+    if not valid.any():
+        return None
+    person = np.where(np.isfinite(targets.person[:n]), targets.person[:n], targets.wanted[:n])
+    within = np.where(np.isfinite(targets.within_reach[:n]), targets.within_reach[:n], targets.p_BE[:n])
+    shift = round(toe_lag(log)[0] / _step(log))
+    in_time = log.p_BE[np.clip(rows + shift, 0, len(log.t) - 1)]
+    steps = (targets.wanted[:n], within, targets.p_BE[:n], in_time, log.p_BE[rows])
+    apart = [100 * np.linalg.norm(step - person, axis=-1)[valid] for step in steps]
+    means = [0.0, *(float(values.mean()) for values in apart)]
+
+    def motion(toes: FloatArray) -> float:
+        away = [toes[seen, side] - toes[seen, side].mean(axis=0) for side, seen in enumerate(valid.T) if seen.any()]
+        return 100 * float(np.sqrt(np.mean(np.sum(np.concatenate(away) ** 2, axis=-1))))
+
+    return {
+        "wanted": motion(person),
+        "reached": motion(log.p_BE[rows]),
+        "apart": means[-1],
+        "p95": float(np.quantile(apart[-1], 0.95)),
+        **dict(zip(PARTS, np.diff(means).tolist(), strict=True)),
+    }
 
 
 def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:

@@ -8,14 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from mimic.io.store import plain
 from mimic.metrics import (
+    PARTS,
     run_metrics,
     stand_up_time,
     standing,
     toe_error,
     toe_lag,
     uprightness,
+    wanted_to_reached,
 )
-from mimic.records import JOINTS, PHASES, RunLog
+from mimic.records import JOINTS, PHASES, RunLog, TargetTrack
 
 STAND_UP, BLEND, TRACK, HOLD = (PHASES.index(name) for name in ("stand_up", "blend", "track", "hold"))
 LYING = np.array([1.0, 0.0, 0.0, 0.0])
@@ -86,6 +88,48 @@ def test_targets_that_were_asked_for_early_count_in_their_own_time(lag_ticks, le
     late = 100 * np.linalg.norm(reached - target, axis=-1)[10:-10]
     assert figures["toe_error_cm"]["mean"] == pytest.approx(late.mean())
     assert (late.mean() < 1e-6) == (lag_ticks == lead_ticks)
+
+
+def make_targets(person: np.ndarray, **columns: np.ndarray) -> TargetTrack:
+    rows = len(person)
+    values = {"t": 0.02 * np.arange(rows), "p_BE": person, "wanted": person, "person": person, "within_reach": person}
+    values |= {"heading": np.zeros(rows), "valid": np.ones((rows, 2), dtype=bool), "moved": np.zeros((rows, 2))}
+    return TargetTrack(**(values | {"limited": np.zeros((rows, 2), dtype=bool)} | columns))
+
+
+def test_each_step_between_person_and_robot_has_its_part_and_they_add_up():
+    t = 0.02 * np.arange(400)
+    person = np.zeros((400, 2, 3))
+    person[..., 1] = 0.1 * np.sin(2 * np.pi * t / 4)[:, None]
+    up = np.array([0.01, 0.0, 0.0])
+    targets = make_targets(person, wanted=person + up, within_reach=person + 3 * up, p_BE=person + 6 * up)
+    log = make_log(400, p_BE=targets.p_BE + 4 * up, p_BE_des=targets.p_BE)
+    found = wanted_to_reached(log, targets)
+    assert [found[name] for name in PARTS] == pytest.approx([1.0, 2.0, 3.0, 4.0, 0.0])
+    assert found["apart"] == pytest.approx(10.0)
+    assert found["p95"] == pytest.approx(10.0)
+    assert found["wanted"] == pytest.approx(10.0 / np.sqrt(2), rel=1e-2)
+    assert found["reached"] == pytest.approx(found["wanted"])
+
+
+def test_toes_that_come_late_are_lag_and_not_policy():
+    t = 0.02 * np.arange(400)
+    person = np.zeros((400, 2, 3))
+    person[..., 1] = 0.1 * np.sin(3 * t)[:, None]
+    late = np.concatenate([np.repeat(person[:1], 5, 0), person[:-5]])
+    found = wanted_to_reached(make_log(400, p_BE=late, p_BE_des=person), make_targets(person))
+    assert found["policy"] == pytest.approx(0.0, abs=0.05)
+    assert found["lag"] == pytest.approx(found["apart"], abs=0.05)
+    assert found["lag"] > 1.5
+
+
+def test_what_was_not_seen_does_not_count():
+    person = np.zeros((100, 2, 3))
+    valid = np.ones((100, 2), dtype=bool)
+    valid[:, 0] = False
+    log = make_log(100, p_BE=person + [[0.5, 0.0, 0.0], [0.02, 0.0, 0.0]], p_BE_des=person)
+    assert wanted_to_reached(log, make_targets(person, valid=valid))["apart"] == pytest.approx(2.0)
+    assert wanted_to_reached(log, make_targets(person, valid=np.zeros((100, 2), dtype=bool))) is None
 
 
 def test_an_offset_that_no_lag_explains_is_left():

@@ -75,6 +75,8 @@ def play(
         raise ConfigError(
             "--lead asks for targets before their time; what a camera will see is not known: leave it out"
         )
+    if camera is not None and retarget is not None and retarget.slow_down != 1.0:
+        raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
     from mimic.flows.motion import InputSettings
 
     given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mimic.cli.console import number
+from mimic.metrics import PARTS
 
 if TYPE_CHECKING:
     from mimic.records import TargetTrack
@@ -23,6 +24,8 @@ def target_rows(targets: TargetTrack | None) -> dict[str, str]:
         f"{number(report['moved_max_cm'], '{:.1f} cm')} at most",
         "limited by speed": f"{report['limited_share']:.1%}",
     }
+    if report.get("slow_down", 1.0) != 1.0:
+        rows["slowed down"] = f"{report['slow_down']:.3g} times"
     pose = report.get("pose")
     if pose:
         rows |= {
@@ -39,11 +42,23 @@ def _lag(m: dict[str, Any]) -> str:
     return f"{number(1e3 * m['lag_s'], '{:.0f} ms')}, with {asked} (error with lag removed: {left})"
 
 
+def _wanted_to_reached(m: dict[str, Any]) -> dict[str, str]:
+    """Return what the person did against what the toes did, and what lies between."""
+    found = m.get("wanted_to_reached_cm")
+    if not found:
+        return {}
+    parts = ", ".join(f"{name.replace('_', ' ')} {found[name]:.1f}" for name in PARTS)
+    return {
+        "wanted → reached": f"{found['apart']:.1f} cm apart (95th percentile {found['p95']:.1f}): {parts}; "
+        f"motion {found['wanted']:.1f} → {found['reached']:.1f} cm rms"
+    }
+
+
 def metric_rows(m: dict[str, Any]) -> dict[str, str]:
     """Return the figures of a run; a dash where there was nothing to measure."""
     error = m["toe_error_cm"]
     hot = m["minutes_to_limit"]
-    return {
+    return _wanted_to_reached(m) | {
         "stood up in": number(m["stand_up_s"], "{:.2f} s"),
         "upright": number(m["standing_share"], "{:.1%} of the time after standing up"),
         "toe error": f"{number(error['mean'], '{:.1f} cm')} mean, {number(error['p95'], '{:.1f} cm')} 95th percentile",

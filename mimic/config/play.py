@@ -7,7 +7,6 @@ from typing import Literal
 
 from mimic.config.ranges import check_range
 
-
 TOE_LAG = 0.06
 """How far the toes of the shipped policy lag behind their commands [s].
 

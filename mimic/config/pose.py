@@ -78,7 +78,7 @@ class LiveSettings:
     follow: bool = False
     """Turn and walk slowly with the person; otherwise the robot stays where it is."""
     lost_hold: float = 0.5
-    """How long the target of a lost hand is held before it returns to neutral [s]."""
+    """How long the target of a lost hand is held before the arm goes down to hang [s]."""
     min_cutoff: float = 1.5
     """Minimum cut-off of the One-Euro filter [Hz]; lower means less jitter and more lag."""
     beta: float = 4.0

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from mimic.config.ranges import check_range
+
+SLOWEST = 10.0
+"""A motion is slowed down by at most this factor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,8 +27,12 @@ class RetargetSettings:
     """Quantile of the shoulder-wrist distance that is taken as the arm length."""
     scale: float = 1.0
     """Scale of the motion in the robot's workspace."""
+    slow_down: float | Literal["auto"] = 1.0
+    """Play the motion this many times slower; auto: as little as keeps 95 % of the targets within the speed limit."""
 
     def __post_init__(self) -> None:
         check_range("rate", self.rate, 0.05, 1.0, "s")
         check_range("reach-quantile", self.reach_quantile, 0.5, 1.0)
         check_range("scale", self.scale, 0.2, 2.0)
+        if self.slow_down != "auto":
+            check_range("slow-down", self.slow_down, 1.0, SLOWEST)

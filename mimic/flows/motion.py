@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mimic.config.pose import LanguageSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
-from mimic.errors import AssetError, SourceError
+from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
@@ -266,14 +266,24 @@ def _of_pose(pose: PoseTrack, loading: _Loading, *, video: Path | None = None) -
     if not any(pose.size):  # no camera
         figures = {name: value for name, value in figures.items() if name not in ("camera_axis", "unseen")}
     targets = replace(motion.targets, report={**motion.targets.report, "pose": figures})
+    slow_down = targets.report["slow_down"]
+    if slow_down != 1.0:
+        pose = replace(pose, t=slow_down * pose.t)  # in the time of the targets, so that pictures stay together
     return replace(motion, targets=targets, pose=pose, video=video)
 
 
 def _of_script(script: KeyFrames, reach: Reach, loading: _Loading) -> Motion:
     from mimic.retargeting.keyframes import keyframe_commands
 
+    _refuse_slow_down(loading, "of key frames; change their durations, or say in the sentence how long it takes")
     commands, targets = keyframe_commands(script, reach, loading.settings.retarget)
     return Motion(commands=commands, targets=targets, script=script)
+
+
+def _refuse_slow_down(loading: _Loading, what: str) -> None:
+    """Raise a ConfigError if a motion that was timed already is to be slowed down."""
+    if loading.settings.retarget.slow_down != 1.0:
+        raise ConfigError(f"--slow-down stretches the motion of a person; this is a motion {what}")
 
 
 def _read_video(path: Path, loading: _Loading) -> Motion:
@@ -298,6 +308,8 @@ def _read_keyframes(path: Path, loading: _Loading) -> Motion:
 
 def _read_record(path: Path, loading: _Loading) -> Motion:
     record = store.header(path)["record"]
+    if record in ("CommandTrack", "TargetTrack"):
+        _refuse_slow_down(loading, "that was retargeted before; slow down what it was made from")
     if record == "CommandTrack":
         return Motion(commands=store.load(path, CommandTrack))
     if record == "TargetTrack":

@@ -64,9 +64,13 @@ class Run:
     @cached_property
     def metrics(self) -> dict[str, Any]:
         """Figures of the run: toe error [cm], lag [s], torque [N m], heat, falls; see mimic.metrics.run_metrics."""
-        from mimic.metrics import run_metrics
+        from mimic.metrics import run_metrics, wanted_to_reached
 
-        return run_metrics(self.complete_log, self.description)
+        figures = run_metrics(self.complete_log, self.description)
+        targets = None if self.motion is None else self.motion.targets
+        if targets is not None:
+            figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
+        return figures
 
     def save(self, folder: str | Path, reporter: Reporter | None = None) -> SavedRun:
         """Write the run folder: logs, motion, metrics.json and the Rerun scene.

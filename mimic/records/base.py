@@ -75,8 +75,10 @@ AXES: Mapping[str, tuple[str, ...]] = {
 def array(*axes: str, dtype: type = np.float64, optional: bool = False, **kwargs: Any) -> Any:
     """Declare an array field: one row a time, then the named axes (see AXES; other names have no fixed length).
 
-    An optional field is NaN where a file of an earlier version lacks it.
+    An optional field is NaN where it is not given, as in a file of an earlier version.
     """
+    if optional:
+        kwargs.setdefault("default", None)
     return field(metadata={"axes": axes, "dtype": dtype, "optional": optional}, **kwargs)
 
 
@@ -91,9 +93,12 @@ class Record:
             axes = f.metadata.get("axes")
             if axes is None:
                 continue
-            value = np.array(getattr(self, f.name), dtype=f.metadata["dtype"])
             labels = [self.labels(axis) for axis in axes]
             expected = tuple(-1 if names is None else len(names) for names in labels)
+            given = getattr(self, f.name)
+            if given is None and f.metadata["optional"]:
+                given = np.full((rows or 0, *expected), np.nan)
+            value = np.array(given, dtype=f.metadata["dtype"])
             rows = value.shape[0] if rows is None and value.ndim else rows
             fits = value.ndim == 1 + len(axes) and value.shape[0] == rows
             if not fits or any(e not in (-1, s) for e, s in zip(expected, value.shape[1:], strict=True)):

@@ -86,6 +86,10 @@ class TargetTrack(Record):
     """True where the speed or acceleration limit moved the position."""
     wanted: FloatArray = array("side", "xyz")
     """Base -> toe before clamping [m]."""
+    within_reach: FloatArray = array("side", "xyz", optional=True)
+    """Base -> toe after clamping, before the speed limit [m]."""
+    person: FloatArray = array("side", "xyz", optional=True)
+    """Base -> toe as every frame of the source asks for it, before sampling [m]; NaN without a person."""
     report: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Figures of the retargeting, as plain data."""
     warnings: tuple[str, ...] = ()

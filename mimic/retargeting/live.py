@@ -23,6 +23,7 @@ from mimic.retargeting.one_euro import OneEuro
 from mimic.retargeting.sampling import EASE, ease
 from mimic.retargeting.targets import wanted_toes
 from mimic.retargeting.wrists import TURN_CUTOFF_HZ, arm_length, torso_vectors
+from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
 
 HEADING_HZ = 0.03
@@ -139,7 +140,8 @@ class LiveRetarget:
 class LiveTargets:
     """The newest of what was asked, as smooth commands at the control rate; one thread puts, another one asks.
 
-    A hand that is lost stays for ``lost_hold`` and then eases to neutral; when it is back, it eases to where it is.
+    A hand that is lost stays for ``lost_hold``, and the arm then goes down to hang; when it is back, it eases to where
+    it is.
     """
 
     def __init__(
@@ -159,9 +161,9 @@ class LiveTargets:
             begin: Called when the first command is asked for.
         """
         self._reach, self._hold, self._clock, self._begin = reach, settings.lost_hold, clock, begin
-        self._neutral = reach.description.poses["upright"][:FRONT].copy()
-        self._q, self._dq = self._neutral.copy(), np.zeros(FRONT)
-        self._goal = self._neutral.copy()
+        self._hanging = posture("down", reach)
+        self._q, self._dq = self._hanging.copy(), np.zeros(FRONT)
+        self._goal = self._hanging.copy()
         self._present = np.zeros(2)
         self._seen_at = np.full(2, -np.inf)
         self._newest: LiveTarget | None = None
@@ -193,7 +195,7 @@ class LiveTargets:
         rising = now - self._seen_at <= self._hold
         self._present = np.clip(self._present + np.where(rising, dt, -dt) / EASE, 0.0, 1.0)
         share = np.repeat(ease(self._present), 3)
-        wanted = self._neutral + share * (self._goal - self._neutral)
+        wanted = self._hanging + share * (self._goal - self._hanging)
         speed = np.full(FRONT, self._reach.speed_max)
         self._q, self._dq = limit_step(self._q, self._dq, wanted, dt, speed, self._reach.acceleration_max)
         self._q = np.clip(self._q, self._reach.q_min, self._reach.q_max)

@@ -14,25 +14,43 @@ from mimic.records import BoolArray, FloatArray, IntArray
 HOLD = 0.3
 """How long a hand that is not seen stays where it was, or where it will be seen again [s]."""
 EASE = 0.7
-"""How long it then takes to the neutral point [s]."""
+"""How long it then takes to where it waits [s]."""
+GLIMPSE = 0.25
+"""An arm that is seen for less than this between long gaps counts as not seen [s]."""
 PROMINENCE = 0.015
 """A turn of a toe that stands out by less than this is not a turning point [m]."""
 RATE_OF_PEAKS = 0.1
 """Targets at this spacing or closer need no peak keeping: they keep 99 % of a punch as they are [s]."""
 
 
-def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, neutral: FloatArray) -> FloatArray:
-    """Return the positions of one hand without gaps: held for a moment, then eased to neutral, and back again.
+def without_glimpses(t: FloatArray, valid: BoolArray) -> BoolArray:
+    """Return where one hand counts as seen (T,): short glimpses between long gaps do not.
+
+    Parts with gaps shorter than it takes to leave and come back belong together.
+    """
+    seen = np.flatnonzero(valid)
+    if not len(seen):
+        return valid
+    parts = np.split(seen, np.flatnonzero(np.diff(t[seen]) > 2 * HOLD) + 1)
+    frame = float(np.median(np.diff(t)))
+    kept = np.zeros_like(valid)
+    for part in parts:
+        kept[part] = len(part) * frame >= GLIMPSE
+    return kept
+
+
+def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, waiting: FloatArray) -> FloatArray:
+    """Return the positions of one hand without gaps: held for a moment, then eased to where it waits, and back.
 
     Args:
         t: Time (T,) [s], increasing.
         p: Position (T, 3) [m]; not looked at where not valid.
         valid: (T,).
-        neutral: Where the hand waits (3,) [m].
+        waiting: Where a hand that is not seen waits (3,) [m].
     """
     seen = np.flatnonzero(valid)
     if not len(seen):
-        return np.tile(neutral, (len(t), 1))
+        return np.tile(waiting, (len(t), 1))
     filled = np.array(p)
     gaps = np.flatnonzero(~valid)
     after = np.searchsorted(seen, gaps)
@@ -46,7 +64,7 @@ def fill_gaps(t: FloatArray, p: FloatArray, valid: BoolArray, neutral: FloatArra
     share[bridged] = since[bridged] / (since[bridged] + until[bridged])
     bridge = p[last] + ease(share)[:, None] * (p[following] - p[last])
     away = ease((np.minimum(since, until) - HOLD) / EASE)[:, None]
-    filled[gaps] = bridge + away * (neutral - bridge)
+    filled[gaps] = bridge + away * (waiting - bridge)
     return filled
 
 

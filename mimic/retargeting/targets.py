@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mimic.config.retarget import RetargetSettings
+from mimic.config.retarget import SLOWEST, RetargetSettings
 from mimic.errors import SourceError
 from mimic.records import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
 from mimic.retargeting.limits import limit_track
-from mimic.retargeting.sampling import between, fill_gaps, target_times
-from mimic.robot.arm_mapping import toes_of_arms
+from mimic.retargeting.sampling import between, fill_gaps, target_times, without_glimpses
+from mimic.robot.arm_mapping import posture, toes_of_arms
 from mimic.robot.reach import FRONT, Closest, Reach
 
 CLAMP_TOLERANCE = 1e-3
 """A target that moves by more than this counts as clamped or speed-limited [m]."""
 MAX_ITERATIONS = 4
 """Maximum number of iterations between speed limits and leg clearance."""
+FEW_LIMITED = 0.05
+"""A motion in which the speed limit moves a larger share of the targets is too fast."""
+SLOW_STEP = 1.05
+"""Slowing down as needed is right to this factor."""
 
 
 def wanted_toes(p_SH: FloatArray, reach: Reach, settings: RetargetSettings) -> FloatArray:
@@ -44,12 +50,47 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
 
     Gaps are filled, and a target is sampled every ``settings.rate`` seconds. A shape-preserving cubic interpolates
     between targets. Each row is moved to the closest reachable point, and joint speed and acceleration are limited
-    without lag.
+    without lag. With ``settings.slow_down`` the time of the track is stretched first; the report has the factor.
 
     Raises:
         SourceError: If the track is shorter than a sampling step or shows no hand at all.
     """
-    t = np.asarray(wrists.t - wrists.t[:1], dtype=np.float64)
+    if settings.slow_down == "auto":
+        return slowed_as_needed(lambda factor: _target_track(wrists, reach, settings, factor))
+    targets = _target_track(wrists, reach, settings, settings.slow_down)
+    if targets.report["limited_share"] <= FEW_LIMITED:
+        return targets
+    apart = np.linalg.norm(targets.p_BE - targets.within_reach, axis=-1)
+    warning = (
+        f"the motion is too fast for the robot: its speed limit moves {targets.report['limited_share']:.0%} of the "
+        f"targets, by up to {100 * apart.max():.0f} cm; --slow-down auto plays it as slowly as needed"
+    )
+    return replace(targets, warnings=(*targets.warnings, warning))
+
+
+def slowed_as_needed(make: Callable[[float], TargetTrack]) -> TargetTrack:
+    """Return the least slowed track in which the speed limit moves few targets.
+
+    Args:
+        make: Returns the track that is slowed down by a factor.
+    """
+    fast, slow = 1.0, 1.0
+    found = make(slow)
+    while found.report["limited_share"] > FEW_LIMITED and slow < SLOWEST:
+        fast, slow = slow, min(1.5 * slow, SLOWEST)
+        found = make(slow)
+    while slow / fast > SLOW_STEP:
+        middle = round(float(np.sqrt(fast * slow)), 2)
+        tried = make(middle)
+        if tried.report["limited_share"] > FEW_LIMITED:
+            fast = middle
+        else:
+            slow, found = middle, tried
+    return found
+
+
+def _target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings, slow_down: float) -> TargetTrack:
+    t = slow_down * np.asarray(wrists.t - wrists.t[:1], dtype=np.float64)
     seen = wrists.valid & np.isfinite(wrists.p_SH).all(axis=-1)
     if len(t) < 2 or t[-1] < settings.rate - 1e-9:
         length = f"{t[-1]:.2f} s" if len(t) else "empty"
@@ -60,18 +101,21 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
         )
     toes = wanted_toes(wrists.p_SH, reach, settings)
     seen = seen[:, ::-1] if settings.mirror else seen
-    neutral = reach.toes(reach.description.poses["upright"])
+    steady = np.stack([without_glimpses(t, own) for own in seen.T], axis=1)
+    seen = steady if steady.any() else seen
+    hanging = hanging_toes(reach)
     dt = reach.description.dt
     grid = np.asarray(dt * np.arange(int(t[-1] / dt + 1e-6) + 1), dtype=np.float64)
 
-    wanted, times = np.empty((len(grid), 2, 3)), []
+    wanted, person, times = np.empty((len(grid), 2, 3)), np.empty((len(grid), 2, 3)), []
     for side in range(2):
-        filled = fill_gaps(t, toes[:, side], seen[:, side], neutral[side])
+        filled = fill_gaps(t, toes[:, side], seen[:, side], hanging[side])
         times.append(target_times(t, filled, settings.rate, settings.keep_peaks))
         wanted[:, side] = between(times[side], between(t, filled, times[side]), grid)
+        person[:, side] = between(t, filled, grid)
     valid = np.stack([np.interp(grid, t, seen[:, side]) > 0.999 for side in range(2)], axis=1)
     heading = np.interp(grid, t, np.unwrap(wrists.heading - wrists.heading[0]))
-    return reachable_track(
+    targets = reachable_track(
         grid,
         wanted,
         reach,
@@ -81,6 +125,12 @@ def target_track(wrists: WristTrack, reach: Reach, settings: RetargetSettings) -
         times=times,
         warnings=wrists.warnings,
     )
+    return replace(targets, person=person, report={**targets.report, "slow_down": slow_down})
+
+
+def hanging_toes(reach: Reach) -> FloatArray:
+    """Return where the toes of arms that are not seen wait (2, 3), base axes [m]: as of arms that hang."""
+    return reach.toes(posture("down", reach))
 
 
 def reachable_track(
@@ -117,6 +167,7 @@ def reachable_track(
         moved=closest.moved,
         limited=rate_limited,
         wanted=wanted,
+        within_reach=closest.p_BE,
         report=_report(times, q, closest.moved, rate_limited, valid, reach, settings),
         warnings=warnings,
     )

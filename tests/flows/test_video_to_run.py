@@ -14,7 +14,7 @@ from mimic.config.play import TOE_LAG, RunSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.io import store
 from mimic.io.assets import shipped
-from mimic.metrics import target_toes
+from mimic.metrics import PARTS, target_toes
 from mimic.records import PHASES, JointSamples, PoseTrack, RunLog, TargetTrack, WristTrack
 from mimic.retargeting.targets import target_track
 from mimic.robot.reach import Reach
@@ -175,6 +175,44 @@ def test_the_toes_of_the_shipped_policy_are_where_the_video_is(workplace):
     metrics = json.loads((run / "metrics.json").read_text())
     assert metrics["lead_s"] == pytest.approx(TOE_LAG)
     assert abs(metrics["lag_s"]) <= 0.021
+
+
+def test_the_table_and_the_file_say_what_was_wanted_and_reached(played, workplace, targets, capsys):
+    found = json.loads((played[1] / "metrics.json").read_text())["wanted_to_reached_cm"]
+    assert 0.0 < found["apart"] < 10.0
+    assert sum(found[part] for part in PARTS) == pytest.approx(found["apart"])
+    capsys.readouterr()
+    assert (
+        main([str(targets), "--sim", "--no-view", "-o", str(workplace / "table"), "--seed", "4", "--hold", "0.5"]) == 0
+    )
+    assert f"{found['apart']:.1f} cm apart" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--slow-down", "0.5"], "it must be from 1 to 10"),
+        (["--slow-down", "2"], "retargeted before"),
+        (["--slow-down", "soon"], "soon"),
+    ],
+)
+def test_what_cannot_be_slowed_down_says_so_in_a_line(arguments, words, targets, workplace, capsys):
+    assert main([str(targets), "--sim", "--no-view", "-o", str(workplace / "never"), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (workplace / "never").exists()
+
+
+@pytest.mark.slow
+def test_person_and_robot_are_slowed_down_together(workplace):
+    run = workplace / "slow"
+    source = str(WAVING.with_suffix(".npz"))
+    assert main([source, "--sim", "--no-view", "--slow-down", "1.5", "-o", str(run)]) == 0
+    pose, targets = store.load(run / "pose.parquet", PoseTrack), store.load(run / "targets.parquet", TargetTrack)
+    assert targets.report["slow_down"] == 1.5
+    assert pose.t[-1] == pytest.approx(targets.t[-1], abs=0.02)
+    assert pose.t[-1] == pytest.approx(1.5 * np.load(source)["t"][-1], abs=0.02)
 
 
 def test_a_camera_has_no_lead(workplace, capsys):

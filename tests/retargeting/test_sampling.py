@@ -43,7 +43,7 @@ def test_still_hands_have_no_turning_points():
     assert len(turning_points(0.002 * rng.normal(size=(200, 3)))) == 0
 
 
-def test_a_short_gap_is_bridged_and_a_long_one_waits_at_neutral():
+def test_a_short_gap_is_bridged_and_in_a_long_one_the_hand_waits():
     t = np.arange(0.0, 8.0, 0.02)
     p = np.tile([0.3, 0.1, 0.0], (len(t), 1))
     valid = ~(((t > 1.0) & (t < 1.2)) | ((t > 3.0) & (t < 6.0)))

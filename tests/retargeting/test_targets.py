@@ -121,6 +121,57 @@ def test_gaps_are_filled_and_stay_marked():
     assert 0.1 < targets.report["filled_share"] < 0.2
 
 
+def test_an_arm_that_is_never_seen_hangs_and_is_quiet():
+    valid = np.ones((len(T), 2), dtype=bool)
+    valid[:, 0] = False
+    targets = target_track(track(T, *boxing(T), valid=valid), REACH, RetargetSettings())
+    left = targets.p_BE[:, 0]
+    assert np.ptp(left, axis=0).max() < 1e-3
+    arms = np.array([(0.2, 0.1, -0.9), (0.2, -0.1, -0.9)])
+    hanging = REACH.closest(wanted_toes(arms, REACH, RetargetSettings())).p_BE[0]
+    assert np.linalg.norm(left[0] - hanging) < 0.05
+    assert left[0, 0] < targets.p_BE[:, 1, 0].min() - 0.1  # base x is up: it is below a guard and a punch
+
+
+def test_glimpses_of_a_hidden_arm_do_not_jerk_it():
+    valid = np.ones((len(T), 2), dtype=bool)
+    valid[:, 0] = False
+    valid[[30, 31, 90, 91, 92, 150], 0] = True
+    targets = target_track(track(T, *boxing(T), valid=valid), REACH, RetargetSettings())
+    assert np.ptp(targets.p_BE[:, 0], axis=0).max() < 1e-3
+    assert not targets.valid[:, 0].any()
+
+
+def test_slowing_down_stretches_time_and_nothing_else():
+    wrists = track(T, *boxing(T))
+    plain, slow = (target_track(wrists, REACH, RetargetSettings(slow_down=factor)) for factor in (1.0, 2.0))
+    assert slow.t[-1] == pytest.approx(2.0 * T[-1], abs=0.02)
+    assert slow.report["slow_down"] == 2.0
+    half = np.stack([np.interp(2.0 * plain.t, slow.t, axis) for axis in slow.p_BE[:, 0].T], axis=-1)
+    assert np.linalg.norm(half - plain.p_BE[:, 0], axis=-1).mean() < 0.01
+    assert slow.report["joint_speed_max"] < 0.7 * plain.report["joint_speed_max"]
+
+
+def test_a_motion_that_is_too_fast_says_so_and_is_slowed_down_no_more_than_needed():
+    wrists = track(T, *boxing(3.0 * T))
+    fast = target_track(wrists, REACH, RetargetSettings())
+    assert fast.report["limited_share"] > 0.05
+    assert "--slow-down auto" in fast.warnings[-1]
+    slow = target_track(wrists, REACH, RetargetSettings(slow_down="auto"))
+    assert slow.report["limited_share"] <= 0.05
+    assert not slow.warnings
+    factor = slow.report["slow_down"]
+    assert 1.0 < factor < 5.0
+    less = target_track(wrists, REACH, RetargetSettings(slow_down=factor / 1.1))
+    assert less.report["limited_share"] > 0.05
+
+
+def test_a_motion_that_is_slow_enough_is_left_as_it_is():
+    targets = target_track(track(T, *boxing(T)), REACH, RetargetSettings(slow_down="auto"))
+    assert targets.report["slow_down"] == 1.0
+    assert targets.t[-1] == pytest.approx(T[-1], abs=0.02)
+
+
 def test_too_short_and_empty_sources_say_so():
     with pytest.raises(SourceError, match="shorter than one step"):
         target_track(track(T[:3], *(arm[:3] for arm in boxing(T))), REACH, RetargetSettings(rate=0.1))

@@ -19,7 +19,7 @@ from mimic.view.film.footage import Progress
 from mimic.view.film.offscreen import Offscreen
 from mimic.view.film.skeleton import soft
 from mimic.view.scene.robot_shapes import in_world, qpos_at_ticks
-from mimic.view.scene.timing import camera_path, frame_times, initial_heading, nearest, shared_time
+from mimic.view.scene.timing import camera_path, frame_times, initial_heading, nearest, shared_time, slowed_down
 
 _DISTANCE, _LOOK_HEIGHT = 1.3, 0.41
 """Distance of the camera, and the height that it looks at; raised front legs stay in the picture [m]."""
@@ -159,7 +159,8 @@ def save_video(
     times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
     ticks = nearest(clock, times)
     errors = 100 * np.linalg.norm(log.p_BE - target_toes(log), axis=-1)
-    video_frames = None if video is None else _video_frames(video, pose, times, height, stamps)
+    slow = slowed_down(targets)
+    video_frames = None if video is None else _video_frames(video, pose, times, height, stamps, slow)
 
     def frames() -> Iterator[np.ndarray]:
         with RobotFilm(log, description, width=height, height=height, targets=targets) as film:
@@ -175,10 +176,10 @@ def save_video(
 
 
 def _video_frames(
-    video: Path, pose: PoseTrack | None, times: FloatArray, height: int, stamps: FloatArray | None
+    video: Path, pose: PoseTrack | None, times: FloatArray, height: int, stamps: FloatArray | None, slow_down: float
 ) -> Iterator[np.ndarray]:
     """Yield the video frame at each of the times [s], overlaid with the skeleton."""
-    t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose)
+    t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose, slow_down)
     on = np.clip(np.searchsorted(t, times + _TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
     frames = footage.read_frames(video, height=height)
     at, picture = -1, None

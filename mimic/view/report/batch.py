@@ -23,6 +23,7 @@ _COLUMNS = (
     ("moved mean", "moved_mean_cm", "{:.2f} cm"),
     ("moved max", "moved_max_cm", "{:.1f} cm"),
     ("speed-limited", "limited_share", "{:.1%}"),
+    ("wanted → reached", "wanted_to_reached_cm", "{:.1f} cm"),
     ("toe error", "toe_error_cm", "{:.1f} cm"),
     ("p95", "toe_error_p95_cm", "{:.1f} cm"),
     ("lag", "lag_s", "{:.2f} s"),

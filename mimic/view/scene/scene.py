@@ -18,7 +18,7 @@ from mimic.view.scene import layout, plots
 from mimic.view.scene.footage import Clip, Footage, start_footage
 from mimic.view.scene.person import draw_person
 from mimic.view.scene.robot import draw_robot
-from mimic.view.scene.timing import frame_times, hold_first_row, initial_heading, shared_time
+from mimic.view.scene.timing import frame_times, hold_first_row, initial_heading, shared_time, slowed_down
 
 
 def save_scene(
@@ -65,7 +65,7 @@ def save_scene(
             if made_by is not None:
                 scene.send_property("provenance", rr.AnyValues(json=json.dumps(plain(made_by))))
             if clip is not None:
-                _video(scene, clip, frame_times(clip.stamps, pose), start)
+                _video(scene, clip, frame_times(clip.stamps, pose, slowed_down(targets)), start)
             if pose is not None:
                 draw_person(scene, pose, size, start)
             draw_robot(scene, log, description, targets)
