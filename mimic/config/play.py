@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -167,11 +168,14 @@ class Randomisation:
     """Heading at the start [rad]."""
 
 
+DESCRIBED_REBOUND = math.exp(-2.0)
+"""Restitution of the robot description's ground: a contact at MuJoCo's default damping ratio of 1 rebounds so."""
+
 NOMINAL = Randomisation(
     joint_friction=(0.05, 0.05),
     joint_damping=(0.04, 0.04),
     ground_friction=(1.0, 1.0),
-    restitution=(0.0, 0.0),
+    restitution=(DESCRIBED_REBOUND, DESCRIBED_REBOUND),
     base_mass=(0.0, 0.0),
     abad_mass=(0.0, 0.0),
     hip_mass=(0.0, 0.0),

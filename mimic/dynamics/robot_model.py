@@ -18,8 +18,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.optimize import brentq
 
-from mimic.config.play import Randomisation
+from mimic.config.play import DESCRIBED_REBOUND, Randomisation
 from mimic.dynamics.machine import add_servos
 from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
@@ -127,20 +128,35 @@ def draw_variation(ranges: Randomisation, timestep: float, rng: np.random.Genera
     return Variation(**values)
 
 
-def restitution_damping(restitution: float) -> float:
-    """Return the damping ratio of a contact whose rebound speed is ``restitution`` times the impact speed.
+LEAST_REBOUND = 0.02
+"""No contact is damped more than one that rebounds by this share."""
 
-    Source: damped oscillator, e = exp(-pi z / sqrt(1 - z^2)), solved for z; 1 where there is no rebound.
+
+def rebound(damping: float) -> float:
+    """Return the rebound speed over the impact speed of a contact with this damping ratio.
+
+    A damped oscillator that lets go where its force is zero, as a contact cannot pull.
+    Source: Schwager and Poeschel 2007, "Coefficient of restitution and linear-dashpot model revisited".
     """
-    if restitution < 1e-3:
+    z = damping
+    if z < 1.0:
+        r = math.sqrt(1.0 - z * z)
+        return math.exp(-z / r * math.atan2(2 * z * r, 2 * z * z - 1))
+    r = math.sqrt(z * z - 1.0)
+    return math.exp(-2.0 if r < 1e-6 else -z / r * math.log((z + r) / (z - r)))
+
+
+def restitution_damping(restitution: float) -> float:
+    """Return the damping ratio of a contact whose rebound speed is ``restitution`` times the impact speed."""
+    wanted = max(restitution, LEAST_REBOUND)
+    if wanted == DESCRIBED_REBOUND:
         return 1.0
-    a = -math.log(restitution) / math.pi
-    return a / math.sqrt(1 + a * a)
+    return 0.0 if wanted >= 1.0 else float(brentq(lambda z: rebound(z) - wanted, 0.0, 10.0))  # type: ignore[arg-type]
 
 
 def bouncing(time: float, restitution: float) -> tuple[float, float]:
     """Return time constant [s] and damping ratio of a bouncing contact as stiff as one of ``time``."""
-    damping = restitution_damping(restitution)
+    damping = max(restitution_damping(restitution), 1e-3)
     return time / damping, damping
 
 
