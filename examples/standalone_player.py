@@ -37,14 +37,13 @@ def play(policy, model_path, toes, stand_seconds=2.0):
     mujoco.mj_forward(model, data)
     substeps, late = round(c["dt"] / model.opt.timestep), round(c["delay"] / model.opt.timestep)
     neutral = np.array(c["neutral_toes"]).reshape(2, 3)
-    stand, blend = round(stand_seconds / c["dt"]), c["blend_steps"]
-    frames, action, sent = None, np.zeros(12), folded
+    stand, blend, tick = round(stand_seconds / c["dt"]), c["blend_steps"], 2 * np.pi * c["clock_hz"] * c["dt"]
+    frames, action, gait, sent, heading_0 = None, np.zeros(12), 0.0, [folded] * 3, None
     for k in range(stand + blend + len(toes)):
         q, quat = data.qpos[7:].copy(), data.qpos[3:7].copy()
         w, x, y, z = quat
         heading = np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z))
-        if k == 0:
-            heading_0 = heading
+        heading_0 = heading if heading_0 is None else heading_0
         if k < stand:
             goal = neutral
         elif k < stand + blend:
@@ -60,16 +59,19 @@ def play(policy, model_path, toes, stand_seconds=2.0):
         error = np.clip(np.arctan2(np.sin(error), np.cos(error)), -1, 1)
         down = -2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        clock = 2 * np.pi * c["clock_hz"] * c["dt"] * k
-        frame = [q - default, down, forward, action, [0, 0], [error], goal.ravel(), [np.sin(clock), np.cos(clock)]]
-        frame = np.concatenate(frame)
+        steps = 1 if abs(error) > c["walk_turn"] * (1 - gait / 2) else -1
+        gait = np.clip(gait + steps * c["dt"] / c["clock_fade"], 0, 1) if c["clock_fade"] else 1.0
+        clock = gait * np.array([np.sin(k * tick), np.cos(k * tick)])
+        frame = np.concatenate([q - default, down, forward, action, [0, 0], [error], goal.ravel(), clock])
         frames = np.tile(frame, (c["history"], 1)) if frames is None else np.vstack([frames[1:], frame])
         (answer,) = session.run(None, {"observation": frames.reshape(1, -1).astype(np.float32)})
         action = np.clip(answer[0].astype(float), -c["action_clip"], c["action_clip"])
-        before, sent = sent, np.clip(default + scale * action, low, high)
-        yield k * c["dt"], q, quat, sent
+        sent = [np.clip(default + scale * action, low, high), *sent[:2]]
+        yield k * c["dt"], q, quat, sent[0]
         for step in range(substeps):
-            data.ctrl[:] = sent if step >= late else before
+            way = (step + 1 - late) / substeps if c["interpolate"] else float(step >= late)
+            old, new, way = (sent[1], sent[0], way) if way > 0 else (sent[2], sent[1], way + 1)
+            data.ctrl[:] = old + min(way, 1) * (new - old)
             mujoco.mj_step(model, data)
 
 

@@ -75,7 +75,7 @@ class TableSettings(EpisodeSettings):
     """Length of an episode [s]; paper: 1000 control steps."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
-    senses: tuple[str, ...] = ("the paper's noise", "training's noise", "no noise", "deaf to velocity")
+    senses: tuple[str, ...] = ("the paper's noise", "a third of it", "no noise", "deaf to velocity")
     """What the policy senses; each is a row of its own. The first one counts."""
     walks: int = 3
     """Walks at each asked speed, with still and with moving arms; no more than ``episodes``."""

@@ -25,8 +25,12 @@ class RewardWeights:
     flight: float = -0.5
     low: float = -0.3
     action_rate: float = -0.012
+    unrest: float = -0.5
+    """Changes of the action while the robot is asked to stand."""
     torque: float = -2e-4
-    overload: float = -0.005
+    heat: float = -0.015
+    """Sum of the squares of all torques, which heats the windings."""
+    overload: float = -0.01
     joint_velocity: float = -3e-4
     joint_speed: float = -0.02
     joint_acceleration: float = -1e-7
@@ -42,7 +46,7 @@ TASK_TERMS = ("velocity", "toes", "toes_fine", "gait")
 """Reward terms of what a standing robot does."""
 
 
-REFINING_TERMS = ("drift", "slip", "foot_shift", "terminations", "flight", "overload", "joint_speed")
+REFINING_TERMS = ("drift", "unrest", "heat", "slip", "foot_shift", "terminations", "flight", "overload", "joint_speed")
 """Reward terms that hardly count before the robot stands. With all of them from the beginning a world loses more by
 each step than by falling, and a policy learns to fall at once; that was tried."""
 

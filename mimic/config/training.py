@@ -11,15 +11,15 @@ from mimic.config.rewards import FinishFactors, RewardWeights, SitDownWeights
 from mimic.errors import ConfigError
 
 TRAINING_RANDOMISATION = Randomisation(
-    joint_friction=(0.0, 0.12),
+    joint_friction=(0.0, 0.2),
     joint_damping=(0.0, 0.08),
     ground_friction=(0.4, 3.0),
     restitution=(0.0, 0.45),
-    base_mass=(-1.0, 1.0),
+    base_mass=(-1.5, 1.5),
     kp=(0.8, 1.2),
     kd=(0.8, 1.2),
-    delay=(0.0, 0.035),
-    push=(0.0, 0.5),
+    delay=(0.0, 0.04),
+    push=(0.0, 0.9),
     push_interval=4.0,
     start_q=(-0.15, 0.15),
     start_height=(0.0, 0.03),
@@ -41,15 +41,15 @@ class DisturbanceRanges:
     """… and on the velocity gain."""
     contact_time: tuple[float, float] = (0.75, 1.5)
     """Factor on the time constant of the ground contact; nothing about a real floor's is known, and solvers differ."""
-    slope: tuple[float, float] = (0.0, 4.0)
+    slope: tuple[float, float] = (0.0, 5.0)
     """Inclination of the ground in any direction [deg]; pavements are built with 1-2, ramps with 3-5."""
-    toe_payload: tuple[float, float] = (0.0, 0.2)
+    toe_payload: tuple[float, float] = (0.0, 0.3)
     """Mass at one front toe [kg]: a boxing glove, a flag."""
     imu_tilt: tuple[float, float] = (0.0, 3.0)
     """Mounting error of the IMU about any axis [deg]; screwed by hand, not calibrated."""
     lost_share: tuple[float, float] = (0.0, 0.08)
     """Probability that a command does not arrive; the one before stays in effect."""
-    drag: tuple[float, float] = (0.0, 8.0)
+    drag: tuple[float, float] = (0.0, 16.0)
     """Horizontal pull on one front toe [N]: a hand that holds it."""
     drag_share: float = 0.3
     """Share of episodes with such a pull."""
@@ -125,8 +125,18 @@ class MdpSettings:
     """… and before: balance is what takes longest to learn."""
     command_seconds: tuple[float, float] = (3.0, 10.0)
     """Time between two velocity and heading commands [s]; paper: 10."""
-    still_share: float = 0.3
-    """Share of velocity commands that are zero; the same of heading commands that keep the heading."""
+    stand_share: float = 0.35
+    """Share of commands to stand: no velocity, and the heading as it is."""
+    still_share: float = 0.2
+    """Share of the other commands that have no velocity; the same that keep the heading."""
+    fastest: float = 0.6
+    """Fastest velocity command, forward and back [m/s]; paper: 0.3."""
+    fast_share: float = 0.5
+    """Share of velocities drawn evenly up to the fastest; the others are the paper's 0.1, 0.2 and 0.3 m/s."""
+    turning_share: float = 0.4
+    """Share of heading commands that turn steadily; the others jump by up to 90 degrees, as the paper's."""
+    turn_rate: float = 1.2
+    """Fastest steady turn [rad/s]."""
     goal_seconds: tuple[float, float] = (0.1, 3.0)
     """Time between two toe goals [s], log-uniform; paper: 3."""
     paper_goal_share: float = 0.35
@@ -149,8 +159,14 @@ class MdpSettings:
     cycle."""
     noise_q: float = 0.01
     """Half width of the noise on joint positions [rad]."""
-    noise_axes: float = 0.015
-    """Half width of the noise on the two world axes."""
+    noise_axes: float = 0.05
+    """Half width of the noise on the two world axes; the paper's, as is that on joint positions."""
+    noise_least: float = 0.1
+    """Each episode has a share of the noise, from this to 1."""
+    interpolate: bool = True
+    """Commanded positions move linearly from one control step's to the next, instead of at once."""
+    clock_fade: float = 0.2
+    """Time in which the gait clock fades in and out as the robot is asked to step and to stand [s]; 0 never fades."""
     solver_iterations: int = 4
     """Newton iterations of the training physics; the evaluation uses MuJoCo's 100. After 0.6 s of standing up in steps
     of 2.5 ms nine of ten worlds are within 1e-2 rad of the evaluation's state and the worst 2e-2 away; 5 to 7: 7e-3 and
@@ -187,21 +203,22 @@ class MdpSettings:
     keeps that (docs/experiments/policy.md)."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
-    swing_height: float = 0.03
+    swing_height: float = 0.045
     """Wanted clearance of a swinging hind toe at mid-swing [m]."""
     swing_share: float = 0.7
     """Share of half a gait cycle in which a foot swings; in the rest both stand."""
-    march: bool = True
-    """Stepping is asked for also while standing still; False lets both feet stand then."""
-    turn_threshold: float = 0.15
-    """Without marching, a heading error from which on stepping is asked for [rad]."""
+    catching: float = 0.6
+    """Share of the reward for a planted foot that a foot in the air earns while the robot is asked to stand and its
+    capture point has left its feet."""
+    capture_reach: float = 0.05
+    """How far before or behind the line between its feet that is [m]."""
     scaled_tracking: bool = True
     """Scale the tracking terms by how far the robot stands, as the paper's dynamic factor does; False omits it."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
     finish: FinishFactors = field(default_factory=FinishFactors)
     """Factors on the weights of rewards once everything is learned: walking straight and sliding little are polish,
     which, asked for with these weights from the beginning, keeps a policy from stepping and reaching."""
-    finish_steps: tuple[float, float] = (12_000.0, 18_000.0)
+    finish_steps: tuple[float, float] = (24_000.0, 40_000.0)
     """Control steps of a world between which these factors grow from 1."""
     reward_scale: float = 0.008
     """Factor on all rewards. Returns are then of the order of ten, which the critic can follow. Unscaled they were 300,
@@ -216,6 +233,8 @@ class MdpSettings:
             raise ConfigError(f"task is {self.task!r}; expected stand_track or sit_down")
         check_range("worlds", self.worlds, 1, 1_000_000)
         check_range("timestep", self.timestep, 0.0, 0.01, "s")
+        check_range("fastest", self.fastest, 0.1, 3.0, "m/s")
+        check_range("clock-fade", self.clock_fade, 0.0, 5.0, "s")
         check_range("episode-steps", self.episode_steps, 100, 100_000)
         check_range("solver-iterations", self.solver_iterations, 1, 200)
         begin, end = self.finish_steps

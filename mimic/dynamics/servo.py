@@ -216,3 +216,20 @@ def shares_in_effect(substep: int, decimation: int, shifts: Sequence[Any], xp: A
 def target_in_effect(shares: Sequence[Any], targets: Sequence[Any]) -> Any:
     """Return the mean over a physics step of targets that are in effect for these shares of it."""
     return sum(share * target for share, target in zip(shares, targets, strict=True))
+
+
+def moving_targets(substep: int, decimation: int, shifts: Sequence[Any], targets: Sequence[Any], xp: Any) -> list[Any]:
+    """Return where each target is at the end of a physics step, if targets move linearly from one to the next.
+
+    Args:
+        substep: Index of the physics step within the control step, from 0.
+        decimation: Physics steps in a control step, over which a target moves from the one before it.
+        shifts: As for `shares_in_effect`, with one target more than that needs.
+        targets: Newest first; the last one stays.
+        xp: ``numpy`` or ``torch``.
+    """
+    moved = []
+    for age, (shift, target, before) in enumerate(zip(shifts, targets, targets[1:], strict=False)):
+        way = xp.clip((substep + 1 + age * decimation - shift) / decimation, 0.0, 1.0)
+        moved.append(before + way * (target - before))
+    return [*moved, targets[-1]]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mimic.config.training import MdpSettings
 from mimic.policy.contract import PolicyContract
 from mimic.policy.runtime import Policy
 from mimic.records import FloatArray
@@ -26,7 +25,7 @@ class Senses:
 
 SENSES = {
     "the paper's noise": Senses(noise_q=0.01, noise_axes=0.05),
-    "training's noise": Senses(noise_q=MdpSettings().noise_q, noise_axes=MdpSettings().noise_axes),
+    "a third of it": Senses(noise_q=0.0033, noise_axes=0.0167),
     "no noise": Senses(),
     "deaf to velocity": Senses(noise_q=0.01, noise_axes=0.05, deaf=True),
 }

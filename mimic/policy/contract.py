@@ -38,12 +38,15 @@ FORMULAS = {
     "velocity_command": "desired velocity forward and left in the heading frame [m/s], within velocity_max",
     "heading_error": "desired heading - heading [rad], wrapped to +-pi, then clipped to +-1; positive turns left",
     "toe_command": "desired base -> front toe [m], base axes (x forward, y left, z up): left x y z, right x y z",
-    "clock": "sin and cos of 2 pi clock_hz dt k",
+    "clock": "gait sin(c) and gait cos(c), c = 2 pi clock_hz dt k; gait is 1 where clock_fade is 0",
 }
 """What each term is. w, x, y, z is the orientation of the base in a world whose z is up."""
 
 HOW_TO_PLAY = (
     "Every dt: read joints and orientation, make a frame, run the network, send q_des with the gains kp and kd.",
+    "gait says whether to step: 0 before the first step; at every step, before the frame is made, it grows by "
+    "dt / clock_fade, to 1 at most, if the speed of velocity_command is above walk_speed or |heading_error| above "
+    "walk_turn (1 - gait / 2); otherwise it falls by as much, to 0 at least.",
     "A frame is the terms one after another. The observation is the newest `history` frames, oldest first, 32-bit "
     "floats; at the first step every frame is the first one. k counts the steps from 0.",
     "action = clip(output, -action_clip, action_clip); q_des = clip(default_q + action_scale action, q_min, q_max).",
@@ -130,6 +133,12 @@ class PolicyContract:
     """What it was trained to do: stand_track or sit_down."""
     interpolate: bool = False
     """Whether commanded positions move linearly from one control step's to the next, instead of at once."""
+    clock_fade: float = 0.0
+    """Time in which the gait clock fades in and out as the robot is asked to step and to stand [s]; 0 never fades."""
+    walk_speed: float = 0.05
+    """Velocity command above which the robot is asked to step [m/s]."""
+    walk_turn: float = 0.2
+    """Heading error above which it is asked to step [rad]; half as much once it steps."""
 
     @property
     def observation_size(self) -> int:
@@ -222,15 +231,41 @@ def joint_command(contract: PolicyContract, action: FloatArray) -> FloatArray:
     return commanded_joints(clipped, default_q, scale, np.array(contract.q_min), np.array(contract.q_max), np)
 
 
+def heading_error(quat_WB: Any, heading_des: Any, xp: Any) -> Any:
+    """Return the desired heading (...,) less that of the base (..., 4), wxyz, within pi [rad]; NumPy or PyTorch."""
+    sine, cosine = heading_sin_cos(*(quat_WB[..., i] for i in range(4)))
+    error = heading_des - xp.arctan2(sine, cosine)
+    return xp.arctan2(xp.sin(error), xp.cos(error))
+
+
+def next_gait(gait: Any, v_des: Any, error: Any, contract: PolicyContract, xp: Any) -> Any:
+    """Return how far the robot is asked to step, 0 standing to 1, one control step later; NumPy or PyTorch.
+
+    Args:
+        gait: The same of the control step before (...,).
+        v_des: Desired velocity (..., 2) [m/s].
+        error: Of the heading (...,) [rad].
+        contract: Says when to step, and how fast the clock fades.
+        xp: ``numpy`` or ``torch``.
+    """
+    if contract.clock_fade <= 0.0:
+        return xp.ones_like(gait)
+    walks = (v_des**2).sum(-1) > contract.walk_speed**2
+    turns = abs(error) > contract.walk_turn * (1 - 0.5 * gait)
+    change = contract.dt / contract.clock_fade
+    return xp.clip(gait + xp.where(walks | turns, change, -change), 0.0, 1.0)
+
+
 def observation_frame(
     *,
     q_offset: Any,
     quat_WB: Any,
     last_action: Any,
     v_des: Any,
-    heading_des: Any,
+    error: Any,
     toes_des: Any,
     phase: Any,
+    gait: Any,
     xp: Any,
 ) -> Any:
     """Return one frame (..., FRAME_SIZE); arrays may be NumPy or PyTorch.
@@ -240,19 +275,17 @@ def observation_frame(
         quat_WB: Orientation of the base (..., 4), wxyz.
         last_action: Clipped action of the step before (..., 12).
         v_des: Desired velocity in the heading frame (..., 2) [m/s].
-        heading_des: Desired heading, world (...,) [rad].
+        error: Of the heading (...,) [rad], from `heading_error`.
         toes_des: Desired base -> front toe (..., 6) [m].
         phase: Gait phase (...,) [rad].
+        gait: How far it is asked to step (...,), from `next_gait`.
         xp: ``numpy`` or ``torch``.
     """
     parts = tuple(quat_WB[..., i] for i in range(4))
     down, forward = world_axes_in_base(*parts)
-    sine, cosine = heading_sin_cos(*parts)
-    error = heading_des - xp.arctan2(sine, cosine)
-    error = xp.arctan2(xp.sin(error), xp.cos(error))
     small = [*down, *forward]
     tail = [xp.clip(error, -1.0, 1.0)]
-    clock = [xp.sin(phase), xp.cos(phase)]
+    clock = [gait * xp.sin(phase), gait * xp.cos(phase)]
     pieces = [
         q_offset,
         xp.stack(small, -1),
@@ -279,6 +312,7 @@ class ObservationBuilder:
         self._frames: FloatArray | None = None
         self._last_action = np.zeros(len(contract.joints))
         self._steps = 0
+        self._gait = np.zeros(())
 
     @property
     def steps(self) -> int:
@@ -297,14 +331,17 @@ class ObservationBuilder:
             heading_des: Desired heading, world [rad].
             p_BE_des: Desired base -> front toe (2, 3) [m].
         """
+        error = heading_error(quat_WB, heading_des, np)
+        self._gait = next_gait(self._gait, np.asarray(v_des), error, self._contract, np)
         frame = observation_frame(
             q_offset=q - self._default,
             quat_WB=quat_WB,
             last_action=self._last_action,
             v_des=np.asarray(v_des),
-            heading_des=np.asarray(heading_des),
+            error=error,
             toes_des=np.asarray(p_BE_des).reshape(6),
             phase=np.asarray(2 * np.pi * self._contract.clock_hz * self._contract.dt * self._steps),
+            gait=self._gait,
             xp=np,
         )
         if self._frames is None:

@@ -13,6 +13,7 @@ from mimic.dynamics.machine import SOLREF_STEPS, hung_robot
 from mimic.dynamics.robot_model import Variation
 from mimic.dynamics.servo import (
     Servo,
+    moving_targets,
     parameters_of,
     refuse_stand,
     shares_in_effect,
@@ -75,7 +76,8 @@ class LawMotors:
         self._law.begin(q[None], dq[None])
         self._law.set_gains(self._d.kp * self._kp, self._d.kd * self._kd)
         self.tau = np.zeros(12)
-        kept = max(math.ceil((self._shift.max() + self._spread) / self._d.decimation), 1) + 1
+        kept = max(math.ceil((self._shift.max() + self._spread) / self._d.decimation), 1) + 2  # one to move from
+        self._moving = False
         self._targets, self._shifts = [self.reading(q)] * kept, [self._shift] * kept
 
     def command_dropped(self) -> bool:
@@ -85,15 +87,19 @@ class LawMotors:
     def send(self, command: JointCommand) -> None:
         """Queue the command of a control step, which acts after its delay."""
         jitter = self._spread * self._rng.random() if self._spread else 0.0
+        self._moving = command.ramp > 0.0
         self._targets = [command.q_des, *self._targets[:-1]]
         self._shifts = [self._shift + jitter, *self._shifts[:-1]]
         self._law.set_gains(command.kp * self._kp, command.kd * self._kd)
 
     def drive(self, substep: int, data: mujoco.MjData) -> FloatArray:
         """Set the servos for the next physics step; return the torque on the joints beyond theirs (12,) [N m]."""
-        shares = shares_in_effect(substep, self._d.decimation, self._shifts, np)
-        target = target_in_effect(shares, self._targets)
-        parts = list(zip(shares, self._targets, strict=True))
+        decimation, targets = self._d.decimation, self._targets
+        shares = shares_in_effect(substep, decimation, self._shifts, np)
+        if self._moving:
+            targets = moving_targets(substep, decimation, self._shifts, targets, np)
+        target = target_in_effect(shares, targets)
+        parts = list(zip(shares, targets, strict=True))
         inputs = self._law.step(data.qpos[None, 7:], data.qvel[None, 6:], target[None], data.time, parts=parts)
         self._servo.write(inputs)
         self.tau = np.array(inputs.tau[0])

@@ -228,10 +228,10 @@ class SimulatedPlant:
         """
         if not np.all(np.isfinite(command.q_des)):
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
-        if command.ramp and (self._motors is not None or not np.isclose(command.ramp, self._description.dt)):
+        if command.ramp and not np.isclose(command.ramp, self._description.dt):
             raise PlantError(
-                f"this simulated robot interpolates commands over {self._description.dt:g} s, and without calibrated "
-                f"effects only; asked for was {command.ramp:g} s"
+                f"this simulated robot interpolates commands over {self._description.dt:g} s; asked for was "
+                f"{command.ramp:g} s"
             )
         self._ramps = command.ramp > 0.0
         if np.any(command.dq_des) or np.any(command.tau_ff):

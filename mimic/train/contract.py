@@ -34,7 +34,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         neutral_toes=tuple(neutral.reshape(-1).tolist()),
         stand_up_steps=settings.stand_up_steps,
         blend_steps=round(RunSettings().blend / description.dt),
-        velocity_max=tuple(description.commands.velocity.tolist()),
+        velocity_max=(0.0, 0.0) if sits else (settings.fastest, 0.0),
         toe_low=tuple(description.goals.low.min(axis=0).tolist()),
         toe_high=tuple(description.goals.high.max(axis=0).tolist()),
         torque_max=description.torque_max,
@@ -43,4 +43,6 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         delay=description.delay,
         training=training,
         task=settings.task,
+        interpolate=settings.interpolate,
+        clock_fade=0.0 if sits else settings.clock_fade,
     )

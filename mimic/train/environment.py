@@ -25,6 +25,8 @@ from mimic.io.store import plain
 from mimic.policy.contract import (
     FRAME_SIZE,
     commanded_joints,
+    heading_error,
+    next_gait,
     observation_frame,
     push_frame,
 )
@@ -41,7 +43,7 @@ from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1
+CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1
 """Width of what the critic sees beyond the observation."""
 
 
@@ -118,10 +120,10 @@ class WorldsEnv(VecEnv):
         self.episode_length_buf = torch.zeros(n, dtype=torch.long, device=device)
         self._actions = zeros(12)
         self._last_action, self._before_last = zeros(12), zeros(12)
-        self._commands = [zeros(12) for _ in range(3)]
+        self._commands = [zeros(12) for _ in range(3 + self.contract.interpolate)]
         self._delay = torch.zeros(n, 1, dtype=torch.long, device=device)
         self._history = zeros(self.settings.history, FRAME_SIZE)
-        self.phase_at_start = zeros()
+        self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
         self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
         self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
         self._termination_share = torch.zeros(1, device=device)
@@ -206,9 +208,9 @@ class WorldsEnv(VecEnv):
         action = torch.clamp(torch.nan_to_num(self._actions), -c.action_clip, c.action_clip)
         self._before_last.copy_(self._last_action)
         self._last_action.copy_(action)
-        newest, before, before_that = self._commands
-        before_that.copy_(before)
-        before.copy_(newest)
+        for age in reversed(range(1, len(self._commands))):
+            self._commands[age].copy_(self._commands[age - 1])
+        newest, before, before_that, *older = self._commands
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
         arrives, motors = self.disturbances.arrives(), self.worlds.motors
         if motors is not None:
@@ -221,7 +223,17 @@ class WorldsEnv(VecEnv):
             self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
             return
         for k in range(self.worlds.decimation):
-            ctrl = command_in_effect(k, self.worlds.decimation, self._delay, newest, before, before_that, torch.where)
+            ctrl = command_in_effect(
+                k,
+                self.worlds.decimation,
+                self._delay,
+                newest,
+                before,
+                before_that,
+                torch.where,
+                older,
+                interpolate=c.interpolate,
+            )
             self.worlds.substep_ctrl[k].copy_(ctrl)
 
     def _delay_seen(self) -> torch.Tensor:
@@ -370,8 +382,9 @@ class WorldsEnv(VecEnv):
         self._measure()
         for command in self._commands:
             put(command, start.command)
-        for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._drift):
+        for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._drift, self._gait):
             put(buffer, torch.zeros_like(buffer))
+        put(self._noise, self._uniform(self.settings.noise_least, 1.0))
         low, high = self._delay_range
         put(self._delay, torch.randint_like(self._delay, low, high + 1))
         if w.motors is not None:
@@ -387,19 +400,23 @@ class WorldsEnv(VecEnv):
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
         s, w = self.settings, self.worlds
         n = self.num_envs
+        read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
+        error = heading_error(read_quat, self.moves.heading, torch)
+        self._gait.copy_(next_gait(self._gait, self.moves.velocity, error, self.contract, torch))
         frame = observation_frame(
             q_offset=w.read_q - self._default_q,
-            quat_WB=quat_multiply(self._quat_WB, self.disturbances.mount),
+            quat_WB=read_quat,
             last_action=self._last_action,
             v_des=self.moves.velocity,
-            heading_des=self.moves.heading,
+            error=error,
             toes_des=self.goals.now.reshape(n, 6),
             phase=self._phase(),
+            gait=self._gait,
             xp=torch,
         )
         noisy = frame.clone()
-        noisy[:, :12] += self._uniform(-s.noise_q, s.noise_q, 12)
-        noisy[:, 12:18] += self._uniform(-s.noise_axes, s.noise_axes, 6)
+        noisy[:, :12] += self._noise[:, None] * self._uniform(-s.noise_q, s.noise_q, 12)
+        noisy[:, 12:18] += self._noise[:, None] * self._uniform(-s.noise_axes, s.noise_axes, 6)
         pushed = push_frame(self._history, noisy, torch)
         first = noisy[:, None, :].expand_as(pushed)
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
@@ -423,6 +440,8 @@ class WorldsEnv(VecEnv):
             quat_rotate(self._quat_WB, self._floor_up, inverse=True),
             (self.disturbances.pull(self.episode_length_buf)[..., :2] * 0.2).reshape(n, 4),
             self.disturbances.lost_share * 10,
+            self._gait[:, None],
+            self._noise[:, None],
         ]
         seen = torch.cat(
             [self._policy_obs, *extras], -1

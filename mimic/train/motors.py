@@ -21,6 +21,7 @@ from mimic.dynamics.machine import MachineModel, hung_robot
 from mimic.dynamics.robot_model import Variation
 from mimic.dynamics.servo import (
     Servo,
+    moving_targets,
     parameters_of,
     refuse_stand,
     shares_in_effect,
@@ -63,7 +64,9 @@ class WorldMotors:
     What the effects declare, such as friction or the delay, replaces what training draws; gains are multiplied.
     """
 
-    def __init__(self, description: RobotDescription, effects: EffectSet, worlds: int, device: str) -> None:
+    def __init__(
+        self, description: RobotDescription, effects: EffectSet, worlds: int, device: str, *, interpolate: bool = False
+    ) -> None:
         """Take the effects.
 
         Args:
@@ -71,13 +74,14 @@ class WorldMotors:
             effects: What a calibration found.
             worlds: Their number.
             device: Where the tensors are.
+            interpolate: Whether targets move linearly from one control step's to the next.
 
         Raises:
             ConfigError: If an effect names an unknown joint, or is one of the stand of a hung robot.
         """
         refuse_stand(effects)
         self._d, self._effects, self._n, self._device = description, effects, worlds, device
-        self._machine = hung_robot(description)
+        self._machine, self._moving = hung_robot(description), interpolate
         self.time = torch.zeros(worlds, 1, device=device)
         """Since the beginning of each world's episode, at the start of the control step (N, 1) [s]."""
         self.tau = torch.zeros(worlds, 12, device=device)
@@ -100,7 +104,7 @@ class WorldMotors:
         self._delayed = ("delay", "time") in self._p
         spread = self._p.get(("delay_jitter", "spread"), np.zeros((count, 1))) / h
         most = shift.max() + spread.max() + (0.0 if self._delayed else latest / h)
-        kept = max(math.ceil(most / self._d.decimation), 1) + 1
+        kept = max(math.ceil(most / self._d.decimation), 1) + 2  # one to move from
         p = {key: self._tensor(value[index]) for key, value in self._p.items() if not CATALOGUE[key[0]].random}
         self._shift, self._spread = self._tensor(shift[index]), self._tensor(spread[index])
         self._lost = self._tensor(self._p.get(("lost_commands", "share"), np.zeros((count, 1)))[index])
@@ -158,18 +162,23 @@ class WorldMotors:
         usual = self.delay(drawn)
         for shift, late in zip(self._shifts, self._late, strict=True):
             shift.copy_(torch.clip(usual + late, 0.0, None))
-        return [target_in_effect(self._shares(k), self._targets) for k in range(self._d.decimation)]
+        return [target_in_effect(self._shares(k), self._sent(k)) for k in range(self._d.decimation)]
 
     def _shares(self, substep: int) -> list[torch.Tensor]:
         return shares_in_effect(substep, self._d.decimation, self._shifts, torch)
+
+    def _sent(self, substep: int) -> list[torch.Tensor]:
+        if not self._moving:
+            return self._targets
+        return moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
 
     # ------------------------------------------------------------------ physics
 
     def drive(self, q: torch.Tensor, dq: torch.Tensor, target: torch.Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
-        shares = self._shares(substep)
-        off = target - target_in_effect(shares, self._targets)  # where commands were not sent but written
-        parts = [(share, sent + off) for share, sent in zip(shares, self._targets, strict=True)]
+        shares, targets = self._shares(substep), self._sent(substep)
+        off = target - target_in_effect(shares, targets)  # where commands were not sent but written
+        parts = [(share, sent + off) for share, sent in zip(shares, targets, strict=True)]
         inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep, parts=parts)
         self._servo.write(inputs)
         self.tau.copy_(inputs.tau)

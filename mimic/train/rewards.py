@@ -32,8 +32,10 @@ class Facts:
     """The same with the measured velocity averaged over half a gait cycle, which takes out the sway (N, 2) [m/s]."""
     drift: torch.Tensor
     """Velocity error averaged over a second: what the robot ends up beside where it was sent (N, 2) [m/s]."""
-    moving: torch.Tensor
-    """True where walking or turning is asked for (N,)."""
+    gait: torch.Tensor
+    """How far stepping is asked for, 0 standing to 1 (N,)."""
+    toppling: torch.Tensor
+    """True where the capture point has left the feet (N,)."""
     heading_error: torch.Tensor
     """Wrapped (N,) [rad]."""
     rising: torch.Tensor
@@ -72,6 +74,10 @@ class Facts:
     """True where the episode ends in a fall (N,)."""
 
 
+MOST_HEAT = 150.0
+"""More than this sum of squared torques is not counted [N^2 m^2]: standing up and catching a push cost less."""
+
+
 def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
     numbers = description.training
@@ -97,12 +103,12 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     lifted = torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
     lifted = (0.25 + 0.75 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     stepping = torch.where(swing > 0, lifted, planted)
-    if not settings.march:
-        stepping = torch.where(f.moving[:, None], stepping, torch.maximum(stepping, planted))
+    standing_still = torch.maximum(planted, settings.catching * f.toppling[:, None])
+    stepping = f.gait[:, None] * stepping + (1 - f.gait[:, None]) * standing_still
     # without the widest bell toes that are 20 cm off never came nearer
     reaching = 0.2 * torch.exp(-toes / 0.2) + 0.4 * torch.exp(-toes / 0.04) + 0.4 * torch.exp(-toes / 0.01)
     mean = f.mean_velocity_error.square().sum(-1)  # the wide bell is felt while the robot does not walk at all
-    speed = 0.3 * torch.exp(-mean / 0.15) + 0.35 * torch.exp(-mean / 0.02)
+    speed = 0.2 * torch.exp(-mean / 0.15) + 0.2 * torch.exp(-mean / 0.02) + 0.25 * torch.exp(-mean / 0.004)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     square = f.heading_error.square()
     turning = (
@@ -124,7 +130,9 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": f.action_change.square().sum(-1),
+        "unrest": f.action_change.square().sum(-1) * (1 - f.gait) * f.rising.ge(1),
         "torque": f.torque.square().sum(-1),
+        "heat": f.torque.square().sum(-1).clamp(max=MOST_HEAT),
         "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
         "joint_speed": torch.clamp(f.dq.abs() - numbers.joint_speed, min=0.0).sum(-1),

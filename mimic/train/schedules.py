@@ -96,6 +96,7 @@ class MoveSchedule:
         """Desired base velocity in the heading frame (N, 2) [m/s]."""
         self.heading = torch.zeros(n, device=device)
         """Desired heading, world (N,) [rad]."""
+        self._rate = torch.zeros(n, device=device)
         self._left = torch.zeros(n, device=device)
 
     def advance(self) -> None:
@@ -105,19 +106,25 @@ class MoveSchedule:
         due = self._left <= 0
         low, high = s.command_seconds
         self._left.copy_(torch.where(due, low + (high - low) * self._rand(), self._left))
+        stands = self._rand() < s.stand_share
         speed = torch.randint(1, 4, (n,), device=self._left.device) * 0.1
+        speed = torch.where(self._rand() < s.fast_share, s.fastest * self._rand(), speed)
         speed = torch.where(self._rand() < 0.5, speed, -speed)
-        speed = torch.where(self._rand() < s.still_share, torch.zeros_like(speed), speed)
+        speed = torch.where(stands | (self._rand() < s.still_share), torch.zeros_like(speed), speed)
         velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
         self.velocity.copy_(torch.where(due[:, None], velocity, self.velocity))
-        turn = math.pi * (self._rand() - 0.5)
-        turn = torch.where(self._rand() < s.still_share, torch.zeros_like(turn), turn)
-        self.heading.copy_(torch.where(due, self.heading + turn, self.heading))
+        keeps = stands | (self._rand() < s.still_share)
+        jumps = self._rand() >= s.turning_share
+        turn = torch.where(keeps | ~jumps, torch.zeros_like(speed), math.pi * (self._rand() - 0.5))
+        rate = torch.where(keeps | jumps, torch.zeros_like(speed), s.turn_rate * (2 * self._rand() - 1))
+        self._rate.copy_(torch.where(due, rate, self._rate))
+        self.heading.copy_(torch.where(due, self.heading + turn, self.heading) + self._rate * self._dt)
 
     def reset(self, mask: torch.Tensor, heading: torch.Tensor) -> None:
         """Stand still at this heading (N,) [rad] where ``mask``."""
         self.heading.copy_(torch.where(mask, heading, self.heading))
         self.velocity.copy_(torch.where(mask[:, None], torch.zeros_like(self.velocity), self.velocity))
+        self._rate.copy_(torch.where(mask, torch.zeros_like(self._rate), self._rate))
         first = self.FIRST + (self._settings.command_seconds[1] - self.FIRST) * self._rand()
         self._left.copy_(torch.where(mask, first, self._left))
 

@@ -113,7 +113,8 @@ class StandTrackEnv(WorldsEnv):
             velocity_error=velocity - self.moves.velocity,
             mean_velocity_error=self._mean_velocity - self.moves.velocity,
             drift=self._drift,
-            moving=(self.moves.velocity.abs().sum(-1) > 0.05) | (error.abs() > self.settings.turn_threshold),
+            gait=self._gait,
+            toppling=self._toppling(hind),
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes - self.goals.now,
@@ -134,10 +135,31 @@ class StandTrackEnv(WorldsEnv):
             fallen=fallen,
         )
 
+    def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
+        """Return where the capture point lies before, behind or beside both hind toes (N,); toes (N, 2, 3) [m]."""
+        w = self.worlds
+        fall = torch.sqrt(w.com[:, 2].clamp(min=0.05) / abs(float(w.mj_model.opt.gravity[2])))
+        capture = w.com[:, :2] + w.qvel[:, :2] * fall[:, None]
+        away = capture - hind[..., :2].mean(1)
+        ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
+        across = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
+        half = 0.5 * ((hind[:, 0, :2] - hind[:, 1, :2]) * across).sum(-1).abs()
+        return ((away * ahead).sum(-1).abs() > self.settings.capture_reach) | ((away * across).sum(-1).abs() > half)
+
     def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
         tracking = f.tracking
         count = tracking.sum().clamp(min=1.0)
+        still, asked = tracking * (f.gait == 0), self.moves.velocity[:, 0]
+        stills = still.sum().clamp(min=1.0)
         return {
+            "still/planted": (f.contact.all(-1) * still).sum() / stills,
+            "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
+            "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
+            "still/toppling": (f.toppling * still).sum() / stills,
+            "walk/speed_share": (self._mean_velocity[:, 0] * asked * tracking).sum()
+            / (asked.square() * tracking).sum().clamp(min=1e-3),
+            "walk/lift": (f.clearance.amax(-1) * tracking * (f.gait == 1)).sum()
+            / (tracking * (f.gait == 1)).sum().clamp(min=1.0),
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,

@@ -29,7 +29,7 @@ from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_mod
 from mimic.dynamics.servo import Servo, read_standing
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import FLOOR
+from mimic.robot.model import BASE, FLOOR
 from mimic.train.disturbances import quat_rotate
 from mimic.train.motors import WorldMotors
 
@@ -82,7 +82,9 @@ class Worlds:
         self.device, self._description = device, description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
-        self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
+        self.motors = None
+        if effects is not None:
+            self.motors = WorldMotors(description, effects, settings.worlds, device, interpolate=settings.interpolate)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
         model = load_model(description, visuals=False, servos=effects is not None)
         model.opt.timestep = description.timestep
@@ -115,6 +117,7 @@ class Worlds:
             self.geom_xmat = wp.to_torch(self.data.geom_xmat)
             self.ctrl = wp.to_torch(self.data.ctrl)
             self.xipos = wp.to_torch(self.data.xipos)
+            self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -38,14 +39,26 @@ def test_it_is_short_and_needs_three_libraries():
     assert imported - set(sys.stdlib_module_names) == {"mujoco", "numpy", "onnxruntime"}
 
 
-def test_it_plays_as_mimic_does(player, description):
+@pytest.fixture(params=["as shipped", "interpolated, with a clock that fades"])
+def policy(request, description, tmp_path) -> Path:
+    """The shipped policy, and one with the same weights that is played in another way."""
+    path = shipped("policies", "stand_track.onnx")
+    if request.param == "as shipped":
+        return path
+    contract = dataclasses.replace(load_policy(None, description).contract, interpolate=True, clock_fade=0.3)
+    onnx, onnx_file = pytest.importorskip("onnx"), pytest.importorskip("mimic.train.onnx_file")
+    onnx_file.write_policy(onnx.load(str(path)), contract, description, tmp_path / "other.onnx")
+    return tmp_path / "other.onnx"
+
+
+def test_it_plays_as_mimic_does(player, policy, description):
     toes = player.boxing(description.dt, seconds=4.0)
-    policy, scene = shipped("policies", "stand_track.onnx"), shipped("assets", "cyberdog2") / "scene.xml"
+    scene = shipped("assets", "cyberdog2") / "scene.xml"
     _, q, quat, q_des = (np.array(column) for column in zip(*player.play(str(policy), str(scene), toes), strict=True))
     n = len(toes)
     track = CommandTrack(t=description.dt * np.arange(n), v=np.zeros((n, 2)), heading=np.zeros(n), p_BE=toes)
     plant = SimulatedPlant(description, samples=False)
-    log = run_policy(plant, load_policy(None, description), track, RunSettings(hold=0.0)).log
+    log = run_policy(plant, load_policy(policy, description), track, RunSettings(hold=0.0)).log
     assert len(q) == len(log.t)
     for ours, theirs in ((log.q, q), (log.quat_WB, quat), (log.q_des, q_des)):
         assert np.abs(ours - theirs).max() < 1e-5

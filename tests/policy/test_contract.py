@@ -189,6 +189,29 @@ def test_the_clock_starts_at_zero_and_comes_round(contract):
     assert clocks[1][0] > 0
 
 
+def gaits(contract: PolicyContract, steps: int, **asked: object) -> np.ndarray:
+    """How strong the clock is in each of so many steps after ten of standing."""
+    builder = ObservationBuilder(changed(contract, clock_fade=0.1))
+    for _ in range(10):
+        assert np.array_equal(term(observe(builder), "clock"), (0, 0))
+    return np.linalg.norm([term(observe(builder, **asked), "clock") for _ in range(steps)], axis=1)
+
+
+def test_a_clock_that_fades_comes_when_the_robot_is_asked_to_walk(contract):
+    assert np.allclose(gaits(contract, 7, v_des=np.array([-0.1, 0.0])), [0.2, 0.4, 0.6, 0.8, 1, 1, 1])
+    assert np.allclose(gaits(contract, 3, v_des=np.array([0.04, 0.0])), 0)
+
+
+def test_it_comes_when_the_heading_is_off_and_stays_until_half_of_that_is_left(contract):
+    assert np.allclose(gaits(contract, 3, heading_des=-0.21), [0.2, 0.4, 0.6])
+    assert np.allclose(gaits(contract, 3, heading_des=0.15), 0)
+    builder = ObservationBuilder(changed(contract, clock_fade=0.1))
+    for _ in range(6):
+        observe(builder, heading_des=0.21)
+    assert np.allclose(np.linalg.norm(term(observe(builder, heading_des=0.15), "clock")), 1)
+    assert np.allclose(np.linalg.norm(term(observe(builder, heading_des=0.09), "clock")), 0.8)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

@@ -121,7 +121,7 @@ def test_bfloat16_learns_nearly_the_same(env):
     exact, mixed = runner(env, CAPTURED), runner(env, dataclasses.replace(CAPTURED, mixed_precision=True))
     for each in (exact, mixed):
         rollout(each, 0)
-    assert update(mixed, 0) == pytest.approx(update(exact, 0), rel=0.05, abs=0.02)
+    assert update(mixed, 0) == pytest.approx(update(exact, 0), rel=0.1, abs=0.02)
     assert not torch.equal(weights(exact), weights(mixed))
 
 

@@ -66,9 +66,14 @@ def test_training_and_running_build_the_same_observation(env):
         action = actions(step) * (50.0 if step == 5 else 1.0)
         for i, builder in enumerate(builders):
             builder.acted(action[i].numpy().astype(np.float64))
+        if step == 2:
+            env.moves.velocity[::2, 0] = 0.3  # their clocks fade in
         _, _, done, _ = env.step(action)
         alive &= done.numpy() == 0
     assert compared > 20
+    clocks = np.linalg.norm(running[:, -2:], axis=1)
+    assert clocks[::2].min() > 0.5
+    assert (clocks[1::2] == 0.0).any()
 
 
 def test_the_critic_sees_what_the_policy_sees_and_more(env):
@@ -97,7 +102,9 @@ def test_training_physics_is_that_of_the_simulation(description, timestep):
         action = rng.normal(scale=0.5, size=12)
         env.step(torch.as_tensor(action, dtype=torch.float32)[None])
         q_des = joint_command(env.contract, action)
-        command = JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12))
+        command = JointCommand(
+            q_des=q_des, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12), ramp=env.contract.dt
+        )
         before, state = state, plant.step(command).state
         moved = max(moved, np.abs(state.q - before.q).max())
         assert np.abs(env.worlds.qpos[0, 7:].numpy() - state.q).max() < 1e-4

@@ -114,7 +114,12 @@ def difference(folder: Path, description, effects: tuple[EffectValues, ...], ste
         worlds.substep_ctrl.copy_(torch.stack(worlds.motors.targets(delay)))
         worlds.step()
         for plant, target in zip(plants, q_des, strict=True):
-            plant.step(JointCommand(q_des=target, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12)))
+            ramp = plant.description.dt
+            plant.step(
+                JointCommand(
+                    q_des=target, dq_des=np.zeros(12), kp=gains[0], kd=gains[1], tau_ff=np.zeros(12), ramp=ramp
+                )
+            )
         there = np.array([plant.data.qpos for plant in plants])
         worst = max(worst, float(np.abs(worlds.qpos.numpy() - there)[:, 7:].max()))
         _state(plants, worlds)
