@@ -55,22 +55,23 @@ def contact_sheet(film: Film, frames: list[int], columns: int) -> np.ndarray:
 
 def check(video: Path, joints: Array) -> dict[str, float]:
     """Track a clip with BlazePose and compare the wrists, from their own shoulders, with the truth."""
-    from mediapipe.python.solutions import pose as blazepose
+    from mimic.sources.video.blazepose import BlazePose
+    from mimic.sources.video.pose_model import pose_model
 
     ids = {"shoulderL": 11, "shoulderR": 12, "wristL": 15, "wristR": 16, "hipL": 23, "hipR": 24}
     rows: list[Array] = []
     capture = cv2.VideoCapture(str(video))
-    with blazepose.Pose(model_complexity=1, smooth_landmarks=False) as tracker:
+    with BlazePose(pose_model()) as detect:
         while True:
             got, picture = capture.read()
             if not got:
                 break
-            found = tracker.process(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)).pose_world_landmarks
+            found = detect(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
             if found is None:
                 rows.append(np.full((6, 4), np.nan))
             else:
-                marks = [found.landmark[i] for i in ids.values()]
-                rows.append(np.array([[m.x, m.y, m.z, m.visibility] for m in marks]))
+                landmarks, _, score = found
+                rows.append(np.column_stack([landmarks, score])[list(ids.values())])
     seen = np.array(rows)
     column = dict(zip(ids, range(6), strict=True))
     index = {name: TRUTH_NAMES.index(name) for name in ids}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from mimic.config.ranges import check_range
@@ -25,6 +26,9 @@ class PoseSettings:
     """Largest share of frames with such a jump, before a warning."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
+    pose_model: Path | None = None
+    """Another BlazePose model (.task), or the wheel of mediapipe 0.10.14, which carries the default one; by default it
+    is downloaded at the first use."""
 
     def __post_init__(self) -> None:
         check_range("min-visibility", self.min_visibility, 0.0, 1.0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
-from mimic.flows.motion import InputSettings, Motion
+from mimic.flows.motion import InputSettings, Motion, fetch_pose_model
 from mimic.flows.play import Run, play, warn_of_stand_effects
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
@@ -112,6 +112,7 @@ def follow_camera(
     from mimic.robot.reach import Reach
     from mimic.sources.video.camera import open_camera
 
+    fetch_pose_model(settings.pose, reporter or SilentReporter())
     record = CameraRecord()
     retarget = LiveRetarget(Reach(), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:

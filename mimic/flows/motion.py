@@ -5,7 +5,6 @@ A new source is a reader in `mimic.sources` and a row in SOURCES.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
+from mimic.io.assets import user_cache
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
 from mimic.sources.not_read import NOT_READ
 
@@ -167,6 +167,7 @@ def track_video(
 
     Raises:
         SourceError: If the file is no video, or shows no person.
+        AssetError: If the models of the pose estimator are not here and cannot be downloaded.
     """
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
@@ -174,10 +175,11 @@ def track_video(
     path, settings, reporter = Path(video), settings or PoseSettings(), reporter or SilentReporter()
     if not path.is_file():
         raise SourceError(f"there is no video {path}")
-    cached = _pose_cache() / f"{pose_cache_key(path, settings)}.parquet" if cache else None
+    cached = user_cache("pose") / f"{pose_cache_key(path, settings)}.parquet" if cache else None
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
+    fetch_pose_model(settings, reporter)
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:
@@ -328,9 +330,20 @@ def _holds_playable_record(path: Path) -> bool:
         return False
 
 
-def _pose_cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mimic" / "pose"
+def fetch_pose_model(settings: PoseSettings, reporter: Reporter) -> None:
+    """Download the models of the pose estimator where they are not on this computer yet.
+
+    Raises:
+        AssetError: If that is not possible, or another model was given and is none.
+    """
+    from mimic.sources.video.pose_model import is_here, pose_model
+
+    if is_here(settings.pose_model):
+        return
+    reporter.note("pose model   not on this computer yet: downloading mediapipe's wheel that carries it (once, 36 MB)")
+    with reporter.progress("MB") as progress:
+        path = pose_model(settings.pose_model, progress=progress)
+    reporter.note(f"pose model   kept in {path}")
 
 
 RECORDS = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")

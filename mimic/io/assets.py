@@ -1,7 +1,8 @@
-"""Finds the files that ship with mimic: inside the installed package, or beside it in a checkout."""
+"""Finds the files that ship with mimic, and the folder of the user in which it keeps files of its own."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mimic.errors import AssetError
@@ -10,6 +11,12 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 DEMO_CLIP = ("examples", "videos", "waving.mp4")
 """The example clip that also ships in the wheel; ``shipped(*DEMO_CLIP)`` finds it."""
+
+
+def user_cache(name: str) -> Path:
+    """Return the folder of a name in the user's cache, such as ``~/.cache/mimic/pose``; it may not exist yet."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mimic" / name
 
 
 def shipped(*parts: str) -> Path:

@@ -1,7 +1,4 @@
-"""BlazePose from the mediapipe wheel: one RGB frame in, 33 landmarks of one person out.
-
-Complexity 1 is the only model that the wheel contains (0 and 2 would be downloaded). The detector's own smoothing
-adds lag and is off; `mimic.sources.video.smoothing` smooths without lag.
+"""BlazePose by mediapipe's Tasks API: one RGB frame in, 33 landmarks of one person out.
 
 BlazePose is 2.5-D. In the image plane the wrists are accurate (r 0.93-1.00, gain 0.85-1.05, error 20-55 mm). Along the
 camera axis they are poor (gain 0.2-0.7, error 60-180 mm).
@@ -9,37 +6,56 @@ camera axis they are poor (gain 0.2-0.7, error 60-180 mm).
 
 from __future__ import annotations
 
-import warnings
+from contextlib import nullcontext
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
+from mimic.errors import AssetError
 from mimic.records import FloatArray
 from mimic.sources.video.quiet import quiet_stderr
 
 _Detection = tuple[FloatArray, FloatArray, FloatArray]
 
+_STEP_MS = 10_000_000
+"""Time between two frames as the detector is told [ms].
+
+It smooths landmarks by One-Euro filters, which add lag (`mimic.sources.video.smoothing` smooths without). Their lowest
+cut-off is 0.01 Hz; over a frame interval this long they keep less than 0.2 % of the previous frame.
+"""
+
 
 class BlazePose:
     """The detector, which tracks one person from frame to frame; use it in a ``with`` block."""
 
-    def __enter__(self) -> Self:
-        self._warnings = warnings.catch_warnings()
-        self._warnings.__enter__()
-        warnings.filterwarnings("ignore", message="SymbolDatabase.GetPrototype")
-        with quiet_stderr():
-            from mediapipe.python.solutions import pose
+    def __init__(self, model: Path) -> None:
+        """Take the bundle of models that `mimic.sources.video.pose_model` returns."""
+        self._model, self._frames, self._seen = model, 0, False
 
-            self._pose: Any = pose.Pose(model_complexity=1, smooth_landmarks=False)
-            self._pose.process(np.zeros((64, 64, 3), np.uint8))  # its threads write messages at the first picture
+    def __enter__(self) -> Self:
+        with quiet_stderr():
+            import mediapipe
+            from mediapipe.tasks.python import BaseOptions, vision
+
+            self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
+            options = vision.PoseLandmarkerOptions(
+                base_options=BaseOptions(model_asset_path=str(self._model)), running_mode=vision.RunningMode.VIDEO
+            )
+            try:
+                self._pose: Any = vision.PoseLandmarker.create_from_options(options)
+            except (RuntimeError, ValueError, OSError) as reason:
+                raise AssetError(
+                    f"mediapipe cannot use the pose model {self._model} ({str(reason).splitlines()[0]}); give a .task "
+                    "file of a pose landmarker, or remove it if it is the cached one"
+                ) from None
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._pose.close()
-        self._warnings.__exit__(kind, error, traceback)
 
     def __call__(self, rgb: np.ndarray) -> _Detection | None:
         """Return the landmarks in the next frame of the video, None if no pose is detected.
@@ -51,11 +67,14 @@ class BlazePose:
             Mid-hip -> landmark (33, 3), camera axes [m]; image coordinates (33, 2), fractions of width and
             height; visibility (33,), 0 to 1.
         """
-        rgb.flags.writeable = False  # mediapipe then takes the picture without a copy
-        found = self._pose.process(rgb)
-        if found.pose_world_landmarks is None:
+        picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
+        with nullcontext() if self._seen else quiet_stderr():  # it writes messages up to the first person
+            found = self._pose.detect_for_video(picture, self._frames * _STEP_MS)
+        self._frames += 1
+        if not found.pose_world_landmarks:
             return None
-        world, image = found.pose_world_landmarks.landmark, found.pose_landmarks.landmark
+        self._seen = True
+        world, image = found.pose_world_landmarks[0], found.pose_landmarks[0]
         return (
             np.array([(p.x, p.y, p.z) for p in world]),
             np.array([(p.x, p.y) for p in image]),

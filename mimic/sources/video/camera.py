@@ -24,6 +24,7 @@ from mimic.config.pose import LiveSettings, PoseSettings
 from mimic.errors import SourceError
 from mimic.records import BoolArray, FloatArray
 from mimic.sources.video.left_right import LiveSides, swap_sides
+from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
 from mimic.sources.video.screening import person_rows
 
@@ -112,10 +113,12 @@ def open_camera(
 
     Raises:
         SourceError: If it cannot be opened, or delivers no picture.
+        AssetError: If there is no model to detect with.
     """
     device = camera.isdigit() or camera.startswith("/dev/")
     if not device and not Path(camera).is_file():
         raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
+    pose = replace(pose, pose_model=pose_model(pose.pose_model))  # found once, and its errors are raised here
     context = get_context("spawn")
     parent_end, child_end = context.Pipe()
     process = context.Process(
@@ -193,7 +196,8 @@ def _run_camera(
         pipe.send(f"cannot read a picture from {camera}; is it a camera or a video, and not used by another program?")
         return
     latest, go = _LatestFrame(), threading.Event()
-    with BlazePose() as detect:
+    assert pose.pose_model is not None
+    with BlazePose(pose.pose_model) as detect:
         detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
         pipe.send(True)
         if not device:

@@ -49,6 +49,8 @@ def side_costs(before: FloatArray, now: FloatArray) -> tuple[FloatArray, FloatAr
 def decide_sides(t: FloatArray, landmarks: FloatArray, shots: IntArray) -> BoolArray:
     """Return the rows whose left and right must be swapped (T,): the minimum-cost path over the clip (Viterbi).
 
+    A row is compared with the two rows before it, so that one frame between both sides decides nothing.
+
     Args:
         t: Times (T,) [s].
         landmarks: Mid-hip -> landmark (T, 33, 3) [m], NaN rows if no person was detected.
@@ -58,26 +60,43 @@ def decide_sides(t: FloatArray, landmarks: FloatArray, shots: IntArray) -> BoolA
     rows = np.flatnonzero(np.isfinite(landmarks[:, 0, 0]))
     if len(rows) < 2:
         return swapped
-    same, other = side_costs(landmarks[rows[:-1]], landmarks[rows[1:]])
-    gap = np.diff(t[rows])
-    weight = np.exp(-np.maximum(gap - np.median(gap), 0) / MEMORY)
-    weight[np.searchsorted(shots, rows[1:], "right") != np.searchsorted(shots, rows[:-1], "right")] = 0.0
-    state_cost = SWAPPED_COST * np.minimum(gap, MEMORY)
-    stay, flip = weight * same, weight * (other + FLIP_COST)
-    total = np.zeros(2)
-    came_from = np.zeros((len(rows), 2), dtype=np.int64)
-    for k in range(len(gap)):
-        total, came_from[k + 1] = _viterbi_step(total, stay[k], flip[k], state_cost[k])
-    state = int(total.argmin())
+    times, shot = t[rows], np.searchsorted(shots, rows, "right")
+    usual = float(np.median(np.diff(times)))
+    near, far = (_costs(times, landmarks[rows], lag, usual, shot) for lag in (1, 2))
+    total = _START
+    came_from = np.zeros((len(rows), 2, 2), dtype=np.int64)
+    for k in range(1, len(rows)):
+        before = far[k - 2] if k > 1 else near[0]
+        total, came_from[k] = _viterbi_step(total, near[k - 1], before, times[k] - times[k - 1])
+    before, now = np.unravel_index(int(total.argmin()), total.shape)
     for k in range(len(rows) - 1, -1, -1):
-        swapped[rows[k]] = bool(state)
-        state = int(came_from[k, state])
+        swapped[rows[k]] = bool(now)
+        before, now = came_from[k, before, now], before
     return swapped
 
 
-def _viterbi_step(total: FloatArray, stay: float, flip: float, state_cost: float) -> tuple[FloatArray, IntArray]:
-    """Return the costs of both states after another row (2,), and the previous state of each."""
-    costs = np.array([[stay, flip], [flip, stay]]) + total[:, None]
+_START = np.array([[0.0, np.inf], [np.inf, 0.0]])
+"""Costs of the first row as [row before, row]: there is no row before it, so that it counts as alike."""
+
+
+def _costs(t: FloatArray, landmarks: FloatArray, lag: int, usual: float, shot: IntArray) -> FloatArray:
+    """Return the cost of each row (N - lag, 2, 2) as [swapped ``lag`` rows before, swapped] [m]."""
+    same, other = side_costs(landmarks[:-lag], landmarks[lag:])
+    weight = np.exp(-np.maximum(t[lag:] - t[:-lag] - lag * usual, 0) / MEMORY) * (shot[lag:] == shot[:-lag])
+    stay, flip = weight * same, weight * (other + FLIP_COST)
+    return np.stack([stay, flip, flip, stay], axis=-1).reshape(-1, 2, 2)
+
+
+def _viterbi_step(total: FloatArray, near: FloatArray, far: FloatArray, gap: float) -> tuple[FloatArray, IntArray]:
+    """Return the costs [row before, row] after another row, and the best state of the row before the row before.
+
+    Args:
+        total: Costs so far (2, 2).
+        near, far: Costs of this row against the one before it and the one before that (2, 2).
+        gap: Time since the row before [s].
+    """
+    costs = total[:, :, None] + 0.5 * (near[None] + far[:, None])
+    state_cost = SWAPPED_COST * min(gap, MEMORY)
     return costs.min(axis=0) + (0.0, state_cost), costs.argmin(axis=0)
 
 
@@ -85,21 +104,19 @@ class LiveSides:
     """The same decision row by row, from past rows only."""
 
     def __init__(self) -> None:
-        self._previous: tuple[float, FloatArray] | None = None
-        self._total = np.zeros(2)
+        self._rows: list[tuple[float, FloatArray]] = []
+        self._total = _START
 
     def decide(self, t: float, landmarks: FloatArray) -> bool:
         """Return whether left and right of a row (33, 3) [m] at time t [s] must be swapped."""
-        if self._previous is not None:
-            gap = t - self._previous[0]
-            weight = float(np.exp(-max(gap - 1 / 30, 0.0) / MEMORY))
-            same, other = side_costs(self._previous[1], landmarks)
-            state_cost = SWAPPED_COST * min(gap, MEMORY)
-            stay, flip = weight * float(same), weight * (float(other) + FLIP_COST)
-            self._total, _ = _viterbi_step(self._total, stay, flip, state_cost)
+        self._rows = [*self._rows, (t, np.array(landmarks))][-3:]
+        if len(self._rows) > 1:
+            times, points = np.array([row[0] for row in self._rows]), np.stack([row[1] for row in self._rows])
+            one_shot = np.zeros(len(times), dtype=np.int64)
+            near, far = (_costs(times, points, lag, 1 / 30, one_shot) for lag in (1, len(times) - 1))
+            self._total, _ = _viterbi_step(self._total, near[-1], far[-1], times[-1] - times[-2])
             self._total = self._total - self._total.min()
-        self._previous = t, np.array(landmarks)
-        return bool(self._total.argmin())
+        return bool(self._total.argmin() % 2)
 
 
 def swap_sides(values: FloatArray, swapped: BoolArray) -> FloatArray:

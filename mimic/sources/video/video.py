@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,11 +19,12 @@ from mimic.records import BoolArray, FloatArray, IntArray, PoseTrack
 from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
+from mimic.sources.video.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 2
+ALGORITHM = 3
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -69,8 +70,9 @@ def track_video(
 
     Raises:
         SourceError: If the file contains no picture, is shorter than a sampling step, or shows no person.
+        AssetError: If there is no model to detect with.
     """
-    detections = _detect(Path(path), progress)
+    detections = _detect(Path(path), settings, progress)
     from mimic.sources.video.smoothing import smooth  # SciPy takes a second: the detector need not wait for it
 
     person = _person_share(detections, settings)
@@ -103,17 +105,21 @@ def track_video(
 def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     """Return a key (SHA-256) that stays the same while `track_video` gives the same track.
 
-    It covers the content of the file (not its name), the settings, and the versions of the detector and of this code.
+    It covers the content of the file (not its name), the settings, the model, and the versions of the detector and of
+    this code.
     """
-    parts = [sha256_of(path), plain(settings), f"mediapipe {version('mediapipe')}", ALGORITHM]
+    given = settings.pose_model
+    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
+    others = plain(replace(settings, pose_model=None))
+    parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _detect(path: Path, progress: Callable[[int, int | None], None] | None) -> _Detections:
+def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | None], None] | None) -> _Detections:
     """Run the detector over every frame."""
     stamps, change, rows = [], [], []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
-    with open_video(path) as video, BlazePose() as detect:
+    with open_video(path) as video, BlazePose(pose_model(settings.pose_model)) as detect:
         for frame in video:
             stamps.append(frame.stamp_ms)
             change.append(frame.change)

@@ -47,6 +47,18 @@ def test_a_first_frame_that_is_wrong_does_not_decide_the_clip():
     np.testing.assert_array_equal(decide_sides(t, swap_sides(person(t), truth), NO_CUTS), truth)
 
 
+def test_a_frame_between_both_sides_does_not_exchange_the_rest_of_the_clip():
+    """While the detector changes sides, a frame may be a mixture that is as far from one side as from the other."""
+    t = np.arange(90) / 30
+    truth = (np.arange(90) >= 40) & (np.arange(90) < 62)
+    seen = swap_sides(person(t), truth)
+    seen[62] = 0.42 * person(t)[62] + 0.58 * swap_sides(person(t), np.ones(90, dtype=bool))[62]
+    decided = decide_sides(t, seen, NO_CUTS)
+    assert (decided != truth)[np.arange(90) != 62].sum() == 0
+    live = LiveSides()
+    assert [live.decide(*row) for row in zip(t, seen, strict=True)][70:] == [False] * 20
+
+
 def test_gaps_are_bridged_and_rows_without_a_person_stay_unmarked():
     t = np.arange(120) / 30
     truth = (np.arange(120) >= 50) & (np.arange(120) < 70)

@@ -1,0 +1,155 @@
+"""The BlazePose models as mediapipe's Tasks API takes them: one bundle, made once and kept in the user's cache.
+
+mediapipe 0.10.14 is the last release whose wheel carries the models of the detector and of the full landmarks; newer
+ones carry none. So its wheel comes once from the package registry that pip or uv is set up with. The two models are
+taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file).
+
+The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
+metadata; weights and graph stay as they are.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import struct
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mimic.errors import AssetError
+from mimic.io.assets import user_cache
+from mimic.io.store import written_whole
+from mimic.sources.video.registry import RegistryError, download_wheel
+from mimic.sources.video.tflite import ALIGNMENT, with_normalisation
+
+Progress = Callable[[int, int | None], None]
+"""Takes the megabytes done, and their total where it is known."""
+
+RELEASE = "0.10.14"
+"""The release of mediapipe whose wheel carries the models."""
+WHEEL = f"mediapipe-{RELEASE}-cp312-cp312-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
+"""Its wheel for one platform; those of other platforms carry the same two files."""
+MODELS = {
+    "pose_detector.tflite": (
+        "mediapipe/modules/pose_detection/pose_detection.tflite",
+        "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
+    ),
+    "pose_landmarks_detector.tflite": (
+        "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
+        "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+    ),
+}
+"""Name in a bundle -> name in the wheel, and SHA-256."""
+BUNDLE = f"blazepose_full_{RELEASE}.task"
+
+_MEAN, _STD = 0.0, 255.0
+"""Normalisation of the landmark model: pictures are 0 to 1. The detector's model says -1 to 1 itself.
+
+Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt, output_tensor_float_range.
+"""
+
+
+def is_here(given: Path | None = None) -> bool:
+    """Return whether `pose_model` needs no download."""
+    folder = user_cache("models")
+    return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(f"mediapipe-{RELEASE}-*.whl"))
+
+
+def pose_model(given: Path | None = None, *, progress: Progress | None = None) -> Path:
+    """Return the bundle of the BlazePose models; at the first use it is made from the wheel that carries them.
+
+    Args:
+        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle.
+        progress: Called while the wheel is downloaded.
+
+    Raises:
+        AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
+    """
+    folder = user_cache("models")
+    if given is None:
+        return _cached(folder, progress)
+    if not given.is_file():
+        raise AssetError(f"there is no pose model {given}; give a .task file, or {WHEEL}")
+    if _names(given) >= set(MODELS):
+        return given
+    return _bundled(given, folder / BUNDLE)
+
+
+def _cached(folder: Path, progress: Progress | None) -> Path:
+    path = folder / BUNDLE
+    if path.is_file() and _names(path) >= set(MODELS):
+        return path
+    with _locked(folder):
+        if path.is_file() and _names(path) >= set(MODELS):  # another process has made it meanwhile
+            return path
+        for wheel in sorted(folder.glob(f"mediapipe-{RELEASE}-*.whl")):
+            return _bundled(wheel, path)
+        try:
+            with download_wheel("mediapipe", RELEASE, progress=progress) as files:
+                return _bundled(files, path)
+        except RegistryError as reason:
+            raise AssetError(
+                f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
+                f"{WHEEL} from a package registry and put it into {folder}, or name it with --pose-model FILE"
+            ) from None
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let one process at a time fetch the models."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = open(folder / ".lock", "w")  # noqa: SIM115
+    except OSError as reason:
+        raise AssetError(
+            f"the BlazePose models cannot be kept in {folder}: {reason.strerror}; set XDG_CACHE_HOME to a folder that "
+            "can be written, or name the models with --pose-model FILE"
+        ) from None
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _names(path: Path) -> set[str]:
+    """Return the names in a zip file whose content is whole; none if it is no such file."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return set() if archive.testzip() else set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return set()
+
+
+def _bundled(source: Path, path: Path) -> Path:
+    """Write the bundle of the two models in a wheel, or in the folder of an unpacked one.
+
+    Raises:
+        AssetError: If one is missing there, or is another model.
+    """
+    models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
+    models["pose_landmarks_detector.tflite"] = with_normalisation(models["pose_landmarks_detector.tflite"], _MEAN, _STD)
+    with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in models.items():
+            entry = zipfile.ZipInfo(name)
+            start = archive.start_dir + zipfile.sizeFileHeader + len(name)
+            padding = -(start + 4) % ALIGNMENT  # models are mapped into memory as they lie in the file
+            entry.extra = struct.pack("<HH", 0xD935, padding) + bytes(padding)
+            archive.writestr(entry, content)
+    return path
+
+
+def _model(source: Path, member: str, digest: str) -> bytes:
+    try:
+        if source.is_dir():
+            content = (source / member).read_bytes()
+        else:
+            with zipfile.ZipFile(source) as archive:
+                content = archive.read(member)
+    except (OSError, KeyError, zipfile.BadZipFile):
+        raise AssetError(
+            f"{source.name} holds no BlazePose model {member}; give a .task file of mediapipe, or {WHEEL}"
+        ) from None
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; give {WHEEL}")
+    return content

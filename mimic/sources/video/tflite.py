@@ -1,0 +1,109 @@
+"""Adds to a TFLite model what mediapipe's Tasks API asks for: how its input picture is normalised.
+
+Source: TFLite's schema.fbs (Model, Buffer, Metadata) and metadata_schema.fbs (ModelMetadata and below); the numbers of
+fields are their places in these files.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flatbuffers import Builder
+
+ALIGNMENT = 16
+"""TFLite aligns the weights in a model to this [bytes]."""
+
+_VERSION, _BUFFERS, _METADATA = 0, 4, 6
+_OTHER_OFFSETS = (1, 2, 3, 5, 7)
+"""Fields of Model: besides its version, buffers and metadata it has operators, subgraphs, description, signatures."""
+_NORMALIZATION_OPTIONS, _IMAGE_PROPERTIES, _RGB = 1, 2, 1
+"""Members of the unions ProcessUnitOptions and ContentProperties, and of ColorSpaceType."""
+
+
+def with_normalisation(model: bytes, mean: float, std: float) -> bytes:
+    """Return a model without such metadata with them: its input is an RGB picture, and takes (value - mean) / std.
+
+    A new root table is put before the old content and refers to it, so that weights keep their bytes and alignment.
+
+    Args:
+        model: A TFLite model.
+        mean, std: Normalisation of the picture's values, which are 0 to 255.
+    """
+    from flatbuffers import Builder, encode
+    from flatbuffers.number_types import Uint32Flags, UOffsetTFlags
+    from flatbuffers.packer import uoffset
+    from flatbuffers.table import Table
+
+    content = bytes(model) + bytes(-len(model) % ALIGNMENT)
+    old = Table(content, encode.Get(uoffset, content, 0))
+
+    def targets(field: int) -> list[int]:
+        """Return where the elements of a vector of tables are, from the end of the content."""
+        at = old.Offset(4 + 2 * field)
+        start, count = (old.Vector(at), old.VectorLen(at)) if at else (0, 0)
+        return [len(content) - old.Indirect(start + 4 * i) for i in range(count)]
+
+    builder = Builder(len(content) + 65536)
+    builder.CreateByteVector(content)  # the end of the new file
+    data = builder.CreateByteVector(_metadata(mean, std))
+    buffers = [*targets(_BUFFERS), _table(builder, {0: data})]
+    entry = _table(builder, {0: builder.CreateString("TFLITE_METADATA")}, {1: len(buffers) - 1})
+    offsets = {
+        _BUFFERS: _vector(builder, buffers),
+        _METADATA: _vector(builder, [*targets(_METADATA), entry]),
+    }
+    for field in _OTHER_OFFSETS:
+        if at := old.Offset(4 + 2 * field):
+            offsets[field] = len(content) - old.Indirect(old.Pos + at)
+    version = old.Get(Uint32Flags, old.Pos + old.Offset(4 + 2 * _VERSION))
+    root = _table(builder, offsets, {_VERSION: version})
+    builder.Prep(ALIGNMENT, 2 * UOffsetTFlags.bytewidth)  # the root's offset and the identifier come before it
+    builder.Finish(root, b"TFL3")
+    return bytes(builder.Output())
+
+
+def _metadata(mean: float, std: float) -> bytes:
+    """Return a ModelMetadata file of one subgraph with one input picture."""
+    from flatbuffers import Builder
+
+    builder = Builder(256)
+    options = _table(builder, {0: _floats(builder, mean), 1: _floats(builder, std)})
+    unit = _table(builder, {1: options}, kinds={0: _NORMALIZATION_OPTIONS})
+    picture = _table(builder, {}, kinds={0: _RGB})
+    content = _table(builder, {1: picture}, kinds={0: _IMAGE_PROPERTIES})
+    tensor = _table(builder, {0: builder.CreateString("image"), 3: content, 4: _vector(builder, [unit])})
+    subgraph = _table(builder, {2: _vector(builder, [tensor])})
+    builder.Finish(_table(builder, {3: _vector(builder, [subgraph])}), b"M001")
+    return bytes(builder.Output())
+
+
+def _table(
+    builder: Builder,
+    offsets: dict[int, int],
+    numbers: dict[int, int] | None = None,
+    kinds: dict[int, int] | None = None,
+) -> int:
+    """Write a table of offsets, unsigned integers and bytes by field number, and return its place."""
+    numbers, kinds = numbers or {}, kinds or {}
+    builder.StartObject(1 + max((*offsets, *numbers, *kinds)))
+    for field, place in offsets.items():
+        builder.PrependUOffsetTRelativeSlot(field, place, 0)
+    for field, value in numbers.items():
+        builder.PrependUint32Slot(field, value, 0)
+    for field, value in kinds.items():
+        builder.PrependUint8Slot(field, value, 0)
+    return builder.EndObject()
+
+
+def _vector(builder: Builder, tables: list[int]) -> int:
+    builder.StartVector(4, len(tables), 4)
+    for place in reversed(tables):
+        builder.PrependUOffsetTRelative(place)
+    return builder.EndVector()
+
+
+def _floats(builder: Builder, value: float) -> int:
+    builder.StartVector(4, 1, 4)
+    builder.PrependFloat32(value)
+    return builder.EndVector()
