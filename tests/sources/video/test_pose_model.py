@@ -35,8 +35,8 @@ def offline(monkeypatch, tmp_path):
     nowhere = str(tmp_path / "nowhere")
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", nowhere)
-    monkeypatch.setenv("UV_NO_INDEX", "1")
-    monkeypatch.setenv("UV_FIND_LINKS", "")
+    monkeypatch.setenv("UV_OFFLINE", "1")
+    monkeypatch.setenv("UV_FIND_LINKS", nowhere)
 
 
 def wheel_like(path: Path, **contents: bytes) -> Path:
