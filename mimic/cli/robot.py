@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,7 +32,12 @@ def _show_findings(findings: list[Check]) -> None:
 
 
 def _show_event(event: Event) -> None:
-    note(f"{event.t:7.2f} s    {event.rule}: {event.text}")
+    try:
+        note(f"{event.t:7.2f} s    {event.rule}: {event.text}")
+    except OSError:  # the terminal was closed: what is printed from now on goes nowhere
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, sys.stderr.fileno())
 
 
 def _operator(bus: BusSettings | None) -> Operator:

@@ -26,12 +26,15 @@ class DropoutFilter:
         self._missing = np.zeros(len(self._q), dtype=int)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
 
-    def fill(self, state: RobotState, distrusted: Collection[int] = ()) -> tuple[FloatArray, FloatArray]:
+    def fill(
+        self, state: RobotState, distrusted: Collection[int] = (), *, doubted: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
         """Return joint positions (12,) [rad] and orientation (4,), wxyz, without NaN.
 
         Args:
             state: As measured, NaN where nothing was.
             distrusted: Joints whose measured positions are not used.
+            doubted: Whether the orientation is not used.
         """
         d = self._description
         measured = np.isfinite(state.q)
@@ -40,7 +43,7 @@ class DropoutFilter:
         ahead = np.where(self._missing <= EXTRAPOLATED_TICKS, self._q + self._dq * d.dt, self._q)
         self._q = np.where(measured, state.q, np.clip(ahead, d.q_min, d.q_max))
         self._dq = np.where(measured, np.nan_to_num(state.dq), self._dq)
-        if np.isfinite(state.quat_WB).all():
+        if np.isfinite(state.quat_WB).all() and not doubted:
             self._quat = state.quat_WB
         return self._q.copy(), self._quat.copy()
 

@@ -6,6 +6,7 @@ Reading leaves out an incomplete last row. At the end of a run the rows are stor
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Mapping
@@ -43,6 +44,7 @@ class RowFile:
 
         Raises:
             ContractError: If a column is missing or has another shape.
+            OSError: If it cannot be written; the file then ends with a row that is not complete.
         """
         parts: list[FloatArray] = []
         for name, shape in self._shapes.items():
@@ -50,7 +52,9 @@ class RowFile:
             if part.shape != shape or name not in values:
                 raise ContractError(f"column {name} of the row has shape {part.shape}; expected {shape}")
             parts.append(part.reshape(-1))
-        os.write(self._file, np.concatenate(parts).astype("<f8").tobytes())
+        row = np.concatenate(parts).astype("<f8").tobytes()
+        if os.write(self._file, row) < len(row):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def close(self) -> None:
         """Close the file; safe to call twice."""

@@ -12,9 +12,10 @@ from mimic.robot.parts import SafetyNumbers
 class Limits(SafetyNumbers):
     """The limit of each rule, and why it is there."""
 
-    silent_ticks: int = 3
-    """Control steps without an answer: 60 ms. One missing answer is common, three in a row are a broken wire."""
-    silent_seconds: float = 0.055
+    silent_ticks: int = 5
+    """Control steps without an answer: 100 ms, after which robots without any bus still stood (8 of 8; 7 of 8 after
+    150 ms)."""
+    silent_seconds: float = 0.095
     """… and this long [s]: after an overrun, steps may follow each other too fast for an answer."""
     failed_motors: int = 1
     """With one failed motor the other eleven may still bring the robot down; with two this was never tried."""
@@ -25,8 +26,20 @@ class Limits(SafetyNumbers):
     outside: float = 0.2
     """Joint reading beyond its limit [rad]; healthy none, with an earlier policy 0.02. Such a pose does not exist: the
     zero is wrong."""
-    imu_age: float = 0.06
-    """[s] Three ticks."""
+    imu_age: float = 0.12
+    """[s] Six ticks; robots without an orientation for 300 ms still stood (8 of 8)."""
+    doubt_ticks: int = 3
+    """Orientations in a row that contradict the rate of turn; fewer are left out as if they had not come."""
+    frozen_ticks: int = 8
+    """Readings in a row of one joint that are equal to the last bit, …"""
+    frozen_targets: float = 0.05
+    """… while its target moved by this [rad]. Healthy at most 0.013 over so many readings."""
+    overspeed: float = 25.0
+    """Velocity of a joint in two readings in a row [rad/s]; healthy at most 17, and no motor drives faster than 31."""
+    off_target: float = 0.8
+    """Distance of a joint from its target [rad] …"""
+    off_target_ticks: int = 25
+    """… in so many steps in a row: half a second. Healthy at most 0.38 rad for so long."""
     imu_repeats: int = 3
     """Orientations in a row with the same content while a policy moves the robot; healthy at most 1."""
     legs_ticks: int = 3
@@ -53,8 +66,6 @@ class Limits(SafetyNumbers):
     motors that follow one program."""
     rest_seconds: float = 0.5
     """[s]"""
-    interrupts_stop: int = 4
-    """Number of Ctrl-C that switches a damped robot off before it rests."""
 
 
 def limits_for(description: RobotDescription) -> Limits:

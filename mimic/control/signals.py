@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as numbers that the control loop reads, so that neither interrupts a control step."""
+"""Ctrl-C, SIGTERM and SIGHUP as numbers that the control loop reads, so that none interrupts a control step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 FORCED = 5
-"""This many Ctrl-C raise KeyboardInterrupt after all: the loop does not read the numbers."""
+"""This many Ctrl-C that the loop has not read raise KeyboardInterrupt after all."""
 
 
 class Signals:
@@ -18,13 +18,24 @@ class Signals:
     def __init__(self) -> None:
         self.interrupts = 0
         self.terminated = False
+        self.hung_up = False
+        """Whether the terminal was closed; it counts as Ctrl-C."""
+        self._read = 0
+
+    def read(self) -> int:
+        """Return how often Ctrl-C was pressed; call it at every control step."""
+        self._read = self.interrupts
+        return self._read
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTERM:
             self.terminated = True
             return
+        if number == signal.SIGHUP:
+            self.interrupts, self.hung_up = max(self.interrupts, 1), True
+            return
         self.interrupts += 1
-        if self.interrupts >= FORCED:
+        if self.interrupts - self._read >= FORCED:
             raise KeyboardInterrupt
 
     @contextmanager
@@ -32,9 +43,12 @@ class Signals:
         """Count signals instead of being ended by them; only in the main thread.
 
         Args:
-            numbers: Signals; by default SIGINT and SIGTERM.
+            numbers: Signals; by default SIGINT, SIGTERM, and SIGHUP unless it is ignored, as under nohup.
         """
-        before = {number: signal.signal(number, self._take) for number in numbers or (signal.SIGINT, signal.SIGTERM)}
+        if not numbers:
+            ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            numbers = (signal.SIGINT, signal.SIGTERM, *(() if ignored else (signal.SIGHUP,)))
+        before = {number: signal.signal(number, self._take) for number in numbers}
         try:
             yield
         finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,12 @@ class StepReport:
     health: Health
     phase: int
     """Index into PHASES."""
+    q_des: FloatArray | None = None
+    """Targets of the joints in this step (12,) [rad]; None where they are not known."""
     interrupts: int = 0
     """How often Ctrl-C was pressed."""
+    hung_up: bool = False
+    """Whether one of them was the terminal that closed (SIGHUP)."""
     terminated: bool = False
     """Whether SIGTERM asked the process to end."""
 
@@ -50,7 +55,16 @@ class StepHistory:
         self.imu_repeats = 0
         """Orientations in a row that equal the one before."""
         self.turn_mismatch = 0.0
-        """Turn of the orientation less that of the rate of turn, per control step [rad]."""
+        """Turn of the orientation less that of the rate of turn since the last orientation that was trusted [rad]; for
+        more than one control step it counts less."""
+        self.doubtful = 0
+        """Orientations in a row that the rate of turn contradicts."""
+        self.frozen = np.zeros(len(JOINTS), dtype=bool)
+        """Joints whose readings do not change although their targets do (12,)."""
+        self.fast = self.off_target = np.zeros(len(JOINTS), dtype=int)
+        """Steps in a row in which each joint was too fast, and too far from its target (12,)."""
+        self._trusted: StepReport | None = None
+        self._rows: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=limits.frozen_ticks)
         self.hind_apart = self.front_above = float("nan")
         """Difference in height of the hind toes, and height of the lower front toe above the lower hind toe [m]."""
         self.legs_contradict = 0
@@ -61,9 +75,9 @@ class StepHistory:
         self._bus_errors: list[tuple[float, int]] = []
         self._foreign: list[tuple[float, int]] = []
         self._last: StepReport | None = None
-        self._last_rotation = np.full((3, 3), np.nan)
+        self._trusted_rotation = np.full((3, 3), np.nan)
         self.rotation = np.full((3, 3), np.nan)
-        """R_WB, the orientation of the base (3, 3) at this step."""
+        """R_WB, the orientation of the base (3, 3) at this step; NaN where it is not trusted."""
 
     def update_heat(self, report: StepReport) -> None:
         """Take a step of a damped robot: only the thermal model goes on."""
@@ -79,9 +93,9 @@ class StepHistory:
         self.small_overruns = self.small_overruns + 1 if health.late > limits.small_overrun else 0
         self._bus_errors = _recent(self._bus_errors, state.t, health.bus_errors)
         self._foreign = _recent(self._foreign, state.t, health.foreign)
-        self._last_rotation, self.rotation = self.rotation, rotation_from_quat(state.quat_WB)
         self._compare_imu(report)
         self._compare_legs(report)
+        self._compare_targets(report)
         self._last = report
 
     @property
@@ -101,22 +115,46 @@ class StepHistory:
         self.rise = self._thermal.add(report.state.tau, dt)
 
     def _compare_imu(self, report: StepReport) -> None:
-        """Compare an orientation with the last one: whether it repeats it, and whether it turned as the rates say."""
+        """Compare an orientation with the last one that was trusted: does it repeat it, and turn as the rates say?"""
+        state, trusted = report.state, self._trusted
+        rotation = rotation_from_quat(state.quat_WB)
+        if self._last is not None and report.health.imu_count == self._last.health.imu_count:
+            self.rotation = np.full((3, 3), np.nan) if self.doubtful else rotation
+            return
         self.turn_mismatch = 0.0
-        if self._last is None or report.health.imu_count == self._last.health.imu_count:
+        if trusted is not None:
+            before = trusted.state
+            seconds = (state.t - report.health.imu_age) - (before.t - trusted.health.imu_age)
+            rates = 0.5 * (state.omega_B + before.omega_B)
+            if seconds > 0.0 and np.isfinite(rates).all() and np.isfinite(rotation).all():
+                equal = np.array_equal(state.quat_WB, before.quat_WB) and np.array_equal(state.omega_B, before.omega_B)
+                self.imu_repeats = self.imu_repeats + 1 if equal else 0
+                error = _turn(-seconds * rates) @ self._trusted_rotation.T @ rotation
+                angle = float(np.arccos(np.clip(0.5 * (np.trace(error) - 1.0), -1.0, 1.0)))
+                steps = max(1.0, seconds / self.description.dt)
+                self.turn_mismatch = angle / (0.75 + 0.25 * steps)
+        self.doubtful = self.doubtful + 1 if self.turn_mismatch > self._limits.turn_mismatch else 0
+        if self.doubtful:
+            self.rotation = np.full((3, 3), np.nan)
             return
-        state, before = report.state, self._last.state
-        seconds = (state.t - report.health.imu_age) - (before.t - self._last.health.imu_age)
-        known = np.isfinite(np.concatenate([state.quat_WB, before.quat_WB, state.omega_B, before.omega_B])).all()
-        if not known or seconds <= 0.0:
+        self.rotation = rotation
+        if np.isfinite(rotation).all() and np.isfinite(state.omega_B).all():
+            self._trusted, self._trusted_rotation = report, rotation
+
+    def _compare_targets(self, report: StepReport) -> None:
+        """Compare readings with targets: is a joint frozen, too fast, or far from where it should be?"""
+        state, limits = report.state, self._limits
+        self.fast = np.where(np.abs(state.dq) > limits.overspeed, self.fast + 1, 0)
+        if report.q_des is None:
             return
-        equal = np.array_equal(state.quat_WB, before.quat_WB) and np.array_equal(state.omega_B, before.omega_B)
-        self.imu_repeats = self.imu_repeats + 1 if equal else 0
-        change = self._last_rotation.T @ self.rotation
-        turned = 0.5 * np.array([change[2, 1] - change[1, 2], change[0, 2] - change[2, 0], change[1, 0] - change[0, 1]])
-        integrated = 0.5 * seconds * (state.omega_B + before.omega_B)
-        steps = max(1.0, seconds / self.description.dt)
-        self.turn_mismatch = float(np.linalg.norm(turned - integrated)) / steps
+        away = np.abs(report.q_des - state.q) > limits.off_target
+        self.off_target = np.where(away & (PHASES[report.phase] != "damp"), self.off_target + 1, 0)
+        if PHASES[report.phase] not in MOVING:  # gains that rise move no joint at first
+            self._rows.clear()
+        self._rows.append((state.q, report.q_des))
+        q, q_des = (np.array(rows) for rows in zip(*self._rows, strict=True))
+        full = len(q) == limits.frozen_ticks
+        self.frozen = full & np.all(q == q[0], axis=0) & (np.ptp(q_des, axis=0) > limits.frozen_targets)
 
     def _compare_legs(self, report: StepReport) -> None:
         """Compute the heights of the toes against each other, by legs and IMU."""
@@ -135,3 +173,9 @@ class StepHistory:
 def _recent(counts: list[tuple[float, int]], t: float, count: int) -> list[tuple[float, int]]:
     """Return a count of the last tenth of a second with its newest value added."""
     return [*((before, n) for before, n in counts if before > t - 0.1), (t, count)]
+
+
+def _turn(vector: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) about a vector (3,) by its length [rad]."""
+    half = 0.5 * float(np.linalg.norm(vector))
+    return rotation_from_quat(np.array([np.cos(half), *(0.5 * np.sinc(half / np.pi) * vector)]))

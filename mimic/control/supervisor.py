@@ -12,8 +12,9 @@ from enum import IntEnum
 
 import numpy as np
 
+from mimic.control.alert import Alert
 from mimic.control.safety_limits import Limits, limits_for
-from mimic.control.safety_rules import FALLS, RULES, Alert, Rule
+from mimic.control.safety_rules import FALLS, RULES, Rule
 from mimic.control.step_history import STANDING, StepHistory, StepReport
 from mimic.metrics import uprightness
 from mimic.records import PHASES
@@ -74,6 +75,11 @@ class Supervisor:
     def distrusted(self) -> frozenset[int]:
         """Joints whose measured positions are no longer used."""
         return frozenset(self._history.distrusted)
+
+    @property
+    def doubts_orientation(self) -> bool:
+        """Whether the newest orientation contradicts the rate of turn and should not be used."""
+        return self._history.doubtful > 0
 
     @property
     def decisive(self) -> Event | None:
@@ -144,8 +150,6 @@ class Supervisor:
     def _rest(self, report: StepReport) -> SafetyMode:
         """Stop a damped robot once it rests, or after the longest time for damping."""
         t, limits = report.state.t, self._limits
-        if report.interrupts >= limits.interrupts_stop:
-            self._note("interrupt", "stop", SafetyMode.STOPPED, "Ctrl-C was pressed while it was damped", t)
         moving = not np.nanmax(np.abs(report.state.dq), initial=0.0) < limits.rest_speed
         known = np.isfinite(report.state.dq).any()
         if moving or not known:

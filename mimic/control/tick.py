@@ -18,7 +18,7 @@ from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
-from mimic.records import Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.leg_kinematics import front_toes
 
 Sink = Callable[[Tick], None]
@@ -62,7 +62,7 @@ class Run:
         self._width = width
         self._rows: dict[str, list[Any]] = {}
         self._health: dict[str, list[Any]] = {}
-        self._events = 0
+        self._events = self._phase = 0
         self.samples: list[JointSamples] = []
         self.ticks = 0
         self.state: RobotState
@@ -129,6 +129,7 @@ class Run:
         self._step(command, phase, 0, **asked, observation=nothing, action=np.full(12, np.nan))
 
     def _step(self, command: JointCommand, phase: int, clamped: int, **asked: Any) -> None:
+        self._phase = phase
         command, outside = clamp_command(command, self.plant.description)
         clamped += outside
         if clamped:
@@ -157,20 +158,25 @@ class Run:
         self.ticks += 1
         if done.samples is not None:
             self.samples.append(done.samples)
-        self._supervise(done, phase)
-        self.q, self.quat_WB = self._dropouts.fill(done.state, self.safety.supervisor.distrusted)
+        self._supervise(done, phase, command)
+        supervisor = self.safety.supervisor
+        self.q, self.quat_WB = self._dropouts.fill(
+            done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation
+        )
         if self.sink is not None:
             self.sink(done)
         if self.progress is not None:
             self.progress(self.ticks)
 
-    def _supervise(self, done: Tick, phase: int) -> None:
+    def _supervise(self, done: Tick, phase: int, command: JointCommand) -> None:
         signals = self.safety.signals
         report = StepReport(
             state=done.state,
             health=done.health,
             phase=phase,
-            interrupts=signals.interrupts,
+            q_des=command.q_des,
+            interrupts=signals.read(),
+            hung_up=signals.hung_up,
             terminated=signals.terminated,
         )
         self.safety.supervisor.update(report)
@@ -179,17 +185,30 @@ class Run:
     def _log_events(self) -> None:
         """Write new events to the recorder."""
         events = self.safety.supervisor.events
+        new, self._events = events[self._events :], len(events)
         if self.safety.recorder is not None:
-            for event in events[self._events :]:
-                self.safety.recorder.event(event)
-        self._events = len(events)
+            try:
+                for event in new:
+                    self.safety.recorder.event(event)
+            except OSError as reason:
+                self._stop_recording(reason)
 
     def _record(self, row: dict[str, Any], health: dict[str, Any]) -> None:
         for columns, values in ((self._rows, row), (self._health, health)):
             for name, value in values.items():
                 columns.setdefault(name, []).append(value)
         if self.safety.recorder is not None:
-            self.safety.recorder.row(row, health)
+            try:
+                self.safety.recorder.row(row, health)
+            except OSError as reason:
+                self._stop_recording(reason)
+
+    def _stop_recording(self, reason: OSError) -> None:
+        """Go on without a log on disk: the rows stay in memory, and the robot sits down if it does not lie."""
+        self.safety.recorder = None
+        lies = PHASES[self._phase] == "lie"
+        text = f"the log cannot be written: {reason.strerror or reason}"
+        self.decide("log_failed", SafetyMode.DAMP if lies else SafetyMode.SIT_DOWN, text)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the RunLog."""

@@ -101,6 +101,8 @@ class EmulatedBody:
         self._mixed = np.zeros(12, dtype=bool)
         """Motors whose command changed during the last step."""
         self._tau = np.zeros(12)
+        self._jam = np.zeros(12)
+        """Additional dry friction of each joint [N m]."""
         thermal = d.thermal
         self._share = np.array([[thermal.winding_share], [1.0 - thermal.winding_share]])
         self._left = np.exp(-timestep / np.array([[thermal.winding_time], [thermal.housing_time]]))
@@ -137,6 +139,10 @@ class EmulatedBody:
         late = self._spread * self._rng.random() if self._spread else 0.0
         self._coming[joint].append((t + float(self._delay[joint]) + late, drive))
 
+    def jam(self, joint: int, friction: float) -> None:
+        """Let a joint turn only against an additional dry friction [N m]; 0 frees it."""
+        self._jam[joint] = friction
+
     # ------------------------------------------------------------------ time
 
     def advance(self, t: float) -> None:
@@ -167,8 +173,10 @@ class EmulatedBody:
             data.qpos[None, -12:], data.qvel[None, -12:], self._target[None], now, self._force[None]
         )
         self._servo.write(inputs)
+        self.model.dof_frictionloss[-12:] += self._jam
         data.qfrc_applied[-12:] = self._applied[0]
         mujoco.mj_step(self.model, data)
+        self.model.dof_frictionloss[-12:] -= self._jam
         self._law.settle(data.qvel[None, -12:])
         self._tau = np.array(inputs.tau[0])
         heat = np.square(self._tau / self.description.torque_rated)

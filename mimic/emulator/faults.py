@@ -44,6 +44,18 @@ KINDS: dict[str, FaultKind] = {
         scope="joint",
         default=8.0,
     ),
+    "motor_weak": FaultKind(text="gives this share of its torque limit", scope="joint", default=0.3, drawn=(0.0, 0.6)),
+    "motor_runaway": FaultKind(
+        text="gives this torque while it is on, whatever it is told",
+        scope="joint",
+        default=12.0,
+        drawn=(-12.0, 12.0),
+        unit="N m",
+    ),
+    "joint_jammed": FaultKind(
+        text="turns against this friction", scope="joint", default=30.0, drawn=(10.0, 30.0), unit="N m"
+    ),
+    "encoder_frozen": FaultKind(text="reads and controls an angle that no longer changes", scope="joint"),
     "power_cycle": FaultKind(text="loses its power for a moment: off, parameters and zero forgotten", scope="joint"),
     "under_voltage": FaultKind(text="all motors have this voltage", scope="robot", default=14.0, unit="V"),
     "frames_lost": FaultKind(text="share of frames lost", scope="bus", default=0.1, drawn=(0.05, 1.0)),
@@ -68,6 +80,9 @@ KINDS: dict[str, FaultKind] = {
         default=0.5,
         drawn=(0.3, 1.5),
         unit="rad",
+    ),
+    "imu_forged": FaultKind(
+        text="share of orientations that are another one", scope="robot", default=0.1, drawn=(0.02, 0.5)
     ),
     "stalled": FaultKind(text="the adapter keeps everything back and lets it go at the end", scope="bus"),
     "bus_off": FaultKind(text="nothing gets through, and no error is reported", scope="bus"),

@@ -16,6 +16,8 @@ import numpy as np
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
+from mimic.emulator.broken_drives import KINDS as BROKEN
+from mimic.emulator.broken_drives import BrokenDrives
 from mimic.emulator.bus import EmulatedBus, Sent
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.imu import EmulatedMti
@@ -118,7 +120,8 @@ class EmulatedRobot:
         ]
         """In the order of the joints."""
         self._on_bus = [[i for i in range(len(JOINTS)) if wiring.bus[i] == bus] for bus in range(wiring.buses)]
-        self._driven = [FREE] * len(JOINTS)
+        self._driven: list[Drive | None] = [FREE] * len(JOINTS)
+        self._broken = BrokenDrives(wiring, self.body, lambda kind, i: self._value(kind, joint=i))
         self.events: deque[tuple[float, str]] = deque(maxlen=1000)
         """Log of events with their times [s]: faults, the first motor switched on."""
         self._late: list[tuple[float, int, int, Sent]] = []
@@ -292,6 +295,7 @@ class EmulatedRobot:
         if drive is self._driven[i]:
             return
         self._driven[i] = drive
+        drive = self._broken.drive(i, drive, running=self.motors[i].mode is Mode.RUN)
         sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
         joint = Drive(
             drive.kp, drive.kd, sign * drive.q + offset, sign * drive.dq, sign * drive.tau, drive.limit, drive.pace
@@ -301,6 +305,8 @@ class EmulatedRobot:
     def _measured(self, i: int) -> Measured:
         self.body.advance(self.now)
         q, dq, tau = self.body.joint(i, self.now)
+        if i in self._broken.stuck:
+            q, dq = self._broken.stuck[i], 0.0
         sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
         return Measured(sign * (q - offset), sign * dq, sign * tau, *self._heat_and_voltage(i))
 
@@ -317,6 +323,9 @@ class EmulatedRobot:
             bits = self._value("motor_fault", joint=i)
             more = Fault(0) if bits is None else Fault(int(bits) & 0x3F)
             report = motor.check_faults(self.now, *self._heat_and_voltage(i), more)
+            if any(fault.joint == i and fault.kind in BROKEN for fault in self._faults):
+                self._broken.update(i, self.now)
+                self._driven[i] = None  # so that it is driven anew
             self._apply(i)
             if report is not None:
                 self._answer(i, report, self.now)
@@ -328,11 +337,18 @@ class EmulatedRobot:
             valid=self._value("imu_invalid") is None,
             frozen=self._value("imu_frozen") is not None,
             stuck=self._value("imu_stuck") is not None,
-            tilt=self._value("imu_tilted") or 0.0,
+            tilt=self._tilt(),
         )
         if self._value("imu_silent") is None:
             for frame in frames:
                 self.buses[self.wiring.imu.bus].submit(IMU, frame, self.now)
+
+    def _tilt(self) -> float:
+        """Return by what the next orientation is wrong [rad]."""
+        forged = self._value("imu_forged")
+        if forged is not None and self._rng.random() < forged:
+            return float(self._rng.uniform(0.5, 3.0))
+        return self._value("imu_tilted") or 0.0
 
     def _value(self, kind: str, *, joint: int | None = None, bus: int | None = None) -> float | None:
         """Return the value of an active fault, or None."""

@@ -15,7 +15,7 @@ import numpy as np
 from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
-from mimic.errors import MimicError
+from mimic.errors import AssetError, MimicError
 from mimic.flows.camera import CameraRecord, camera_name, follow_camera, save_camera_record, with_pose
 from mimic.flows.motion import InputSettings, Motion, load_motion, motion_from_text
 from mimic.flows.operator import Operator, undisturbed
@@ -107,7 +107,7 @@ def play_on_robot(
     Raises:
         PlantError: If something stands against moving; nothing was moved then.
         BusError: If a bus cannot be opened.
-        SourceError, AssetError, ConfigError, ContractError: If something cannot be used.
+        SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
     from mimic.control.recorder import RunRecorder
     from mimic.control.signals import Signals
@@ -149,6 +149,8 @@ def play_on_robot(
             commands, record = stack.enter_context(
                 follow_camera(camera, settings, live, zero=zero, low_priority=True, reporter=reporter)
             )
+        recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})
+        stack.callback(recorder.abandon)
         plant = stack.enter_context(
             robot_session(
                 bus_url,
@@ -159,25 +161,27 @@ def play_on_robot(
                 go=lambda: operator.confirm(f"{what} Ctrl-C sits down, a second one damps at once."),
             )
         )
-        recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})
         safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=standing)
-        try:
-            with signals.caught(), _shown(supervisor, operator.show_event), undisturbed():
-                done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
-        finally:
-            recorder.abandon()
+        with signals.caught(), _shown(supervisor, operator.show_event), undisturbed():
+            done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
         if isinstance(plant, CanRobot):
             load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
     inputs = {**done.inputs, **({} if file is None else {"source": file})}
     made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
-    more: dict[str, Any] = {}
-    if record is not None:
-        more = {"live": save_camera_record(record, folder, made_by)}
-        done = with_pose(done, record, run)
-    else:
-        done = replace(done, motion=None if standing else motion)
-    saved = save_run(done, folder, made_by, reporter, more=more)
+    more: dict[str, Any] = {"ending": plant.ending}
+    try:
+        if record is not None:
+            more["live"] = save_camera_record(record, folder, made_by)
+            done = with_pose(done, record, run)
+        else:
+            done = replace(done, motion=None if standing else motion)
+        saved = save_run(done, folder, made_by, reporter, more=more)
+    except OSError as reason:
+        raise AssetError(
+            f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
+            f"run: mimic log salvage {folder}"
+        ) from None
     recorder.discard()
     ended = RobotRun(
         saved=saved,

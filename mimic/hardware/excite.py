@@ -80,12 +80,9 @@ def probe(
         PlantError: If it ended before the first row.
     """
     limits = limits_for(robot.description)
-    limits = replace(
-        limits,
-        silent_ticks=round(limits.silent_ticks * robot.description.dt * settings.rate_hz),
-        small_overrun_ticks=round(limits.small_overrun_ticks * robot.description.dt * settings.rate_hz),
-        overrun_ticks=round(limits.overrun_ticks * robot.description.dt * settings.rate_hz),
-    )
+    counted = ("silent_ticks", "small_overrun_ticks", "overrun_ticks", "off_target_ticks")
+    rows = robot.description.dt * settings.rate_hz
+    limits = replace(limits, **{name: round(getattr(limits, name) * rows) for name in counted})
     supervisor = Supervisor(robot.description, limits, rules=SUSPENDED_RULES, sits=False)
     rows = _Rows(robot, supervisor, signals, settings)
     try:
@@ -177,7 +174,9 @@ class _Rows:
             state=robot.state(self._since, now),
             health=robot.health(0.0, late, now),
             phase=0,
-            interrupts=self._signals.interrupts,
+            q_des=target,
+            interrupts=self._signals.read(),
+            hung_up=self._signals.hung_up,
             terminated=self._signals.terminated,
         )
         if self._supervisor.update(report) > SafetyMode.RUN:

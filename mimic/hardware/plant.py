@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Protocol
 
@@ -94,7 +94,7 @@ class CanRobot:
         self._description = description
         self._outage = outage
         self._failing: float | None = None
-        self._outages = 0
+        self._failed, self._outages = False, 0
         self.motor_bus = MotorBus(link, wiring)
         self._link = link
         self._watchdog = watchdog
@@ -154,7 +154,7 @@ class CanRobot:
         """
         link, motor_bus, dt = self._link, self.motor_bus, self._description.dt
         self.beat()
-        before = self._outages
+        self._failed = False
         with self._tolerated():
             motor_bus.drain()
         asked = link.now()
@@ -167,8 +167,8 @@ class CanRobot:
         until = max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW)
         with self._tolerated():
             motor_bus.listen(until)
-        if self._outages == before:
-            self._failing = None
+        self._failing = self._failing if self._failed else None
+        self._outages += self._failed
         link.sleep(max(until - link.now(), 0.0))
         now = link.now()
         late, self._ended = now - self._due, now
@@ -187,7 +187,7 @@ class CanRobot:
         try:
             yield
         except BusError:
-            self._outages += 1
+            self._failed = True
             now = self._link.now()
             self._failing = now if self._failing is None else self._failing
             if now - self._failing >= self._outage:
@@ -267,8 +267,10 @@ class CanRobot:
             self.ending = self._watchdog.take_over()  # it opens the buses again
             if self.ending:
                 return
+        self.ending = "its motors were being damped when this program was interrupted"
         try:
-            damp(self.motor_bus, self._description, self.beat)
+            with suppress(KeyboardInterrupt):  # whoever insists gets motors that are off
+                damp(self.motor_bus, self._description, self.beat)
             left = switch_off(self.motor_bus, self._description, self.beat)
             self.ending = shutdown_report(left)
         except MimicError as reason:

@@ -22,6 +22,7 @@ STANDS, TRACKS = 2.7, 1.0
 AFTER = {
     "ctrl_c": ({"interrupt"}, "sit_down"),
     "watchdog_gone": ({"watchdog_ended"}, "sit_down"),
+    "encoder_frozen": ({"encoder_frozen"}, "sit_down"),
     "imu_frozen": ({"imu_frozen"}, "damp"),
     "imu_invalid": ({"imu_invalid"}, "damp"),
     "imu_silent": ({"imu_silent"}, "damp"),
@@ -36,11 +37,11 @@ AFTER = {
 }
 """One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
 
-TOLERATED = ("frames_lost", "frames_late", "policy_wild", "target_nan")
+TOLERATED = ("frames_lost", "frames_late", "imu_forged", "joint_jammed", "policy_wild", "target_nan")
 """Faults that may pass without ending the run."""
 
-SOON = 0.15
-"""60 ms, a status word of the IMU that comes ten times a second, and the tick in which it is seen [s]."""
+SOON = 0.22
+"""120 ms of a silent IMU or eight readings of an encoder, and the ticks in which it is seen [s]."""
 
 
 def sound(outcome: Outcome) -> None:

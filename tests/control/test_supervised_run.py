@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -37,7 +39,8 @@ def supervised(memory_plant, fixed_policy, contract, track, description, forgivi
         sitter.contract = dataclasses.replace(contract, task="sit_down")
         plant = memory_plant(pitch=lean, fail=fail, health=health)
         signals = options.pop("signals", Signals())
-        recorder = RunRecorder(tmp_path / "run", contract.observation_size, {"dt": 0.02})
+        kind = options.pop("recorder", RunRecorder)
+        recorder = kind(tmp_path / "run", contract.observation_size, {"dt": 0.02})
         safety = forgiving(signals=signals, recorder=recorder, ramp=RAMP * 0.02, endless=endless, damp_at_end=True)
         supervisor = safety.supervisor
         result = run_policy(
@@ -262,3 +265,107 @@ def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_pol
     assert np.isfinite(policy.seen).all()
     held = np.array([seen.reshape(3, -1)[-1][4] for seen in policy.seen])
     assert np.allclose(held[60 - RAMP : 62 - RAMP], held[59 - RAMP], atol=1e-9)
+
+
+def full_after(rows: int, *, events: bool = False) -> type[RunRecorder]:
+    """Return a recorder on a disk that is full after some rows."""
+
+    class FullDisk(RunRecorder):
+        written = 0
+
+        def row(self, values, health):
+            if self.written >= rows and not events:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            self.written += 1
+            super().row(values, health)
+
+        def event(self, event):
+            if self.written >= rows:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            super().event(event)
+
+    return FullDisk
+
+
+@pytest.mark.parametrize("tick", [RAMP + 30, RAMP + 65])
+def test_a_full_disk_makes_the_robot_sit_down_and_loses_no_row(tick, supervised, tmp_path):
+    result, plant, supervisor = supervised(recorder=full_after(tick))
+    assert result.error is None
+    assert supervisor.decisive.rule == "log_failed"
+    assert "No space left" in supervisor.decisive.text
+    names = phases(result.log)
+    assert names[tick + 1] == "sit_down"
+    assert names[-1] == "damp"
+    assert plant.closed
+    assert len(result.log.t) == len(plant.sent)
+    assert len(salvage(tmp_path / "run")[0].t) == tick
+
+
+def test_a_full_disk_while_it_still_lies_damps(supervised):
+    result, _, supervisor = supervised(recorder=full_after(5))
+    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("log_failed", SafetyMode.DAMP)
+    assert set(phases(result.log)[6:]) == {"damp"}
+
+
+def test_events_that_cannot_be_written_do_not_keep_it_from_being_damped(supervised):
+    def broken(tick: int) -> None:
+        if tick == RAMP + 40:
+            raise PlantError("it broke")
+
+    result, plant, _ = supervised(recorder=full_after(RAMP + 40, events=True), fail=broken)
+    assert plant.closed
+    assert str(result.error) == "it broke"
+    assert [event.rule for event in result.events] == ["exception"]
+
+
+def test_a_closed_terminal_makes_it_sit_down(supervised):
+    signals = Signals()
+
+    def close(tick: int, health: Health) -> Health:
+        if tick == RAMP + 55:
+            signal.raise_signal(signal.SIGHUP)
+        return health
+
+    with signals.caught():
+        result, _, supervisor = supervised(signals=signals, health=close, endless=True)
+    assert "SIGHUP" in supervisor.decisive.text
+    assert phases(result.log).count("sit_down") == LAST
+
+
+def test_under_nohup_a_closed_terminal_changes_nothing():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signals = Signals()
+    try:
+        with signals.caught():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert (signals.interrupts, signals.hung_up) == (0, False)
+
+
+def test_however_often_ctrl_c_is_pressed_it_is_damped_until_it_rests(supervised):
+    signals = Signals()
+
+    def press(tick: int, health: Health) -> Health:
+        if tick >= RAMP + 55:
+            signal.raise_signal(signal.SIGINT)
+        return health
+
+    with signals.caught():
+        result, plant, _ = supervised(signals=signals, health=press, endless=True)
+    names = phases(result.log)
+    assert signals.interrupts > 20
+    assert result.error is None
+    assert [event.rule for event in result.events][-1] == "at_rest"
+    assert names.count("damp") >= 25
+    assert plant.closed
+
+
+def test_five_ctrl_c_that_nobody_reads_end_what_hangs():
+    signals = Signals()
+    with signals.caught():
+        for _ in range(4):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)

@@ -81,7 +81,7 @@ class _Port:
             try:
                 self._bus.send(message, timeout=SEND_WITHIN)
                 return
-            except (can.CanError, OSError) as reason:
+            except Exception as reason:  # drivers raise classes of their own
                 if getattr(reason, "error_code", None) == errno.ENOBUFS and left:
                     time.sleep(_FRAME)
                     continue
@@ -109,7 +109,9 @@ class _Port:
                     return CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
             except (ValueError, FrameError):  # a garbled line of slcan; the next one is there already, or nothing
                 self.garbled += 1
-            except (can.CanError, OSError) as reason:
+            except BusError:
+                raise
+            except Exception as reason:  # drivers raise classes of their own
                 raise BusError(f"{self.name} has failed: {explain(reason)}") from None
 
     def _check(self) -> None:
@@ -119,15 +121,18 @@ class _Port:
 
     def wait(self, timeout: float) -> CanFrame | None:
         """Wait for a frame where there is no file to wait for."""
-        message = self._bus.recv(timeout)
-        return (
-            None if message is None else CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
-        )
+        try:
+            message = self._bus.recv(timeout)
+        except Exception as reason:  # drivers raise classes of their own
+            raise BusError(f"{self.name} has failed: {explain(reason)}") from None
+        if message is None or message.is_error_frame or message.is_remote_frame or message.is_fd:
+            return None
+        return CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
 
     def close(self) -> None:
         try:
             self._bus.shutdown()
-        except (can.CanError, OSError):
+        except Exception:  # drivers raise classes of their own
             logging.getLogger(__name__).debug("%s did not close well", self.name, exc_info=True)
         if self._sock is not None:
             self._sock.close()  # pyserial leaves it open when the other side is gone
@@ -239,7 +244,7 @@ def _open(name: str, bitrate: int) -> _Port:
             return _Port(name, bus, None, ready=False)
     except MimicError:
         raise
-    except (can.CanError, OSError, ValueError, TypeError, ImportError) as reason:
+    except Exception as reason:  # drivers raise classes of their own
         raise BusError(f"{name} cannot be opened: {explain(reason)}") from None
     raise ConfigError(f"{name!r} is not a bus; expected {FORMS}, or another interface of python-can")
 

@@ -57,7 +57,8 @@ def probe_board(robot: StockRobot, motion: ProbeMotion, settings: ProbeSettings,
             state=tick.state,
             health=tick.health,
             phase=0,
-            interrupts=signals.interrupts,
+            interrupts=signals.read(),
+            hung_up=signals.hung_up,
             terminated=signals.terminated,
         )
         return tick if supervisor.update(report) == SafetyMode.RUN else None

@@ -1,0 +1,110 @@
+"""The safety rules of motors and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mimic.control.alert import Alert
+from mimic.control.safety_limits import Limits
+from mimic.control.step_history import StepHistory, StepReport
+from mimic.records import JOINTS
+
+
+def _failed(joint: int, text: str) -> Alert:
+    return Alert(outcome="SIT_DOWN", text=text, about=JOINTS[joint])
+
+
+def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that do not answer."""
+    health = report.health
+    silent = np.flatnonzero((health.missed >= limits.silent_ticks) & (health.age >= limits.silent_seconds))
+    history.failed.update(map(int, silent))
+    if len(silent) == len(JOINTS):
+        yield Alert(outcome="SIT_DOWN", text=f"no motor has answered for {float(health.age.min()):.2f} s", about="all")
+        return
+    for joint in silent:
+        missed, age = int(health.missed[joint]), float(health.age[joint])
+        yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
+
+
+def motor_fault(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that report a fault."""
+    faulty = np.flatnonzero(report.health.faults)
+    history.failed.update(map(int, faulty))
+    for joint in faulty:
+        bits = int(report.health.faults[joint])
+        yield _failed(int(joint), f"motor {JOINTS[joint]} reports fault bits {bits:#04x}")
+
+
+def motor_off(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that switched themselves off."""
+    off = np.flatnonzero(~report.health.running & (report.health.missed == 0) & (report.health.faults == 0))
+    history.failed.update(map(int, off))
+    history.distrusted.update(map(int, off))
+    for joint in off:
+        yield _failed(int(joint), f"motor {JOINTS[joint]} switched itself off, so its zero may be lost")
+
+
+def motor_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that are warm, and too warm."""
+    temperature = report.health.temperature
+    for joint in np.flatnonzero(temperature >= limits.temperature_warning):
+        name, text = JOINTS[joint], f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
+        if temperature[joint] < limits.temperature:
+            yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.temperature:g} degC", about=name)
+        else:
+            yield Alert(outcome="SIT_DOWN", text=text, about=name)
+
+
+def winding_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Windings that are warm by the thermal model, and too warm."""
+    for joint in np.flatnonzero(history.rise >= limits.rise_warning):
+        name, text = JOINTS[joint], f"the winding of {JOINTS[joint]} is at {history.rise[joint]:.0%} of its limit"
+        if history.rise[joint] < limits.rise:
+            yield Alert(outcome="RUN", text=f"{text} by the thermal model", about=name)
+        else:
+            yield Alert(outcome="SIT_DOWN", text=f"{text} by the thermal model", about=name)
+
+
+def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Readings that no joint can have."""
+    description, q = history.description, report.state.q
+    outside = np.maximum(q - description.q_max, description.q_min - q)
+    bad = np.flatnonzero((outside > limits.outside) | (history.jump > limits.jump))
+    history.failed.update(map(int, bad))
+    history.distrusted.update(map(int, bad))
+    for joint in bad:
+        if outside[joint] > limits.outside:
+            text = f"joint {JOINTS[joint]} reads {q[joint]:.2f} rad, {outside[joint]:.2f} rad beyond its limit"
+        else:
+            text = f"joint {JOINTS[joint]} jumped by {history.jump[joint]:.2f} rad in one tick"
+        yield _failed(int(joint), text)
+
+
+def encoder_frozen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Readings that do not change although the targets do."""
+    frozen = np.flatnonzero(history.frozen)
+    history.failed.update(map(int, frozen))
+    history.distrusted.update(map(int, frozen))
+    for joint in frozen:
+        text = f"joint {JOINTS[joint]} reads the same {limits.frozen_ticks} times, though its target moves"
+        yield _failed(int(joint), text)
+
+
+def overspeed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Joints that turn faster than their motors could drive them."""
+    fast = np.flatnonzero(history.fast >= 2)
+    history.failed.update(map(int, fast))
+    for joint in fast:
+        yield _failed(int(joint), f"joint {JOINTS[joint]} turns at {report.state.dq[joint]:.0f} rad/s")
+
+
+def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Joints that do not get to their targets."""
+    away = np.flatnonzero(history.off_target >= limits.off_target_ticks)
+    history.failed.update(map(int, away))
+    for joint in away:
+        text = f"joint {JOINTS[joint]} has been more than {limits.off_target:g} rad from its target for half a second"
+        yield _failed(int(joint), text)
