@@ -32,6 +32,9 @@ class PoseTrack(Record):
     """Width and height of the upright image [px]; zeros where there is none."""
     swapped: BoolArray = array(dtype=np.bool_)
     """True where left and right of the detector were exchanged."""
+    shot: FloatArray = array(optional=True)
+    """Number of the uninterrupted part, from 0: after a cut, a fade or a change of person a new one begins. NaN where
+    nobody looked."""
     warnings: tuple[str, ...] = ()
     """What the user should know about this source."""
 

@@ -11,6 +11,8 @@ The mapping of arms to legs (mirroring) follows in `mimic.retargeting.targets`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -51,13 +53,14 @@ def wrist_track(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Wrist
         ContractError: If the track lacks a shoulder or a wrist.
     """
     heading = torso_heading(pose, settings)
+    robot_heading = _without_steps(pose, heading) if settings.turns else np.full(len(heading), heading[0])
     valid = _arm_visible(pose)
     p_SH_T = torso_vectors(_arms(pose), heading)
     length = arm_length(p_SH_T, valid, settings.reach_quantile)
     return WristTrack(
         t=pose.t,
         p_SH=np.where(valid[..., None], p_SH_T / length, np.nan),
-        heading=heading,
+        heading=robot_heading,
         valid=valid,
         arm_length=length,
         warnings=(*pose.warnings, *_hidden_arm_warnings(pose), *_turn_warnings(pose, settings)),
@@ -94,15 +97,33 @@ def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Flo
 
     It follows from the direction of the right -> left line of shoulders and hips. The median over the clip is within
     9 degrees of the triangulated heading of a real person filmed from four sides, and of the exact heading of a
-    rendered boxer.
+    rendered boxer. Each uninterrupted part of the track has a heading of its own.
     """
     line, seen = _left_line(pose)
-    if not seen.any():
-        return np.zeros(len(pose.t))
-    if settings.turns:
-        return _slow_heading(pose.t, line, seen)
-    x, _, z = np.median(line[seen], axis=0)
-    return np.full(len(pose.t), np.arctan2(z, x))
+    heading = np.zeros(len(pose.t))
+    for part in _parts(pose):
+        if not seen[part].any():
+            continue
+        if settings.turns:
+            heading[part] = _slow_heading(pose.t[part], line[part], seen[part])
+        else:
+            x, _, z = np.median(line[part][seen[part]], axis=0)
+            heading[part] = np.arctan2(z, x)
+    return heading
+
+
+def _parts(pose: PoseTrack) -> list[slice]:
+    """Return the rows of each uninterrupted part."""
+    starts = [0, *(np.flatnonzero(np.diff(np.nan_to_num(pose.shot)) != 0) + 1), len(pose.t)]
+    return [slice(int(a), int(b)) for a, b in pairwise(starts)]
+
+
+def _without_steps(pose: PoseTrack, heading: FloatArray) -> FloatArray:
+    """Return a heading that goes on after a cut where it was before it: the camera has moved, not the person."""
+    result = np.unwrap(heading)
+    for part in _parts(pose)[1:]:
+        result[part.start :] += result[part.start - 1] - result[part.start]
+    return result
 
 
 def camera_axis(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> tuple[float, float, float]:
@@ -218,10 +239,9 @@ def _hidden_arm_warnings(pose: PoseTrack) -> tuple[str, ...]:
 
 def _turn_warnings(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ...]:
     """Return a warning if one heading does not fit the clip."""
-    line, seen = _left_line(pose)
-    if settings.turns or not seen.any():
+    if settings.turns or not _left_line(pose)[1].any():
         return ()
-    away = _slow_heading(pose.t, line, seen) - torso_heading(pose, settings)
+    away = torso_heading(pose, replace(settings, turns=True)) - torso_heading(pose, settings)
     share = float((np.abs((away + np.pi) % (2 * np.pi) - np.pi) > MAX_TURN).mean())
     if share < 0.1:
         return ()

@@ -76,6 +76,14 @@ def test_an_arm_points_the_same_way_whatever_the_person_faces(heading, way):
     np.testing.assert_allclose(np.cos(wrists.heading - np.radians(heading)), 1.0)
 
 
+@pytest.mark.parametrize("settings", [RetargetSettings(), TURNS])
+def test_after_a_cut_to_another_camera_the_arm_points_where_it_did_and_the_robot_does_not_turn(settings):
+    heading = np.where(np.arange(90) < 40, 0.0, 70.0)
+    wrists = wrist_track(track(*person(heading, left=0.5 * FORWARD), shot=(heading > 0).astype(float)), settings)
+    np.testing.assert_allclose(wrists.p_SH[:, 0], np.tile(FORWARD, (90, 1)), atol=1e-9)
+    np.testing.assert_allclose(wrists.heading, wrists.heading[0], atol=1e-9)
+
+
 def test_a_child_and_an_adult_give_the_same_vectors():
     adult, child = (wrist_track(track(*person(20, size=size))) for size in (1.0, 0.6))
     np.testing.assert_allclose(child.p_SH, adult.p_SH, atol=1e-9)

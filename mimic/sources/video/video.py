@@ -15,16 +15,17 @@ import numpy as np
 from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
-from mimic.records import BoolArray, FloatArray, IntArray, PoseTrack
+from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.pose_model import BUNDLE, pose_model
-from mimic.sources.video.screening import jump_share, person_rows, shot_starts, upside_down
+from mimic.sources.video.screening import jump_share, person_rows, upside_down
+from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 3
+ALGORITHM = 4
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -47,6 +48,8 @@ class _Detections:
     image: FloatArray
     score: FloatArray
     change: FloatArray
+    light: FloatArray
+    clothes: FloatArray
     size: tuple[int, int]
     frame_count: int | None
     repaired: int
@@ -76,7 +79,17 @@ def track_video(
     from mimic.sources.video.smoothing import smooth  # SciPy takes a second: the detector need not wait for it
 
     person = _person_share(detections, settings)
-    t, shots = detections.t, shot_starts(detections.change)
+    t = detections.t
+    changes = find_changes(
+        t,
+        detections.change,
+        detections.light,
+        detections.image,
+        person_rows(detections.score, settings.min_visibility),
+        detections.clothes,
+        detections.size,
+    )
+    shots = np.array([change.row for change in changes], dtype=np.int64)
     swapped = decide_sides(t, detections.landmarks, shots)
     landmarks, image, score = (
         swap_sides(column, swapped) for column in (detections.landmarks, detections.image, detections.score)
@@ -85,7 +98,8 @@ def track_video(
     jumps = jump_share(t, landmarks, image, valid, detections.size, settings.max_jump)
     warnings = [
         *_file_warnings(detections),
-        *_picture_warnings(t, shots, person, jumps, settings),
+        *describe(changes, t),
+        *_picture_warnings(person, jumps, settings),
         *_side_warnings(swapped, upside_down(image, valid)),
     ]
     for warning in warnings:
@@ -98,6 +112,7 @@ def track_video(
         valid=valid,
         size=detections.size,
         swapped=swapped,
+        shot=np.searchsorted(shots, np.arange(len(t)), "right"),
         warnings=tuple(warnings),
     )
 
@@ -117,18 +132,21 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
 
 def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | None], None] | None) -> _Detections:
     """Run the detector over every frame."""
-    stamps, change, rows = [], [], []
+    stamps, change, light, clothes, rows = [], [], [], [], []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
     with open_video(path) as video, BlazePose(pose_model(settings.pose_model)) as detect:
         for frame in video:
             stamps.append(frame.stamp_ms)
             change.append(frame.change)
             rows.append(detect(frame.rgb) or no_person)
+            light.append(lightness(frame.rgb))
+            clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
             if progress is not None:
                 progress(len(rows), video.frame_count)
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
-    return _Detections(path.name, t, landmarks, image, score, np.array(change), video.size, video.frame_count, repaired)
+    looks = np.array(change), np.array(light), np.array(clothes)
+    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, video.frame_count, repaired)
 
 
 def _person_share(detections: _Detections, settings: PoseSettings) -> float:
@@ -161,14 +179,9 @@ def _file_warnings(detections: _Detections) -> Iterator[str]:
         yield f"{detections.repaired} of {frames} time stamps do not increase; these frames got interpolated times"
 
 
-def _picture_warnings(
-    t: FloatArray, shots: IntArray, person: float, jumps: float, settings: PoseSettings
-) -> Iterator[str]:
+def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> Iterator[str]:
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
-    if len(shots):
-        at = ", ".join(f"{t[row]:.2f} s" for row in shots[:5]) + ", …" * (len(shots) > 5)
-        yield f"the video has a cut at {at} and may show another person after it; use a clip without cuts"
     if jumps > settings.max_jump_share:
         yield (
             f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "

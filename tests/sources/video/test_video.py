@@ -142,7 +142,31 @@ def test_an_upside_down_clip_is_tracked_as_it_is_shown(tracked: Tracked):
 
 @pytest.mark.slow
 def test_a_cut_to_another_person_is_reported_with_its_time(tracked: Tracked):
-    assert any("a cut at 2.43 s" in w for w in tracked("nasty/cut_two_people.mp4").warnings)
+    pose = tracked("nasty/cut_two_people.mp4")
+    assert any("a cut at 2.43 s with another person after it" in w for w in pose.warnings)
+    assert pose.shot.tolist() == [float(t > 2.42) for t in pose.t]
+
+
+@pytest.mark.slow
+def test_a_fade_through_black_is_reported_and_begins_a_new_part(clip: Clip, tmp_path):
+    def frames(name: str) -> list[np.ndarray]:
+        capture, found = cv2.VideoCapture(str(clip(name))), []
+        while (read := capture.read())[0]:
+            found.append(read[1])
+        return found
+
+    first, second = frames("real/01_asl_walk.mkv")[:45], frames("real/03_asl_please.mkv")[:45]
+    dimmed = [(frame * (1 - i / 10)).astype(np.uint8) for i, frame in enumerate(first[-10:])]
+    risen = [(frame * (i / 10)).astype(np.uint8) for i, frame in enumerate(second[:10])]
+    path = tmp_path / "faded.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, first[0].shape[1::-1])
+    for frame in [*first[:-10], *dimmed, *5 * [np.zeros_like(first[0])], *risen, *second[10:]]:
+        writer.write(frame)
+    writer.release()
+    pose = track_video(path)
+    assert any("a fade through black at 1.7" in w for w in pose.warnings)
+    assert set(pose.shot) == {0.0, 1.0}
+    assert pose.t[np.flatnonzero(pose.shot)[0]] == pytest.approx(1.7, abs=0.1)
 
 
 @pytest.mark.parametrize(

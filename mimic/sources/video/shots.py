@@ -1,0 +1,205 @@
+"""Where a clip goes on with another picture or another person: cuts, fades through black, changes of person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
+from mimic.sources.video.screening import shot_starts
+
+DARK, FLAT = 24.0, 10.0
+"""A frame with a lower mean and a lower spread of its thumbnail is black [grey levels of 255]."""
+WINDOW = 0.5
+"""What comes before a change and what comes after it is the median over this time [s]."""
+DIM = 0.5
+"""A fade takes about this long on each side [s]; clothes are compared outside it."""
+FEWEST = 3
+"""Rows with a person that each side of a change must have."""
+GAP = 0.25
+"""After a longer gap it may be another person who is seen [s]."""
+JUMP = 0.4
+"""A trunk that moves farther between two frames may be another one [trunk heights]."""
+FAR = 1.0
+"""A trunk that stays this far away after a jump is another one [trunk heights]: half a metre in a frame."""
+OTHER_COLOUR = 22.0
+"""Least difference of the clothes of two people [CIE 1976 units of L*a*b*]."""
+OTHER_SIZE = 0.3
+"""Least difference of the size of two people in the picture [natural logarithm of the ratio]."""
+SAME_TIME = 0.3
+"""Changes this close to each other are one [s]."""
+
+_SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
+_ACROSS, _DOWN = np.meshgrid(np.linspace(-0.3, 0.3, 5), np.linspace(0.1, 0.5, 5))
+"""Where the colour of the clothes is read: shares of the shoulder line and of the way to the hips."""
+
+Kind = Literal["cut", "fade", "person"]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A row at which a clip goes on with something else."""
+
+    row: int
+    kind: Kind
+    """A cut, a fade through black, or another person in the same picture."""
+    other_person: bool
+    """Whether the person after it looks like another one; False where that cannot be said."""
+
+
+def lightness(rgb: np.ndarray) -> tuple[float, float]:
+    """Return mean and spread of the brightness of a picture [grey levels of 255]."""
+    grey = rgb[:: max(1, rgb.shape[0] // 24), :: max(1, rgb.shape[1] // 32)].mean(axis=-1)
+    return float(grey.mean()), float(grey.std())
+
+
+def clothes_colour(rgb: np.ndarray, image: FloatArray) -> FloatArray:
+    """Return the median colour of the upper trunk (3,), L*a*b*; NaN where none of it is in the picture.
+
+    Args:
+        rgb: Picture (H, W, 3).
+        image: Landmarks (33, 2), fraction of width and height; NaN without a person.
+    """
+    import cv2
+
+    if not np.isfinite(image).all():
+        return np.full(3, np.nan)
+    left, right = image[_SHOULDERS]
+    middle, hips = (left + right) / 2, image[_HIPS].mean(axis=0)
+    points = middle + _ACROSS.reshape(-1, 1) * (left - right) + _DOWN.reshape(-1, 1) * (hips - middle)
+    height, width = rgb.shape[:2]
+    x, y = np.floor(points * (width, height)).astype(int).T
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    if not inside.any():
+        return np.full(3, np.nan)
+    colours = rgb[y[inside], x[inside]].astype(np.float32)[None] / 255
+    return np.median(cv2.cvtColor(colours, cv2.COLOR_RGB2LAB)[0], axis=0).astype(np.float64)
+
+
+def find_changes(
+    t: FloatArray,
+    change: FloatArray,
+    light: FloatArray,
+    image: FloatArray,
+    person: BoolArray,
+    clothes: FloatArray,
+    size: tuple[int, int],
+) -> tuple[Change, ...]:
+    """Return the changes of a clip in order of time.
+
+    Args:
+        t: Times (T,) [s].
+        change: Difference of each frame's thumbnail from the previous one (T,) [grey levels].
+        light: Mean and spread of the brightness of each frame (T, 2) [grey levels].
+        image: Landmarks (T, 33, 2), fraction of width and height.
+        person: Rows that show a person (T,).
+        clothes: Colour of the clothes in each row (T, 3), L*a*b*.
+        size: Width and height of the picture [px].
+    """
+    found: dict[int, Kind] = {}
+    for kind, rows in (
+        ("fade", _after_black(light)),
+        ("cut", shot_starts(change)),
+        ("person", _jumps(t, image, person, size)),
+    ):
+        for row in rows:
+            if all(abs(t[row] - t[other]) > SAME_TIME for other in found):
+                found[int(row)] = kind
+    changes = []
+    for row, kind in sorted(found.items()):
+        other = _is_other(row, kind, t, image, person, clothes, size)
+        if other or kind != "person":
+            changes.append(Change(row, kind, other))
+    return tuple(changes)
+
+
+def describe(changes: tuple[Change, ...], t: FloatArray) -> Iterator[str]:
+    """Yield a sentence for each kind of change, with its times."""
+    names = {"cut": "a cut", "fade": "a fade through black"}
+    for kind, name in names.items():
+        for other in (True, False):
+            rows = [c.row for c in changes if c.kind == kind and c.other_person == other]
+            if rows:
+                after = "with another person after it" if other else "and may show another person after it"
+                yield f"the video has {name} at {_times(t, rows)} {after}; what is before and after is filtered apart"
+    rows = [c.row for c in changes if c.kind == "person"]
+    if rows:
+        yield (
+            f"the person who is followed changes at {_times(t, rows)} (place, size or clothes are another's); use a "
+            "clip of one person"
+        )
+
+
+def _times(t: FloatArray, rows: list[int]) -> str:
+    return ", ".join(f"{t[row]:.2f} s" for row in rows[:5]) + ", …" * (len(rows) > 5)
+
+
+def _after_black(light: FloatArray) -> IntArray:
+    """Return the first row with a picture after each black part that has a picture before it, too."""
+    black = (light[:, 0] < DARK) & (light[:, 1] < FLAT)
+    starts = np.flatnonzero(black[:-1] & ~black[1:]) + 1
+    return starts[starts > np.argmin(black)] if not black.all() else starts[:0]
+
+
+def _trunks(image: FloatArray, size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """Return place (T, 2) and height (T,) of the trunk [px], which is at least as high as the shoulders are wide."""
+    flat = image * np.asarray(size, dtype=np.float64)
+    shoulders, hips = flat[:, _SHOULDERS].mean(axis=1), flat[:, _HIPS].mean(axis=1)
+    wide = np.linalg.norm(flat[:, _SHOULDERS[0]] - flat[:, _SHOULDERS[1]], axis=-1)
+    return shoulders, np.maximum(np.linalg.norm(hips - shoulders, axis=-1), wide)
+
+
+def _jumps(t: FloatArray, image: FloatArray, person: BoolArray, size: tuple[int, int]) -> IntArray:
+    """Return the rows at which it may be another person: after a jump of the trunk or a gap, farthest jumps first."""
+    rows = np.flatnonzero(person)
+    if len(rows) < 2:
+        return rows[:0]
+    place, height = _trunks(image, size)
+    scale = np.maximum(np.minimum(height[rows[1:]], height[rows[:-1]]), 1.0)
+    moved = np.linalg.norm(np.diff(place[rows], axis=0), axis=-1) / scale
+    grown = np.abs(np.diff(np.log(np.maximum(height[rows], 1.0))))
+    strange = (moved > JUMP) | (grown > OTHER_SIZE) | (np.diff(t[rows]) > GAP)
+    order = np.argsort(-(moved + grown)[strange])
+    return rows[1:][strange][order]
+
+
+def _is_other(
+    row: int,
+    kind: Kind,
+    t: FloatArray,
+    image: FloatArray,
+    person: BoolArray,
+    clothes: FloatArray,
+    size: tuple[int, int],
+) -> bool:
+    """Return whether the person from a row on looks like another one than before it.
+
+    Within one picture a person cannot jump; across a cut place and size say nothing, only the clothes do.
+    """
+    rows = np.flatnonzero(person)
+    away = DIM if kind == "fade" else 0.0
+    before, after = rows[(rows < row) & (t[rows] < t[row] - away)], rows[(rows >= row) & (t[rows] >= t[row] + away)]
+    if not len(before) or not len(after):
+        return False
+    gap = t[after[0]] - t[before[-1]]
+    before, after = before[t[before] > t[before[-1]] - WINDOW], after[t[after] < t[after[0]] + WINDOW]
+    if min(len(before), len(after)) < FEWEST:
+        return False
+    colour = float(np.linalg.norm(_median(clothes[before]) - _median(clothes[after])))
+    if kind != "person":
+        return colour > OTHER_COLOUR
+    place, height = _trunks(image, size)
+    small = max(min(np.median(height[before]), np.median(height[after])), 1.0)
+    moved = float(np.linalg.norm(np.median(place[before], axis=0) - np.median(place[after], axis=0)) / small)
+    grown = abs(float(np.log(np.median(height[after]) / max(np.median(height[before]), 1.0))))
+    if gap > GAP:
+        return colour > OTHER_COLOUR
+    return moved > FAR or (moved > JUMP and (colour > OTHER_COLOUR or grown > OTHER_SIZE))
+
+
+def _median(colours: FloatArray) -> FloatArray:
+    known = colours[np.isfinite(colours).all(axis=-1)]
+    return np.median(known, axis=0) if len(known) else np.full(3, np.nan)
