@@ -19,27 +19,27 @@ from mimic.view.film.footage import Progress
 from mimic.view.film.offscreen import Offscreen
 from mimic.view.film.skeleton import soft
 from mimic.view.scene.robot_shapes import in_world, qpos_at_ticks
-from mimic.view.scene.timing import camera_path, frame_times, initial_heading, nearest, shared_time, slowed_down
+from mimic.view.scene.timing import (
+    PHASE_TITLES,
+    TIME_TOLERANCE,
+    camera_path,
+    frame_numbers,
+    frame_times,
+    initial_heading,
+    nearest,
+    shared_time,
+    slowed_down,
+)
+from mimic.view.scene.viewpoint import seen_from
 
 _DISTANCE, _LOOK_HEIGHT = 1.3, 0.41
 """Distance of the camera, and the height that it looks at; raised front legs stay in the picture [m]."""
-_SIDEWAYS, _DOWN = np.radians(22.0), np.radians(10.0)
-"""Angles of the camera: to the robot's left of straight ahead, and downward [rad]."""
+_DOWN = np.radians(10.0)
+"""Angle of the camera, downward [rad]."""
 _TARGET_RADIUS = 0.03
 """Radius of the ball at the target of a toe [m]."""
 _CLAMP_SHOWN = 0.005
 """The unclamped target is drawn if clamping moved it by more than this [m]."""
-_TIME_TOLERANCE = 1e-3
-"""Tolerance of frame times [s]: without it, rounding could delay a video frame by one film frame."""
-
-_PHASE_TITLES = {
-    "lie": "lying",
-    "stand_up": "standing up",
-    "blend": "to the first target",
-    "hold": "holding",
-    "sit_down": "sitting down",
-    "damp": "damped",
-}
 
 
 class RobotFilm:
@@ -53,9 +53,19 @@ class RobotFilm:
         width: int,
         height: int,
         targets: TargetTrack | None = None,
+        pose: PoseTrack | None = None,
         fine: bool = False,
     ) -> None:
         """Prepare rendering.
+
+        Args:
+            log: Log of the robot.
+            description: The robot.
+            width: Width of the pictures [px].
+            height: Height of the pictures [px].
+            targets: Also shows the targets before clamping.
+            pose: The person; the robot is seen from where the camera saw them.
+            fine: Render smoother pictures, which takes longer.
 
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
@@ -66,7 +76,8 @@ class RobotFilm:
         self._qpos = qpos_at_ticks(log, model)
         self._target, self._actual = in_world(self._qpos, target_toes(log)), in_world(self._qpos, log.p_BE)
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
-        self._path, self._front = camera_path(log, self._qpos[:, :3]), initial_heading(log)
+        self._path = camera_path(log, self._qpos[:, :3])
+        self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
         self._screen = Offscreen(model, width, height, fine=fine)
 
     def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
@@ -79,8 +90,7 @@ class RobotFilm:
         """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls."""
         screen = self._screen
         lookat = np.array([*self._path[tick], _LOOK_HEIGHT])
-        azimuth = self._front + np.pi + _SIDEWAYS
-        screen.pose(self._qpos[tick], lookat, distance=_DISTANCE, azimuth=azimuth, elevation=-_DOWN)
+        screen.pose(self._qpos[tick], lookat, distance=_DISTANCE, azimuth=self._azimuth, elevation=-_DOWN)
         tracking = self._aimed[tick]
         for i, side in enumerate(SIDES):
             red, green, blue = (c / 255 for c in skeleton.COLOURS[side])
@@ -163,10 +173,11 @@ def save_video(
     video_frames = None if video is None else _video_frames(video, pose, times, height, stamps, slow)
 
     def frames() -> Iterator[np.ndarray]:
-        with RobotFilm(log, description, width=height, height=height, targets=targets) as film:
+        with RobotFilm(log, description, width=height, height=height, targets=targets, pose=pose) as film:
             for done, tick in enumerate(ticks, start=1):
                 robot = film.picture(int(tick))
-                _caption(robot, log, int(tick), float(clock[tick]), errors[tick])
+                frame = "" if pose is None else _frame_text(clock[tick : tick + 1], pose.t)
+                _caption(robot, log, int(tick), float(clock[tick]), frame, errors[tick])
                 yield robot if video_frames is None else np.hstack([next(video_frames), robot])
                 if progress is not None:
                     progress(done, len(ticks))
@@ -180,7 +191,7 @@ def _video_frames(
 ) -> Iterator[np.ndarray]:
     """Yield the video frame at each of the times [s], overlaid with the skeleton."""
     t = frame_times(footage.frame_stamps(video) if stamps is None else stamps, pose, slow_down)
-    on = np.clip(np.searchsorted(t, times + _TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
+    on = np.clip(np.searchsorted(t, times + TIME_TOLERANCE, side="right") - 1, 0, len(t) - 1)
     frames = footage.read_frames(video, height=height)
     at, picture = -1, None
     for row in on:
@@ -204,25 +215,34 @@ def _draw_skeleton(picture: np.ndarray, pose: PoseTrack, row: int) -> None:
     for side, pairs in skeleton.bones(pose.names).items():
         for begin, end in skeleton.segments(points, seen, pairs).ends:
             cv2.line(picture, _pixel(begin), _pixel(end), skeleton.COLOURS[side], thick, cv2.LINE_AA)
+    certain = skeleton.certainty(pose)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
         if pose.valid[row, pose.index(f"{side}_wrist")] and known[0]:
-            cv2.circle(picture, _pixel(wrist[0]), 2 * thick, skeleton.COLOURS[side], -1, cv2.LINE_AA)
+            colour = skeleton.doubtful(skeleton.COLOURS[side], float(certain[side][row]))
+            cv2.circle(picture, _pixel(wrist[0]), 2 * thick, colour, -1, cv2.LINE_AA)
 
 
 def _pixel(point: FloatArray) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
 
 
-def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, error: FloatArray) -> None:
-    """Write time, phase and toe error (2,) [cm] into a picture of the robot."""
+def _frame_text(moment: FloatArray, frames: FloatArray) -> str:
+    """Return which frame of the video is shown at a moment (1,) [s]: the first one before it, the last one after it."""
+    number = int(np.clip(frame_numbers(moment, frames)[0], 0, len(frames) - 1))
+    return f"frame {number} of {len(frames)}"
+
+
+def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, frame: str, error: FloatArray) -> None:
+    """Write time, frame of the video, phase and toe error (2,) [cm] into a picture of the robot."""
     phase = PHASES[log.phase[tick]]
     white: skeleton.Colour = (240, 243, 246)
     texts: list[tuple[str, skeleton.Colour]] = [(f"{moment:.1f} s", white)]
+    if frame:
+        texts.append((frame, white))
+    texts.append((PHASE_TITLES[phase], white))
     if phase == "track":
         texts.append(("toe error", white))
         texts += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
-    else:
-        texts.append((_PHASE_TITLES[phase], white))
     _write(picture, texts)
 
 

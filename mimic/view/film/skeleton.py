@@ -41,6 +41,10 @@ _FEET = ("left_ankle", "right_ankle", "left_heel", "right_heel", "left_foot_inde
 
 _FEET_SHARE = 0.2
 """Minimum share of visible feet from which the floor height is estimated."""
+_JUST_USABLE = 0.5
+"""Visibility at which a landmark may just be used."""
+_PALEST = 0.25
+"""Share of its colour that the least sure wrist keeps."""
 _HIP_HEIGHT = 0.9
 """Assumed height of the hips if no foot is visible [m]."""
 
@@ -108,6 +112,19 @@ def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, B
     seen = visible(points, pose.valid)
     columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
     return {side: (points[:, i], seen[:, i]) for side, i in columns.items()}
+
+
+def certainty(pose: PoseTrack) -> dict[str, FloatArray]:
+    """Return how sure each side's wrist is (T,), 0 to 1: its visibility, from just usable to fully visible."""
+    columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
+    return {side: np.clip((pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE), 0, 1) for side, i in columns.items()}
+
+
+def doubtful(colour: Colour, sure: float) -> Colour:
+    """Return a colour that is paler the less sure what it shows is (0 to 1)."""
+    share = _PALEST + (1 - _PALEST) * float(sure)
+    red, green, blue = (round(255 - share * (255 - c)) for c in colour)
+    return red, green, blue
 
 
 def heads(pose: PoseTrack, points: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mimic.view.scene import plots
+from mimic.view.scene.timing import frame_numbers
+from mimic.view.scene.viewpoint import SIDEWAYS
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -23,8 +25,11 @@ EYE = f"{ROBOT}/eye"
 PersonView = Literal["whole", "upper"]
 """Whole person, or upper body if the legs are not in the picture."""
 
-_SIDEWAYS = np.radians(22.0)
-"""Angle of the camera from straight ahead, which makes depth visible [rad]."""
+
+PHASE = "/phase"
+"""What the robot is doing, in words."""
+FRAME = "frame"
+"""Second timeline: numbers of the video's frames."""
 
 
 def time_column(t: FloatArray) -> rr.TimeColumn:
@@ -34,29 +39,42 @@ def time_column(t: FloatArray) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, duration=np.round(1e6 * t).astype("timedelta64[us]").astype("timedelta64[ns]"))
 
 
-def camera_at(
-    facing: float, *, distance: float, height: float, target: float
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return position and target of a camera with a three-quarter view of the origin [m].
+def time_columns(t: FloatArray, frames: FloatArray | None) -> list[rr.TimeColumn]:
+    """Return shared times [s] as columns of Rerun's timelines: seconds and, with a video, its frames.
 
     Args:
-        facing: Direction that the person or robot faces [rad].
+        t: Shared times (N,) [s].
+        frames: Times of the frames of the video (F,) [s]; None without one.
+    """
+    import rerun as rr
+
+    if frames is None or not len(frames):
+        return [time_column(t)]
+    return [time_column(t), rr.TimeColumn(FRAME, sequence=frame_numbers(t, frames))]
+
+
+def camera_at(
+    direction: float, *, distance: float, height: float, target: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return position and target of a camera that looks at the origin [m].
+
+    Args:
+        direction: Where the camera stands [rad].
         distance: Horizontal distance [m].
         height: Height of the camera [m].
         target: Height of the point it looks at [m].
     """
-    angle = facing + _SIDEWAYS
-    return (distance * np.cos(angle), distance * np.sin(angle), height), (0.0, 0.0, target)
+    return (distance * np.cos(direction), distance * np.sin(direction), height), (0.0, 0.0, target)
 
 
 def blueprint(
-    *, span: tuple[float, float], facing: float, video: tuple[int, int] | None, person: PersonView | None
+    *, span: tuple[float, float], camera: float, video: tuple[int, int] | None, person: PersonView | None
 ) -> rrb.Blueprint:
     """Return the layout.
 
     Args:
         span: First and last time of the plots on the shared clock [s].
-        facing: Initial heading of the robot [rad].
+        camera: Direction from which the robot is seen [rad].
         video: Width and height of the video picture [px]; None for no video.
         person: How much of the person is visible; None for no 3-D person.
     """
@@ -72,7 +90,7 @@ def blueprint(
         shares.append(float(np.clip(width / tall, 0.7, 1.5)))
     if person is not None:
         distance, target_height = (2.35, 0.98) if person == "whole" else (1.45, 1.32)
-        eye, target = camera_at(0.0, distance=distance, height=target_height + 0.42, target=target_height)
+        eye, target = camera_at(SIDEWAYS, distance=distance, height=target_height + 0.42, target=target_height)
         pictures.append(
             rrb.Spatial3DView(
                 origin=BODY,
@@ -83,7 +101,7 @@ def blueprint(
             )
         )
         shares.append(0.9)
-    eye, target = camera_at(facing, distance=0.98, height=0.6, target=0.42)
+    eye, target = camera_at(camera, distance=0.98, height=0.6, target=0.42)
     pictures.append(
         rrb.Spatial3DView(
             origin=EYE,
@@ -95,7 +113,8 @@ def blueprint(
         )
     )
     shares.append(1.1)
-    toes = (_plot(plots.toe_plot(axis), span, legend=False) for axis in reversed(plots.TOE_AXES))
+    toes = (_plot(plots.toe_plot(axis), span) for axis in reversed(plots.TOE_AXES))
+    now = rrb.TextDocumentView(origin=PHASE, name="the robot is")
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*pictures, column_shares=shares),
@@ -103,7 +122,7 @@ def blueprint(
                 _plot(plots.ERROR, span),
                 rrb.Vertical(*toes),
                 _plot(plots.KNEES, span),
-                _plot(plots.STANDING, span),
+                rrb.Vertical(_plot(plots.STANDING, span), now, row_shares=[3.0, 1.0]),
                 column_shares=[1.0, 1.4, 0.9, 0.9],
             ),
             row_shares=[1.55, 1.0],
@@ -113,8 +132,8 @@ def blueprint(
     )
 
 
-def _plot(title: str, span: tuple[float, float], *, legend: bool = True) -> rrb.TimeSeriesView:
-    """Return a plot; all plots share one time range."""
+def _plot(title: str, span: tuple[float, float]) -> rrb.TimeSeriesView:
+    """Return a plot; all plots share one time range. Its title says what the colours are: a legend would hide data."""
     import rerun.blueprint as rrb
 
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=moment) for moment in span)
@@ -122,5 +141,5 @@ def _plot(title: str, span: tuple[float, float], *, legend: bool = True) -> rrb.
         origin=plots.plot_path(title),
         name=title,
         axis_x=rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
+        plot_legend=rrb.PlotLegend(visible=False),
     )

@@ -23,6 +23,7 @@ from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.robot import rerun_shapes
 from mimic.view.scene.robot_shapes import body_poses, visual_shapes
+from mimic.view.scene.viewpoint import SIDEWAYS
 
 EVERY = 2
 """Control ticks between two drawings of the robot."""
@@ -50,7 +51,7 @@ class LiveView:
         self._description = description
         self._model = load_model(description)
         self._scene = rr.RecordingStream("mimic live")
-        eye, target = layout.camera_at(0.0, distance=1.15, height=0.6, target=0.42)
+        eye, target = layout.camera_at(SIDEWAYS, distance=1.15, height=0.6, target=0.42)
         pictures = [
             rrb.Spatial2DView(origin=layout.VIDEO, name="camera"),
             rrb.Spatial3DView(

@@ -32,17 +32,20 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
             entity = f"{layout.VIDEO}/skeleton/{side}"
             scene.log(entity, rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(2.5)), static=True)
             strips = rr.LineStrips2D.columns(strips=list(found.ends)).partition(found.counts)
-            scene.send_columns(entity, indexes=[layout.time_column(t)], columns=strips)
+            scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=strips)
         found = skeleton.segments(points[rows], skeleton.visible(points, pose.valid)[rows], pairs[side])
         entity = f"{layout.BODY}/{side}"
         scene.log(entity, rr.LineStrips3D.from_fields(colors=colour, radii=0.022), static=True)
         strips = rr.LineStrips3D.columns(strips=list(found.ends)).partition(found.counts)
-        scene.send_columns(entity, indexes=[layout.time_column(t)], columns=strips)
+        scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=strips)
+    certain = skeleton.certainty(pose)
     for side, (wrist, known) in skeleton.wrists(pose, points).items():
         entity = f"{layout.BODY}/{side}/wrist"
-        scene.log(entity, rr.Points3D.from_fields(colors=skeleton.COLOURS[side], radii=0.05), static=True)
-        balls = rr.Points3D.columns(positions=wrist[rows][known[rows]]).partition(known[rows].astype(int))
-        scene.send_columns(entity, indexes=[layout.time_column(t)], columns=balls)
+        scene.log(entity, rr.Points3D.from_fields(radii=0.05), static=True)
+        shown = rows[known[rows]]
+        colours = [skeleton.doubtful(skeleton.COLOURS[side], sure) for sure in certain[side][shown]]
+        balls = rr.Points3D.columns(positions=wrist[shown], colors=colours).partition(known[rows].astype(int))
+        scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=balls)
     middle, known = skeleton.heads(pose, points)
     middle, known = middle[rows], known[rows]
     entity = f"{layout.BODY}/head"
@@ -51,6 +54,6 @@ def draw_person(scene: rr.RecordingStream, pose: PoseTrack, size: tuple[int, int
     heads = rr.Ellipsoids3D.columns(centers=middle[known], half_sizes=np.tile(_HEAD, (known.sum(), 1))).partition(
         known.astype(int)
     )
-    scene.send_columns(entity, indexes=[layout.time_column(t)], columns=heads)
+    scene.send_columns(entity, indexes=layout.time_columns(t, pose.t), columns=heads)
     if skeleton.feet_seen(pose):
         draw_floor(scene, f"{layout.BODY}/floor", np.zeros((1, 2)), tile=0.5)

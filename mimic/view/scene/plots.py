@@ -16,7 +16,9 @@ from mimic.view.scene.timing import shared_time
 
 ROOT = "/plots"
 
-ERROR, KNEES, STANDING = "toe error [cm]", "knee torque [N m]", "standing"
+ERROR = "toe error [cm]: left green, right pink; clamped by: pale"
+KNEES = "knee torque [N m]: left green, right pink"
+STANDING = "standing [upright 0 to 1: orange; height m: grey]"
 TOE_AXES = ("forward", "left", "up")
 """The axes of the person's torso, in the order of torso coordinates."""
 

@@ -8,14 +8,14 @@ import rerun as rr
 from mimic.dynamics.robot_model import load_model
 from mimic.geometry import rotation_from_quat
 from mimic.metrics import target_toes
-from mimic.records import SIDES, FloatArray, RunLog, TargetTrack
+from mimic.records import PHASES, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film import skeleton
 from mimic.view.film.skeleton import soft
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.robot_shapes import Shapes, body_poses, in_world, qpos_at_ticks, visual_shapes
-from mimic.view.scene.timing import camera_path, shared_time
+from mimic.view.scene.timing import PHASE_TITLES, camera_path, shared_time
 
 _TRAIL = 0.7
 """Duration of the trail behind a toe [s]."""
@@ -28,26 +28,44 @@ _CLAMPED = 0.005
 
 
 def draw_robot(
-    scene: rr.RecordingStream, log: RunLog, description: RobotDescription, targets: TargetTrack | None
+    scene: rr.RecordingStream,
+    log: RunLog,
+    description: RobotDescription,
+    targets: TargetTrack | None,
+    frames: FloatArray | None = None,
 ) -> None:
-    """Add the robot, its toes and the floor to a scene; with targets, also the unclamped ones."""
+    """Add the robot, its toes, its phases and the floor to a scene; with targets, also the unclamped ones.
+
+    Args:
+        frames: Times of the frames of the video (F,) [s].
+    """
     model = load_model(description)
     qpos = qpos_at_ticks(log, model)
     position, quat = body_poses(model, qpos)
-    t = layout.time_column(shared_time(log))
+    clock = shared_time(log)
+    t = layout.time_columns(clock, frames)
     for shapes in visual_shapes(model):
         scene.log(f"{layout.ROBOT}/links/{shapes.body}/{shapes.kind}", rerun_shapes(shapes), static=True)
     for body in sorted({shapes.body for shapes in visual_shapes(model)}):
         i = model.body(body).id
         poses = rr.Transform3D.columns(translation=position[:, i], quaternion=quat[:, i][:, [1, 2, 3, 0]])
-        scene.send_columns(f"{layout.ROBOT}/links/{body}", indexes=[t], columns=poses)
+        scene.send_columns(f"{layout.ROBOT}/links/{body}", indexes=t, columns=poses)
     path = camera_path(log, qpos[:, :3])
     eye = np.column_stack([path, np.zeros(len(path))])
-    scene.send_columns(layout.EYE, indexes=[t], columns=rr.Transform3D.columns(translation=eye))
+    scene.send_columns(layout.EYE, indexes=t, columns=rr.Transform3D.columns(translation=eye))
     draw_floor(scene, f"{layout.ROBOT}/floor", path, tile=_TILE)
-    _toes(scene, log, qpos, description)
+    _phases(scene, log, clock, frames)
+    _toes(scene, log, qpos, description, frames)
     if targets is not None:
-        _unclamped_targets(scene, targets)
+        _unclamped_targets(scene, targets, frames)
+
+
+def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: FloatArray | None) -> None:
+    """Say in words what the robot does, from each change on."""
+    first = np.flatnonzero(np.diff(log.phase, prepend=-1))
+    words = [f"{PHASE_TITLES[PHASES[log.phase[row]]]} (from {clock[row]:.1f} s)" for row in first]
+    times = layout.time_columns(clock[first], frames)
+    scene.send_columns(layout.PHASE, indexes=times, columns=rr.TextDocument.columns(text=words))
 
 
 def rerun_shapes(shapes: Shapes) -> rr.AsComponents:
@@ -88,12 +106,18 @@ def trails(points: FloatArray, ticks: int) -> FloatArray:
     return points[rows]
 
 
-def _toes(scene: rr.RecordingStream, log: RunLog, qpos: FloatArray, description: RobotDescription) -> None:
+def _toes(
+    scene: rr.RecordingStream,
+    log: RunLog,
+    qpos: FloatArray,
+    description: RobotDescription,
+    frames: FloatArray | None,
+) -> None:
     target, actual = in_world(qpos, target_toes(log)), in_world(qpos, log.p_BE)
     shown = np.flatnonzero(log.aimed & np.isfinite(target).all(axis=(1, 2)))
     if not len(shown):
         return
-    t = layout.time_column(shared_time(log)[shown])
+    t = layout.time_columns(shared_time(log)[shown], frames)
     ticks = max(2, round(_TRAIL / description.dt))
     see_through = rr.components.FillMode.TransparentFillMajorWireframe
     for i, (side, colour) in enumerate((side, skeleton.COLOURS[side]) for side in SIDES):
@@ -106,22 +130,22 @@ def _toes(scene: rr.RecordingStream, log: RunLog, qpos: FloatArray, description:
             centers = points[shown, i]
             # Sizes are logged with the centres: a static size would draw a ball at the origin before the first centre.
             balls = rr.Ellipsoids3D.columns(centers=centers, half_sizes=np.full_like(centers, radius))
-            scene.send_columns(f"{entity}/{name}", indexes=[t], columns=balls)
+            scene.send_columns(f"{entity}/{name}", indexes=t, columns=balls)
         for name, points, line, radius in (
             ("target_trail", target, soft(colour), 0.002),
             ("actual_trail", actual, colour, 0.004),
         ):
             scene.log(f"{entity}/{name}", rr.LineStrips3D.from_fields(colors=line, radii=radius), static=True)
             strips = list(trails(points[shown, i], ticks))
-            scene.send_columns(f"{entity}/{name}", indexes=[t], columns=rr.LineStrips3D.columns(strips=strips))
+            scene.send_columns(f"{entity}/{name}", indexes=t, columns=rr.LineStrips3D.columns(strips=strips))
 
 
-def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack) -> None:
+def _unclamped_targets(scene: rr.RecordingStream, targets: TargetTrack, frames: FloatArray | None) -> None:
     """Show the toe targets before clamping, as small white balls in base axes."""
-    t = layout.time_column(targets.t)
+    t = layout.time_columns(targets.t, frames)
     for i, side in enumerate(SIDES):
         entity = f"{layout.ROBOT}/links/base/unclamped_{side}"
         shown = (targets.moved[:, i] > _CLAMPED) & np.isfinite(targets.wanted[:, i]).all(axis=1)
         scene.log(entity, rr.Points3D.from_fields(colors=(255, 255, 255), radii=0.012), static=True)
         points = rr.Points3D.columns(positions=targets.wanted[shown, i]).partition(shown.astype(int))
-        scene.send_columns(entity, indexes=[t], columns=points)
+        scene.send_columns(entity, indexes=t, columns=points)

@@ -19,6 +19,7 @@ from mimic.view.scene.footage import Clip, Footage, start_footage
 from mimic.view.scene.person import draw_person
 from mimic.view.scene.robot import draw_robot
 from mimic.view.scene.timing import frame_times, hold_first_row, initial_heading, shared_time, slowed_down
+from mimic.view.scene.viewpoint import seen_from
 
 
 def save_scene(
@@ -59,22 +60,24 @@ def save_scene(
         clip = None if footage is None else footage.clip(progress, None if pose is None else len(pose.t))
         size = clip.size if clip is not None else None if pose is None or 0 in pose.size else pose.size
         seen: layout.PersonView | None = None if pose is None else "whole" if feet_seen(pose) else "upper"
-        shown = layout.blueprint(span=(start, float(clock[-1])), facing=initial_heading(log), video=size, person=seen)
+        camera = initial_heading(log) + seen_from(pose, targets)
+        shown = layout.blueprint(span=(start, float(clock[-1])), camera=camera, video=size, person=seen)
+        stamps = None if clip is None else frame_times(clip.stamps, pose, slowed_down(targets))
+        frames = stamps if pose is None else pose.t
         with rr.RecordingStream("mimic") as scene:
             scene.save(part, default_blueprint=shown)
             if made_by is not None:
                 scene.send_property("provenance", rr.AnyValues(json=json.dumps(plain(made_by))))
-            if clip is not None:
-                _video(scene, clip, frame_times(clip.stamps, pose, slowed_down(targets)), start)
+            if clip is not None and stamps is not None:
+                _video(scene, clip, stamps, start)
             if pose is not None:
                 draw_person(scene, pose, size, start)
-            draw_robot(scene, log, description, targets)
+            draw_robot(scene, log, description, targets, frames)
             for curve in plots.curves(log, description, targets):
                 style = rr.SeriesLines(colors=curve.colour, names=curve.name, widths=curve.width)
                 scene.log(curve.path, style, static=True)
-                scene.send_columns(
-                    curve.path, indexes=[layout.time_column(curve.t)], columns=rr.Scalars.columns(scalars=curve.value)
-                )
+                times = layout.time_columns(curve.t, frames)
+                scene.send_columns(curve.path, indexes=times, columns=rr.Scalars.columns(scalars=curve.value))
             scene.flush()
             scene.disconnect()
 
@@ -83,9 +86,10 @@ def _video(scene: rr.RecordingStream, clip: Clip, t: FloatArray, start: float) -
     asset = rr.AssetVideo(path=clip.path)
     scene.log(layout.VIDEO, asset, static=True)
     nanos = asset.read_frame_timestamps_nanos()
+    every = t
     t, rows = hold_first_row(t[: len(nanos)], start)
     scene.send_columns(
         layout.VIDEO,
-        indexes=[layout.time_column(t)],
+        indexes=layout.time_columns(t, every),
         columns=rr.VideoFrameReference.columns_nanos(np.asarray(nanos)[rows]),
     )

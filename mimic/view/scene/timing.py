@@ -8,6 +8,19 @@ from mimic.geometry import heading_from_quat
 from mimic.records import PHASES, FloatArray, IntArray, PoseTrack, RunLog, TargetTrack
 
 TRACK = PHASES.index("track")
+TIME_TOLERANCE = 1e-3
+"""Tolerance of frame times [s]: without it, rounding could delay a video frame by one film frame."""
+
+PHASE_TITLES = {
+    "lie": "lying",
+    "stand_up": "standing up",
+    "blend": "to the first target",
+    "track": "following",
+    "hold": "holding",
+    "sit_down": "sitting down",
+    "damp": "damped",
+}
+"""What a picture says of each phase."""
 
 _FOLLOW = 0.8
 """Standard deviation of the filter on the camera path [s]."""
@@ -33,6 +46,20 @@ def frame_times(stamps: FloatArray, pose: PoseTrack | None, slow_down: float = 1
     if pose is not None and len(pose.t) == len(stamps):
         return pose.t
     return slow_down * np.maximum.accumulate(stamps - stamps[0]) if len(stamps) else stamps
+
+
+def frame_numbers(t: FloatArray, frames: FloatArray) -> IntArray:
+    """Return the number of the video frame at each time [s]; it goes on evenly before and after the video.
+
+    Args:
+        t: Times on the shared clock (N,) [s].
+        frames: Times of the frames of the video (F,), at least one [s].
+    """
+    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
+    number = np.searchsorted(frames, t + TIME_TOLERANCE, side="right") - 1
+    before, after = np.floor((t - frames[0] + TIME_TOLERANCE) / step), np.floor((t - frames[-1]) / step)
+    number = np.where(t < frames[0], before, number)
+    return np.where(t > frames[-1], len(frames) - 1 + after, number).astype(np.int64)
 
 
 def slowed_down(targets: TargetTrack | None) -> float:

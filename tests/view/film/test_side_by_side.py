@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import read_frames
 from mimic.view.film.offscreen import NoOffscreenGL
-from mimic.view.film.side_by_side import render_frame, save_video
+from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video
 from mimic.view.scene.timing import shared_time
 
 HEIGHT, FPS = 64, 10
@@ -66,6 +67,18 @@ def test_film_shows_the_person_waiting_and_then_in_step(
     moments = clock[0] + np.arange(len(frames)) / FPS
     shown = np.searchsorted(pose.t, moments + 1e-3, side="right") - 1
     np.testing.assert_allclose(grey, 10 + 10 * np.maximum(shown, 0), atol=4)
+
+
+def test_from_behind_the_sides_are_where_they_are_of_a_person_from_behind(
+    still: np.ndarray, log: RunLog, description: RobotDescription, pose: PoseTrack
+) -> None:
+    behind = replace(pose, landmarks=pose.landmarks * [-1.0, 1.0, -1.0])
+    with RobotFilm(log, description, width=160, height=120, pose=behind, fine=True) as film:
+        picture = film.picture(60)
+    red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
+    x = np.arange(160)[None, :] * np.ones((120, 1))
+    left, right = (green > red + 60) & (blue > red + 40), (red > green + 60) & (blue > green + 20)
+    assert x[left].mean() < x[right].mean()
 
 
 def test_film_is_h264_that_every_browser_plays(

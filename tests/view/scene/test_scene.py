@@ -73,6 +73,25 @@ def test_robot_and_video_share_a_clock(scene: Path, log: RunLog, pose: PoseTrack
     np.testing.assert_allclose(times(held, "/person/left"), waiting_then_playing, atol=1e-6)
 
 
+def test_phases_are_said_in_words_from_when_they_begin(scene: Path, log: RunLog) -> None:
+    held = columns_of(scene)
+    words = [word for chunk in held["/phase"] for row in chunk.get("TextDocument:text", []) for word in row]
+    assert [word.split(" (")[0] for word in words] == ["standing up", "to the first target", "following", "holding"]
+    np.testing.assert_allclose(times(held, "/phase"), shared_time(log)[[0, 20, 25, 75]], atol=1e-6)
+
+
+def test_a_second_timeline_counts_the_frames_of_the_video(scene: Path, pose: PoseTrack) -> None:
+    held = columns_of(scene)
+    numbers = [value for chunk in held["/person/left"] for value in chunk.get("frame", [])]
+    assert sorted(numbers)[1:] == list(range(len(pose.t)))
+    assert all(
+        "frame" in chunk
+        for name in ("/video", "/robot/links/base", "/plots/toe_error/left")
+        for chunk in held[name]
+        if "time" in chunk
+    )
+
+
 def test_target_toes_wait_until_the_robot_stands(scene: Path, log: RunLog) -> None:
     held = columns_of(scene)
     assert times(held, "/robot/toes/left/target")[0] == pytest.approx(shared_time(log)[20])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mimic.records import PHASES, PoseTrack, RunLog
-from mimic.view.scene.timing import camera_path, frame_times, hold_first_row, nearest, shared_time
+from mimic.view.scene.timing import camera_path, frame_numbers, frame_times, hold_first_row, nearest, shared_time
 
 
 def test_zero_is_the_first_tick_of_tracking(log: RunLog) -> None:
@@ -39,3 +39,10 @@ def test_camera_follows_steps_of_the_base_smoothly(log: RunLog) -> None:
     assert path.shape == (len(log.t), 2)
     assert np.abs(np.diff(path[:, 0])).max() < np.abs(np.diff(log.p_WB[:, 0])).max()
     assert log.p_WB[0, 0] <= path[0, 0] <= path[-1, 0] <= log.p_WB[-1, 0]
+
+
+def test_frame_numbers_follow_the_frames_and_go_on_beside_them() -> None:
+    frames = np.array([0.0, 0.1, 0.2, 0.4, 0.5])
+    at = np.array([-0.25, -0.05, 0.0, 0.0999, 0.15, 0.35, 0.4, 0.5, 0.65])
+    assert frame_numbers(at, frames).tolist() == [-3, -1, 0, 1, 1, 2, 3, 4, 5]
+    assert frame_numbers(np.array([0.0]), np.array([0.0])).tolist() == [0]
