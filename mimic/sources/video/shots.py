@@ -100,11 +100,12 @@ def find_changes(
         size: Width and height of the picture [px].
     """
     found: dict[int, Kind] = {}
-    for kind, rows in (
+    candidates: tuple[tuple[Kind, IntArray], ...] = (
         ("fade", _after_black(light)),
         ("cut", shot_starts(change)),
         ("person", _jumps(t, image, person, size)),
-    ):
+    )
+    for kind, rows in candidates:
         for row in rows:
             if all(abs(t[row] - t[other]) > SAME_TIME for other in found):
                 found[int(row)] = kind

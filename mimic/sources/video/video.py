@@ -112,7 +112,7 @@ def track_video(
         valid=valid,
         size=detections.size,
         swapped=swapped,
-        shot=np.searchsorted(shots, np.arange(len(t)), "right"),
+        shot=np.searchsorted(shots, np.arange(len(t)), "right").astype(np.float64),
         warnings=tuple(warnings),
     )
 
