@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import shutil
 from fractions import Fraction
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
     from mimic.io.lerobot import Episode
 
-Format = Literal["lerobot", "csv", "npz"]
+Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr"]
+ENDINGS = {"csv": ".csv", "npz": ".npz", "mjlab": ".npz", "gmr": ".pkl"}
+"""Ending of the file of each format that is a file."""
 STATE = (
     *(f"{name}.pos" for name in JOINTS),
     *(f"{name}.vel" for name in JOINTS),
@@ -50,8 +53,9 @@ def export(
 
     Args:
         source: Folder of a run, or of a batch (each of its runs becomes an episode; lerobot only).
-        out: Folder of the dataset, or file (.csv, .npz).
-        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log).
+        out: Folder of the dataset, or file (.csv, .npz, .pkl).
+        form: lerobot (LeRobotDataset v3), csv or npz (every column of the log), mjlab (motion file, .npz) or gmr
+            (motion file, .pkl).
         video: Whether a dataset has a film of the robot, one frame for each row.
         reporter: Receives progress.
 
@@ -61,6 +65,10 @@ def export(
     """
     reporter = reporter or SilentReporter()
     folders = _runs(source)
+    if form in ENDINGS and out.suffix.lower() != ENDINGS[form]:
+        raise ConfigError(f"--out is {out}; expected a file name that ends with {ENDINGS[form]} for --format {form}")
+    if form not in ENDINGS and out.suffix:
+        raise ConfigError(f"--out is {out}; expected the name of a folder for --format {form}")
     if out.exists():
         raise ConfigError(f"{out} exists; name another place with --out, or remove it")
     store.check_writable(out.parent)
@@ -71,14 +79,15 @@ def export(
         raise ConfigError(
             f"{source} holds {len(folders)} runs, and a {form} file one; use --format lerobot, or one run"
         )
-    if out.suffix.lower() != f".{form}":
-        raise ConfigError(f"{out.name} must end in .{form}")
-    columns = _columns(store.load(folders[0] / LOG, RunLog))
+    log = store.load(folders[0] / LOG, RunLog)
+    content = _motion(log, form, folders[0]) if form in ("mjlab", "gmr") else _columns(log)
     with store.written_whole(out) as part:
-        if form == "npz":
-            np.savez_compressed(part, **columns)
+        if form == "csv":
+            _save_csv(part, content)
+        elif form == "gmr":
+            part.write_bytes(pickle.dumps(content))
         else:
-            _save_csv(part, columns)
+            np.savez_compressed(part, **content)
     return 1
 
 
@@ -89,6 +98,27 @@ def export_batch(out: Path, *, video: bool = True, reporter: Reporter | None = N
         shutil.rmtree(folder)
     export(out, folder, video=video, reporter=reporter)
     return folder
+
+
+def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
+    """Return a run as a motion file of mjlab or GMR, at equal time steps."""
+    from mimic.control.dropouts import fill_dropouts
+    from mimic.flows.motion_layouts import gmr_motion, mjlab_motion
+    from mimic.robot.description import load_description
+
+    name = str(log.metadata.get("robot", "cyberdog2"))
+    description = load_description(name)
+    fps = round(1.0 / float(np.median(np.diff(log.t))))
+    ticks = _even_ticks(log, fps)
+    log = fill_dropouts(log, description)
+    if not all(np.isfinite(values).all() for values in (log.q, log.quat_WB, log.p_WB)):
+        raise AssetError(f"{folder / LOG} lacks joint positions or orientations; a motion has no gaps")
+    return (mjlab_motion if form == "mjlab" else gmr_motion)(log, ticks, fps, description)
+
+
+def _even_ticks(log: RunLog, fps: int) -> np.ndarray:
+    """Return the rows of a log at equal time steps; a row that came late is that of the nearest tick."""
+    return _nearest(log.t, log.t[0] + np.arange(round(float(log.t[-1] - log.t[0]) * fps) + 1) / fps)
 
 
 def _runs(source: Path) -> list[Path]:
@@ -165,8 +195,7 @@ def _episode(log: RunLog, folder: Path, fps: int, *, video: bool) -> Episode:
     """Return a run at equal time steps; a row that came late is that of the nearest tick."""
     from mimic.io.lerobot import Episode
 
-    times = log.t[0] + np.arange(round(float(log.t[-1] - log.t[0]) * fps) + 1) / fps
-    ticks = _nearest(log.t, times)
+    ticks = _even_ticks(log, fps)
     target = log.p_BE_des[ticks].reshape(len(ticks), -1)
     columns = {
         "observation.state": np.hstack([log.q[ticks], log.dq[ticks], log.quat_WB[ticks], log.omega_B[ticks]]),
