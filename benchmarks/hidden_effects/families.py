@@ -78,6 +78,12 @@ ALIEN_CAPS: Mapping[str, tuple[float, str]] = {
     "cable_hysteresis": (1.0, "gravity of two legs"),
     "detent": (1.5, "gravity of three legs"),
     "random_walk": (1.0, "gravity of two legs"),
+    "integral": (200.0, "the loop begins to oscillate"),
+    "target_filter": (0.05, "two and a half targets"),
+    "deadband": (0.05, "3 deg"),
+    "friction_wave": (1.0, "eight times dry friction"),
+    "slip": (0.12, "an end stop"),
+    "zero_drift": (0.003, "an end stop within a minute"),
 }
 
 

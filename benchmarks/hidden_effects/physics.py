@@ -12,6 +12,8 @@ Where two readings of an equation of the catalogue are possible, this is the one
     sag          the share of supply at which what the motors draw leaves just that share, down to 0.2
     encoder step the drive's position term sees the steps, its velocity term does not
 
+Columns that make a law another one than the catalogue's are neutral where `generator.OTHER_LAWS` does not set them.
+
 Source: Featherstone 2008, chapter 5 (recursive Newton-Euler); Acary and Brogliato 2008, chapter 10 (Moreau-Jean).
 """
 
@@ -31,7 +33,7 @@ except ImportError:  # a hundred times slower, same numbers
 
 
 FLANK = 2.0e4
-"""Stiffness of what touches at the ends of a gap [N m/rad]."""
+"""Stiffness of what touches at the ends of a gap, where the machine does not say otherwise [N m/rad]."""
 FLANK_DAMPING = 0.3
 """Damping ratio there."""
 STOP_STIFFNESS, STOP_DAMPING = 400.0, 2.0
@@ -45,7 +47,9 @@ COLUMNS = (
     "stribeck stribeck_speed load asymmetric asymmetric_viscous drag coupling gap compliance "
     "offset scale step cog_cos cog_sin cog_order stiffness moment force_cos force_sin force_hz low high motor_side "
     "stop_k stop_q eccentric eccentric_phase wear wear_travel imbalance imbalance_order imbalance_phase "
-    "cable_k cable_torque detent detent_q detent_width"
+    "cable_k cable_torque detent detent_q detent_width "
+    "integral deadband target_lag friction_wave load_power stribeck_power drag_power cubic second_cog hardening flank "
+    "slip slip_travel zero_drift"
 ).split()
 (
     FC, D, JA, KP, KD, TMAX, VMAX, VFLAT, KT, DRIFT, HLOSS, HTIME, TLAG, VLAG,
@@ -53,6 +57,8 @@ COLUMNS = (
     OFF, SCALE, STEP, COGC, COGS, COGN, SPR, MOM, PC, PS, PF, LOW, HIGH, MSIDE,
     STOPK, STOPQ, ECC, ECCP, WEAR, WEARS, IMB, IMBN, IMBP,
     BWK, BWT, DET, DETQ, DETW,
+    INT, DEAD, ULAG, WAVE, MUP, FSP, D2P, CUBE, COG2, HARD, FLANKK,
+    SLIP, SLIPS, ZERO,
 ) = range(len(COLUMNS))  # fmt: skip
 
 
@@ -194,6 +200,17 @@ def _between(torque, damp, v, v_mid):
 
 
 @njit(cache=True)
+def _read(p, x, travel, t):
+    """What the encoder reads at angle x: a belt may jump a tooth, forth and back, and the zero may drift."""
+    r = p[SCALE] * x + p[OFF] + p[ECC] * math.sin(x + p[ECCP]) + p[ZERO] * max(t, 0.0)
+    if p[SLIP] != 0.0:
+        r -= p[SLIP] * (math.floor(travel / p[SLIPS]) % 2.0)
+    if p[STEP] > 0.0:
+        r = p[STEP] * round(r / p[STEP])
+    return r
+
+
+@njit(cache=True)
 def _limits(p, left, v):
     """Least and greatest torque of a motor at speed v with a share of its supply left."""
     tmax, vmax, flat = p[TMAX] * left, p[VMAX] * left, p[VFLAT] * left
@@ -236,6 +253,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
     tau, lagged, seen, heat = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 3))
     speed = np.zeros((legs, 3))  # of the step before, as the drive measures it
     travel, hyst, imp = np.zeros((legs, 3)), np.zeros((legs, 3)), np.zeros((legs, 6))
+    goal, summed = held.copy(), np.zeros((legs, 3))
     at = np.zeros((legs, 3), np.int64)
     own = np.zeros((legs, 3), np.bool_)  # joints with a motor body of their own
     any_own = np.zeros(legs, np.bool_)
@@ -263,10 +281,7 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                 for j in range(3):
                     p = par[l, j]
                     x = th[l, j] if own[l, j] else q[l, j]
-                    r = p[SCALE] * x + p[OFF] + p[ECC] * math.sin(x + p[ECCP])
-                    if p[STEP] > 0.0:
-                        r = p[STEP] * round(r / p[STEP])
-                    q_out[row, l, j] = r
+                    q_out[row, l, j] = _read(p, x, travel[l, j], t0)
                     tau_out[row, l, j] = tau[l, j]
             row += 1
         left = _supply(drop, asked, at_speed, par) if drop > 0.0 else 1.0
@@ -322,10 +337,12 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         share = (t + h - arrival[l, j, at[l, j] + 1]) / h
                         jump = target[l, j, at[l, j] + 1] - u
                         u += share * jump
+                    if p[ULAG] > 0.0:
+                        old = goal[l, j]
+                        goal[l, j] += (1.0 - math.exp(-h / p[ULAG])) * (u - old)
+                        u, jump = 0.5 * (old + goal[l, j]), 0.0
                     # Encoder and drive.
-                    r = p[SCALE] * xm + p[OFF] + p[ECC] * math.sin(xm + p[ECCP])
-                    if p[STEP] > 0.0:
-                        r = p[STEP] * round(r / p[STEP])
+                    r = _read(p, xm, travel[l, j], mid)
                     vr = (p[SCALE] + p[ECC] * math.cos(xm + p[ECCP])) * vm
                     stiff = p[KP] * p[SCALE]
                     damp = p[KD] * p[SCALE]
@@ -342,7 +359,14 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         vr = 0.5 * (old + seen[l, j])
                         damp = 0.0
                     factor = p[KT] * (1.0 + p[DRIFT] * mid / 100.0) * (1.0 - p[HLOSS] * heat[l, j])
-                    cmd = factor * (p[KP] * (u - r) - p[KD] * vr)
+                    error = u - r
+                    if p[DEAD] > 0.0:
+                        if abs(error) < p[DEAD]:
+                            stiff = 0.0
+                        error -= min(max(error, -p[DEAD]), p[DEAD])
+                        jump = 0.0
+                    summed[l, j] += h * error
+                    cmd = factor * (p[KP] * error + p[INT] * summed[l, j] - p[KD] * vr)
                     jump *= factor * p[KP]
                     stiff *= factor
                     damp *= factor
@@ -384,9 +408,10 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     d = p[D]
                     other = j + 1 if j < 2 else 1
                     load -= p[COUP] * (v[l, other] + 0.5 * (v[l, other] - v_old[l, other]))
-                    load -= p[D2] * vj_mid * abs(vj_mid) + p[DA] * abs(vj_mid)
+                    load -= p[D2] * vj_mid * abs(vj_mid) ** p[D2P] + p[DA] * abs(vj_mid)
                     load += p[COGC] * math.cos(p[COGN] * x) + p[COGS] * math.sin(p[COGN] * x)
-                    load += p[MOM] - p[SPR] * x
+                    load += p[COG2] * math.cos(2.0 * p[COGN] * x)
+                    load += p[MOM] - p[SPR] * x * (1.0 + p[CUBE] * x * x)
                     if p[PC] != 0.0 or p[PS] != 0.0:
                         phase = 6.283185307179586 * p[PF] * mid
                         load += p[PC] * math.cos(phase) + p[PS] * math.sin(phase)
@@ -415,8 +440,11 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                     vf = vm_mid if p[MSIDE] > 0.0 else vj_mid
                     bound = p[FC] * (1.0 + p[WEAR] * math.exp(-travel[l, j] / p[WEARS]))
                     if p[FS] > 0.0:
-                        bound += p[FS] * math.exp(-((vf / p[VS]) ** 2))
-                    bound += p[MU] * abs(cmd_mid)
+                        bound += p[FS] * math.exp(-(abs(vf / p[VS]) ** p[FSP]))
+                    if p[MU] != 0.0:
+                        bound += p[MU] * abs(cmd_mid) ** p[MUP]
+                    if p[WAVE] != 0.0:
+                        bound = max(bound + p[WAVE] * math.cos(3.0 * x), 0.0)
                     travel[l, j] += h * abs(vf)
                     low[j], high[j] = 0.0, 0.0
                     if is_own:
@@ -427,11 +455,13 @@ def run(dt, skip, every, rows, par, link, gravity, swing, drop, arrival, target,
                         rhs[j] = load
                         rhs[f] -= d * (vm if p[MSIDE] > 0.0 else vj)
                         # Between motor and link.
-                        k = 1.0 / p[COMP] if p[COMP] > 0.0 else FLANK
+                        k = 1.0 / p[COMP] if p[COMP] > 0.0 else (p[FLANKK] if p[FLANKK] > 0.0 else FLANK)
                         c = 0.0 if p[COMP] > 0.0 else 2.0 * FLANK_DAMPING * math.sqrt(k * p[JA])
                         gap = 0.5 * p[GAP]
                         twist = xm - x
                         over = twist - gap if twist > gap else (twist + gap if twist < -gap else 0.0)
+                        if p[HARD] > 0.0:
+                            k *= 1.0 + (over / p[HARD]) ** 2
                         if over != 0.0 or gap == 0.0:
                             push = k * over + c * (vm - vj)
                             if push * over >= 0.0:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
-from benchmarks.hidden_effects.generator import ALIENS, Machine
+from benchmarks.hidden_effects.generator import ALIENS, CLOCKS, OTHER_LAWS, Machine
 from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.excitation import Excitation, Kind, hung_ranges, probe_targets
@@ -58,6 +60,8 @@ class Scenario:
     seconds: float = 60.0
     clock: str = "grid"
     """When the rows are written, of `generator.CLOCKS`: the same machine and motion with each."""
+    joints: str = "all"
+    """all, or leg: the log has only the joints of the first leg with something hidden, for little time."""
 
     @property
     def machine_key(self) -> str:
@@ -68,16 +72,18 @@ class Scenario:
     @property
     def key(self) -> str:
         """Its name: the same name is the same log."""
+        if self.joints != "all":
+            return f"{self.machine_key}/{self.clock}/{self.joints}"
         return self.machine_key if self.clock == "grid" else f"{self.machine_key}/{self.clock}"
 
     @staticmethod
     def of(key: str) -> Scenario:
         """Return the scenario of a name."""
-        group, what, strength, kind, seed, seconds, *clock = key.split("/")
+        group, what, strength, kind, seed, seconds, *rest = key.split("/")
         names = () if what == "nothing" else tuple(what.split("+"))
         return Scenario(
             group=group, names=names, strength=strength, kind=kind, seed=int(seed), seconds=float(seconds[:-1]),
-            clock=clock[0] if clock else "grid",
+            clock=rest[0] if rest else "grid", joints=rest[1] if len(rest) > 1 else "all",
         )  # fmt: skip
 
 
@@ -99,6 +105,30 @@ class Built:
     seed: int
     where: dict[str, tuple[str, ...]]
     """Affected joints of each name; all for the whole machine."""
+    differs: str = ""
+    """How the machine differs from the catalogue beside what is hidden; empty where it does not."""
+    small: tuple[str, ...] = ()
+    """Small effects beside those that are hidden: they may be named and need not be."""
+
+    @property
+    def leg(self) -> tuple[str, ...]:
+        """Joints of the first leg with something hidden; of a leg drawn by the seed where all or none have it."""
+        joint = next((joints[0] for joints in self.where.values() if len(joints) < len(JOINTS)), JOINTS[self.seed % 12])
+        return tuple(j for j in JOINTS if j.startswith(joint.split("_")[0]))
+
+
+def differs(key: str) -> bool:
+    """Return whether the laws of a scenario's machine differ from the catalogue's: a third of those with effects."""
+    s = Scenario.of(key)
+    return s.group in ("single", "pair", "triple") and _draw(f"differs/{s.machine_key}") % 3 == 0
+
+
+def _draw(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+SMALL = ("stribeck", "spring", "quadratic_drag", "cogging", "load_friction")
+"""What a machine may have a little of, beside effects that have no other law."""
 
 
 @cache
@@ -150,10 +180,21 @@ def build(scenario: Scenario) -> Built:
             aliens += alien(name, own)
         else:
             effects.append(hidden_effect(name, own, machine, rng))
-    machine = replace(machine, hidden=EffectSet(tuple(effects)), aliens=tuple(aliens))
+    other, small, text = (), (), ""
+    if differs(scenario.key):
+        other = tuple(n for n in scenario.names if n in OTHER_LAWS)
+        if other:
+            text = "; ".join(f"{n}: {OTHER_LAWS[n][0]}" for n in other)
+        else:
+            small = (SMALL[_draw(scenario.machine_key) % len(SMALL)],)
+            joint = where[scenario.names[0]][0]
+            one = {joint: sizes(small[0], "faint")[joint.split("_")[1]]}
+            effects.append(hidden_effect(small[0], one, machine, rng))
+            text = f"a little {small[0]} beside it"
+    machine = replace(machine, hidden=EffectSet(tuple(effects)), aliens=tuple(aliens), other_laws=other)
     ranges = hung_ranges(load_description())
     motion = probe_targets(*ranges, seconds=scenario.seconds, seed=seed % 100_000, kind=scenario.kind)
-    return Built(machine=machine, motion=motion, seed=seed, where=where)
+    return Built(machine=machine, motion=motion, seed=seed, where=where, differs=text, small=small)
 
 
 def _some_joints(scenario: Scenario, place: int, parts: tuple[str, ...], rng: np.random.Generator) -> tuple[str, ...]:
@@ -197,3 +238,33 @@ def ordered(rounds: int = 6, seconds: float = 60.0) -> Iterator[Scenario]:
             clean += 1
         for strength in FAINT:
             yield from (one("single", (n,), strength) for n in FAMILIES if reachable(n, strength))
+
+
+MIX = ("clean", "single", "clean", "pair", "clean", "single", "alien", "single")
+"""Groups in turn, of a run that may be cut anywhere."""
+
+
+def balanced(rounds: int = 6, seconds: float = 24.0) -> Iterator[Scenario]:
+    """Yield clean logs, strong and medium effects, pairs and aliens on all clocks, so mixed that any beginning has the
+    same shares of groups, clocks and halves.
+
+    Each clock has an order of its own, drawn by names, and clean logs of its own.
+    """
+    queues = {clock: {group: iter(()) for group in MIX} for clock in CLOCKS}
+    everything = [s for s in ordered(rounds, seconds) if s.strength in ("strong", "medium", "none")]
+    for number, clock in enumerate(CLOCKS):
+        for group in set(MIX):
+            mine = [replace(s, clock=clock) for s in everything if s.group == group]
+            if group == "clean":
+                mine = [s for s in mine if s.seed // 2 % len(CLOCKS) == number]
+            else:
+                mine.sort(key=lambda s: (s.seed // len(KINDS), zlib.crc32(s.key.encode())))
+            halves = ([s for s in mine if for_choosing(s.key) is half] for half in (True, False))
+            queues[clock][group] = (s for both in zip_longest(*halves) for s in both if s is not None)
+    while queues:
+        for group in MIX:
+            for clock in list(queues):
+                if (s := next(queues[clock][group], None)) is not None:
+                    yield s
+                elif group == "single":
+                    del queues[clock]

@@ -1,9 +1,11 @@
 """Calibrate many hidden machines in parallel and write one JSON line for each.
 
     python -m benchmarks.hidden_effects.suite OUT --processes 8 --limit 560 [--only single/stribeck] [--rounds 6]
+    python -m benchmarks.hidden_effects.suite OUT --balanced --seconds 24 --log-limit 480 --limit 1500
 
 OUT/results.jsonl grows as results come; scenarios that are in it are not run again. At the time limit the workers are
-ended, what is done stays, and OUT/unfinished.json says what was cut off. Each worker uses one thread.
+ended, what is done stays, and OUT/unfinished.json says what was cut off. Each worker uses one thread. A log that takes
+longer than ``--log-limit`` is a result too, an error.
 """
 
 # ruff: noqa: E402
@@ -18,6 +20,7 @@ import argparse
 import json
 import multiprocessing
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -30,24 +33,53 @@ from typing import Any
 import numpy as np
 
 from benchmarks.hidden_effects.generator import CLOCKS, FINE_RATE, FLOOR, Machine, Truth, measured, read_by, simulate
-from benchmarks.hidden_effects.scenarios import Built, Scenario, build, for_choosing, ordered
+from benchmarks.hidden_effects.scenarios import Built, Scenario, balanced, build, for_choosing, ordered
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
+from mimic.dynamics.machine import MachineModel, hung_robot, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.io.store import plain
+from mimic.records import JOINTS, LEGS
+from mimic.robot.description import load_description
+from mimic.robot.model import read_model, remove_free_joint
 from mimic.sysid.result import Calibration, Errors
 
 Calibrate = Callable[[JointLog], Calibration]
 
+UNSEEN_BY_ONE_LEG = {"supply_sag", "joint_delay"}
+"""Effects of one leg on another: what the others draw, and how much later than the others it gets its targets."""
+
 
 def calibrate_log(log: JointLog, device: str = "cpu") -> Calibration:
-    """Calibrate the hung robot against a log, as ``mimic calibrate`` does."""
+    """Calibrate the hung robot, or the leg of it that the log has, against a log, as ``mimic calibrate`` does."""
     from mimic.config.sysid import CalibrateSettings
-    from mimic.dynamics.machine import hung_robot
-    from mimic.robot.description import load_description
     from mimic.sysid.calibrate import calibrate
 
-    return calibrate(log, hung_robot(load_description()), CalibrateSettings(device=device, threads=1))
+    return calibrate(log, hung(log.joints), CalibrateSettings(device=device, threads=1))
+
+
+def hung(joints: Sequence[str]) -> MachineModel:
+    """Return the robot hung up, with these legs only."""
+    description = load_description()
+    robot = hung_robot(description)
+    if set(joints) == set(robot.joints):
+        return robot
+    spec = read_model(description)
+    remove_free_joint(spec)
+    for group in (spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.actuators):
+        for item in list(group):
+            spec.delete(item)
+    for leg in LEGS:
+        if not any(j.startswith(leg) for j in joints):
+            spec.delete(spec.joint(f"{leg}_abad").parent)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "leg.xml"
+        spec.compile()
+        path.write_text(spec.to_xml(), encoding="utf-8")
+        leg = read_machine(path)
+    index = [robot.joints.index(j) for j in leg.joints]
+    rows = {n: getattr(robot.drives, n)[index] for n in ("kp", "kd", "torque", "flat", "speed")}
+    return replace(leg, drives=replace(leg.drives, **rows))
 
 
 def truth_record(machine: Machine) -> dict[str, Any]:
@@ -151,6 +183,7 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
         built = build(scenario)
         truth = simulate(built.machine, built.motion, built.seed)
         record |= {"where": built.where, "truth": truth_record(built.machine), "floor": FLOOR}
+        record |= {"differs": built.differs, "small": built.small}
         if scenario.names:
             bare = replace(built.machine, hidden=type(built.machine.hidden)(), aliens=())
             plain_truth = simulate(bare, built.motion, built.seed)
@@ -161,6 +194,13 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
             fine = simulate(built.machine, built.motion, built.seed, rate_hz=FINE_RATE)
             read = read_by(CLOCKS[scenario.clock], fine, built.motion, built.seed)
         log = measured(read, built.seed)
+        if scenario.joints == "leg":
+            log = log.of(built.leg)
+            keep = [JOINTS.index(j) for j in built.leg]
+            record["joints"] = built.leg
+            for name in ("change", "changes"):
+                if name in record:
+                    record[name] = _of(record[name], keep)
         start, used = time.perf_counter(), time.process_time()
         result = calibrate(log)
         record |= {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - used}
@@ -170,15 +210,37 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
     return json.loads(json.dumps(plain(record)))
 
 
+def failed(key: str, why: str) -> dict[str, Any]:
+    """Return the line of a log whose calibration did not end."""
+    scenario = Scenario.of(key)
+    named = {n: getattr(scenario, n) for n in ("group", "names", "strength", "kind", "seed")}
+    return {"key": key, **named, "error": why}
+
+
+def _of(changes: Any, keep: Sequence[int]) -> Any:
+    """Return the changes of some joints, of one effect or of several by name."""
+    if isinstance(changes, dict):
+        return {name: _of(row, keep) for name, row in changes.items()}
+    return [changes[j] for j in keep]
+
+
 def _work(pipe: Any, calibrate: Calibrate) -> None:
     while (key := pipe.recv()) is not None:
         pipe.send(run_scenario(Scenario.of(key), calibrate))
 
 
 def run_suite(
-    scenarios: Sequence[Scenario], out: Path, processes: int, limit: float, calibrate: Calibrate = calibrate_log
+    scenarios: Sequence[Scenario],
+    out: Path,
+    processes: int,
+    limit: float,
+    calibrate: Calibrate = calibrate_log,
+    log_limit: float = float("inf"),
 ) -> int:
-    """Run what is not in OUT yet and return how many were done before the time limit [s]."""
+    """Run what is not in OUT yet and return how many were done before the time limit [s].
+
+    A log that takes longer than ``log_limit`` [s] is ended and written as an error.
+    """
     end = time.monotonic() + limit
     out.mkdir(parents=True, exist_ok=True)
     lines = out / "results.jsonl"
@@ -205,25 +267,39 @@ def run_suite(
         give(ours, process)
 
     with open(lines, "a", encoding="utf-8") as file:
+
+        def write(record: dict[str, Any]) -> None:
+            nonlocal done
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            done += 1
+            named = "ERROR" if "error" in record else "+".join(record["named"]) or "nothing"
+            print(f"{done:5d} {record.get('seconds', 0):6.1f} s  {record['key']} -> {named}", flush=True)
+
         for _ in range(min(processes, len(waiting))):
             start()
         while workers and (left := end - time.monotonic()) > 0:
-            for pipe in wait(list(workers), timeout=min(left, 3600.0)):
+            oldest = min(began for *_, began in workers.values())
+            patience = max(0.0, oldest + log_limit - time.monotonic())
+            for pipe in wait(list(workers), timeout=min(left, patience, 3600.0)):
                 process, key, _ = workers.pop(pipe)
                 try:
                     record = pipe.recv()
                 except EOFError:  # the worker is gone, killed by the system or a crash
                     process.join()
-                    record = {"key": key, "group": key.split("/")[0], "error": f"worker ended with {process.exitcode}"}
+                    record = failed(key, f"worker ended with {process.exitcode}")
                     if waiting:
                         start()
                 else:
                     give(pipe, process)
-                file.write(json.dumps(record) + "\n")
-                file.flush()
-                done += 1
-                named = "ERROR" if "error" in record else "+".join(record["named"]) or "nothing"
-                print(f"{done:5d} {record.get('seconds', 0):6.1f} s  {key} -> {named}", flush=True)
+                write(record)
+            for pipe, (process, key, began) in list(workers.items()):
+                if time.monotonic() - began > log_limit:
+                    del workers[pipe]
+                    process.kill()
+                    write(failed(key, f"not done after {log_limit:g} s"))
+                    if waiting:
+                        start()
     for process, *_ in workers.values():
         process.kill()
     cut = [{"key": key, "seconds": time.monotonic() - began} for _, key, began in workers.values()]
@@ -240,12 +316,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=6, help="seeds of everything")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each log")
     parser.add_argument("--clocks", nargs="+", default=["grid"], choices=list(CLOCKS), help="when rows are written")
+    parser.add_argument("--balanced", action="store_true", help="all clocks, mixed so that a run may be cut anywhere")
+    parser.add_argument(
+        "--joints", default="all", choices=("all", "leg"), help="with --balanced: one leg of each robot"
+    )
+    parser.add_argument("--log-limit", type=float, default=float("inf"), help="seconds after which a log is given up")
     parser.add_argument("--half", choices=("choosing", "reported"), help="only the scenarios of this half")
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0, … for the replays")
     parser.add_argument("--list", action="store_true", help="print the keys and stop")
     args = parser.parse_args(argv)
     began = time.monotonic()
-    chosen = [replace(s, clock=c) for s in ordered(args.rounds, args.seconds) for c in args.clocks]
+    if args.balanced:
+        chosen = [replace(s, joints=args.joints) for s in balanced(args.rounds, args.seconds)]
+        if args.joints == "leg":
+            chosen = [s for s in chosen if not UNSEEN_BY_ONE_LEG & set(s.names)]
+    else:
+        chosen = [replace(s, clock=c) for s in ordered(args.rounds, args.seconds) for c in args.clocks]
     chosen = [s for s in chosen if not args.only or any(o in s.key for o in args.only)]
     if args.half:
         chosen = [s for s in chosen if for_choosing(s.key) == (args.half == "choosing")]
@@ -257,7 +343,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     simulate(built.machine, built.motion, 0)  # compiles the physics once, before the workers fork
     limit = min(args.limit, 1e9) - (time.monotonic() - began)
     calibrate = partial(calibrate_log, device=args.device)
-    done = run_suite(chosen, args.out, args.processes, limit, calibrate)
+    done = run_suite(chosen, args.out, args.processes, limit, calibrate, args.log_limit)
     print(f"{done} of {len(chosen)} scenarios done now; results in {args.out / 'results.jsonl'}")
     return 0
 

@@ -16,12 +16,14 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from benchmarks.hidden_effects import physics, suite, summary
 from benchmarks.hidden_effects.agreement import disagreement
-from benchmarks.hidden_effects.families import FAMILIES, alien, hidden_effect
+from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
 from benchmarks.hidden_effects.generator import (
     ALIENS,
     CLOCKS,
     ENCODER,
     FLOOR,
+    OTHER_LAWS,
+    UNTRIED,
     Machine,
     Truth,
     links,
@@ -29,7 +31,16 @@ from benchmarks.hidden_effects.generator import (
     read_by,
     simulate,
 )
-from benchmarks.hidden_effects.scenarios import Scenario, build, for_choosing, ordered, reachable, sizes
+from benchmarks.hidden_effects.scenarios import (
+    Scenario,
+    balanced,
+    build,
+    differs,
+    for_choosing,
+    ordered,
+    reachable,
+    sizes,
+)
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import Excitation, hung_ranges, probe_targets
@@ -188,12 +199,29 @@ def test_every_catalogued_effect_that_is_not_declared_has_a_family():
     assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.baseline and not e.by_request}
 
 
+def test_aliens_that_the_catalogue_describes_are_tried_by_request_only():
+    assert set(UNTRIED) <= set(ALIENS)
+    assert all(CATALOGUE[name].by_request for name in UNTRIED.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(OTHER_LAWS))
+def test_a_law_that_is_not_the_catalogues_moves_the_machine_otherwise(name):
+    rng = np.random.default_rng(3)
+    one = hidden_effect(name, dict.fromkeys(JOINTS, 0.3 * FAMILIES[name].cap), PLAIN, rng, spread=False)
+    machine = replace(PLAIN, hidden=EffectSet((one,)))
+    as_catalogued = simulate(machine, MOTION, 0)
+    other = simulate(replace(machine, other_laws=(name,)), MOTION, 0)
+    apart = np.sqrt(((other.q - as_catalogued.q) ** 2).mean(0)).max()
+    assert 0.1 * FLOOR < apart < np.sqrt(((as_catalogued.q - rest().q) ** 2).mean(0)).max()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(ALIENS))
 def test_every_alien_acts(name):
-    size = 0.002 if name == "imbalance" else 0.5 if name != "base_swing" else 4.0
+    size = 0.8 * ALIEN_CAPS[name][0]
     truth = simulate(replace(PLAIN, aliens=alien(name, dict.fromkeys(JOINTS, size))), MOTION, 0)
-    assert np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max() > FLOOR
+    assert np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max() > 0.3 * FLOOR
 
 
 @pytest.mark.slow
@@ -227,6 +255,29 @@ def test_half_of_the_scenarios_is_for_choosing_whatever_the_clock():
         assert Scenario.of(other.key) == other
         assert for_choosing(other.key) == half
         assert np.array_equal(build(other).machine.friction, build(scenario).machine.friction)
+
+
+def test_a_third_of_the_machines_with_effects_differ_from_the_catalogue():
+    every = [s for s in ordered(4, 20.0) if s.group in ("single", "pair", "clean")]
+    with_effects = [s for s in every if s.group != "clean"]
+    assert 0.25 < np.mean([differs(s.key) for s in with_effects]) < 0.42
+    assert not any(differs(s.key) for s in every if s.group == "clean")
+    for scenario in with_effects[::29]:
+        built = build(scenario)
+        assert bool(built.differs) is differs(scenario.key)
+        assert bool(built.machine.other_laws or built.small) is differs(scenario.key)
+        assert {e.name for e in built.machine.hidden} == {*scenario.names, *built.small}
+
+
+@pytest.mark.parametrize("beginning", [64, 160, 320])
+def test_any_beginning_of_the_balanced_order_has_all_clocks_halves_and_groups(beginning):
+    first = list(balanced(6, 20.0))[:beginning]
+    assert len({s.key for s in first}) == beginning
+    for clock in CLOCKS:
+        mine = [s for s in first if s.clock == clock]
+        assert len(mine) == beginning // 4
+        assert [s.group for s in mine].count("clean") == 3 * beginning // 32
+        assert abs(np.mean([for_choosing(s.key) for s in mine]) - 0.5) < 0.15
 
 
 @pytest.mark.parametrize("name", ["beside", "187", "50"])
@@ -324,6 +375,14 @@ def test_suite_stops_at_its_limit(tmp_path):
     assert (tmp_path / "results.jsonl").read_text() == ""
 
 
+@pytest.mark.slow
+def test_a_log_that_takes_too_long_is_an_error_and_the_next_one_is_run(tmp_path):
+    assert suite.run_suite(SHORT, tmp_path, 1, 60.0, slow, log_limit=1.0) == 2
+    results = summary.read_results([tmp_path / "results.jsonl"])
+    assert [r["error"] for r in results] == ["not done after 1 s"] * 2
+    assert summary.goals(results)[-1][2] == "2 of 2"
+
+
 def judged(**values) -> dict:
     joint = {"joint": "FL_knee", "verdict": "explained"}
     stages = [{"added": n, "rivals": r, "held_out": [FLOOR] * 12} for n, r in values.pop("stages")]
@@ -347,6 +406,9 @@ def test_judging_separates_right_from_rival_from_wrong():
     assert not summary.unexplained(nothing)
     assert summary.unexplained(judged(stages=[], unexplained=[{"joint": "FL_knee", "verdict": "periodic"}]))
     assert not summary.right({"names": ["cogging"], "error": "x"})
+    assert summary.right({**more, "small": ["spring"]})
+    assert summary.right({**right, "small": ["spring"]})
+    assert not summary.right({**right, "small": ["cogging"]})
 
 
 @pytest.mark.slow
