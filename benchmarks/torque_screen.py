@@ -185,14 +185,18 @@ def servo_logs(folder: Path, kp: float) -> list[tuple[JointLog, MachineModel]]:
         )
         with tempfile.TemporaryDirectory() as out:
             model = Path(out) / "pendulum.xml"
-            model.write_text(
-                '<mujoco><worldbody><body pos="0 0 1"><joint name="j" axis="0 1 0" armature="0.005"/><inertial '
-                f'pos="0 0 -{raw["length"]}" mass="{raw["mass"]}" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>'
-                '<actuator><position joint="j" kp="1" forcerange="-5 5"/></actuator></mujoco>',
-                encoding="utf-8",
-            )
+            model.write_text(pendulum_mjcf(raw["mass"], raw["length"]), encoding="utf-8")
             made.append((log, read_machine(model)))
     return made
+
+
+def pendulum_mjcf(mass: float, length: float) -> str:
+    """Return a mass [kg] at a length [m] from the axis, driven by a servo of 5 N m."""
+    return (
+        '<mujoco><worldbody><body name="arm" pos="0 0 1"><joint name="j" axis="0 1 0" armature="0.005"/><inertial '
+        f'pos="0 0 -{length}" mass="{mass}" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>'
+        '<actuator><position joint="j" kp="1" forcerange="-5 5"/></actuator></mujoco>'
+    )
 
 
 def _line(title: str, made: Screen, seconds: float, names: tuple[str, ...] = ()) -> str:

@@ -58,13 +58,9 @@ def calibrate_log(log: JointLog, device: str = "cpu") -> Calibration:
     return calibrate(log, hung(log.joints), CalibrateSettings(device=device, threads=1))
 
 
-def hung(joints: Sequence[str]) -> MachineModel:
-    """Return the robot hung up, with these legs only."""
-    description = load_description()
-    robot = hung_robot(description)
-    if set(joints) == set(robot.joints):
-        return robot
-    spec = read_model(description)
+def legs_mjcf(joints: Sequence[str]) -> str:
+    """Return the MJCF of the robot hung up, with the legs of these joints only and without motors."""
+    spec = read_model(load_description())
     remove_free_joint(spec)
     for group in (spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.actuators):
         for item in list(group):
@@ -72,10 +68,18 @@ def hung(joints: Sequence[str]) -> MachineModel:
     for leg in LEGS:
         if not any(j.startswith(leg) for j in joints):
             spec.delete(spec.joint(f"{leg}_abad").parent)
+    spec.compile()
+    return spec.to_xml()
+
+
+def hung(joints: Sequence[str]) -> MachineModel:
+    """Return the robot hung up, with the legs of these joints only."""
+    robot = hung_robot(load_description())
+    if set(joints) == set(robot.joints):
+        return robot
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "leg.xml"
-        spec.compile()
-        path.write_text(spec.to_xml(), encoding="utf-8")
+        path.write_text(legs_mjcf(joints), encoding="utf-8")
         leg = read_machine(path)
     index = [robot.joints.index(j) for j in leg.joints]
     rows = {n: getattr(robot.drives, n)[index] for n in ("kp", "kd", "torque", "flat", "speed")}
