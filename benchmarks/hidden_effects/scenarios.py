@@ -259,7 +259,8 @@ def balanced(rounds: int = 6, seconds: float = 24.0) -> Iterator[Scenario]:
                 mine = [s for s in mine if s.seed // 2 % len(CLOCKS) == number]
             else:
                 mine.sort(key=lambda s: (s.seed // len(KINDS), zlib.crc32(s.key.encode())))
-            halves = ([s for s in mine if for_choosing(s.key) is half] for half in (True, False))
+            first = number % 2 == 0
+            halves = ([s for s in mine if for_choosing(s.key) is half] for half in (first, not first))
             queues[clock][group] = (s for both in zip_longest(*halves) for s in both if s is not None)
     while queues:
         for group in MIX:

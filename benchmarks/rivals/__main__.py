@@ -33,19 +33,18 @@ from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.replay.predict import predict
 
 LEGS = (
-    "clean/nothing/none/probe/1/20s",
     "single/stribeck/medium/probe/0/20s",
-    "single/velocity_lag/medium/probe/0/20s",
     "pair/load_friction+cogging/medium/probe/0/20s",
+    "clean/nothing/none/probe/1/20s",
 )
 
 
 def cases(folder: Path) -> dict[str, Callable[[], Case]]:
     """Return the cases by a short name."""
     return {
-        **{f"leg {key.split('/')[1]}": partial(leg_case, key) for key in LEGS},
-        "EMPS": partial(emps_case, folder),
         "STS3250": partial(servo_case, folder),
+        "EMPS": partial(emps_case, folder),
+        **{f"leg {key.split('/')[1]}": partial(leg_case, key) for key in LEGS},
     }
 
 

@@ -300,8 +300,10 @@ def test_the_table_has_both_halves_and_every_clock():
     text = summary.markdown([{**r, "truth": {"hidden": [], "declared": {}}} for r in records])
     halves = [sum(for_choosing(k) == half for k in keys) for half in (True, False)]
     named = [line for line in text.splitlines() if line.startswith("| one effect, strong or medium: named")]
-    assert len(named) == 2
-    assert all(f"({n} of {n};" in line for line in named for n in halves)
+    together, *each = named
+    assert together.count(f"| {halves[0]}/{halves[0]} · {halves[1]}/{halves[1]} |".strip("| ")) == 2
+    assert len(each) == 2
+    assert all(f"({n} of {n};" in line for line in each for n in halves)
     assert "clock '187'" in text
 
 
@@ -380,7 +382,7 @@ def test_a_log_that_takes_too_long_is_an_error_and_the_next_one_is_run(tmp_path)
     assert suite.run_suite(SHORT, tmp_path, 1, 60.0, slow, log_limit=1.0) == 2
     results = summary.read_results([tmp_path / "results.jsonl"])
     assert [r["error"] for r in results] == ["not done after 1 s"] * 2
-    assert summary.goals(results)[-1][2] == "2 of 2"
+    assert summary.goals(results)[-1][2:] == (2, 2)
 
 
 def judged(**values) -> dict:
