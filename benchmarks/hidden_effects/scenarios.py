@@ -61,7 +61,7 @@ class Scenario:
     clock: str = "grid"
     """When the rows are written, of `generator.CLOCKS`: the same machine and motion with each."""
     joints: str = "all"
-    """all, or leg: the log has only the joints of the first leg with something hidden, for little time."""
+    """all, or leg: all that is hidden is in one leg, and the log has only its joints, for little time."""
 
     @property
     def machine_key(self) -> str:
@@ -112,7 +112,7 @@ class Built:
 
     @property
     def leg(self) -> tuple[str, ...]:
-        """Joints of the first leg with something hidden; of a leg drawn by the seed where all or none have it."""
+        """Joints of the leg with something hidden; of a leg drawn by the seed where all or none have it."""
         joint = next((joints[0] for joints in self.where.values() if len(joints) < len(JOINTS)), JOINTS[self.seed % 12])
         return tuple(j for j in JOINTS if j.startswith(joint.split("_")[0]))
 
@@ -158,7 +158,7 @@ def build(scenario: Scenario) -> Built:
     seed = zlib.crc32(scenario.machine_key.encode())
     rng = np.random.default_rng(seed)
     machine = Machine.drawn(rng)
-    effects, aliens, where = [], [], {}
+    effects, aliens, where, leg = [], [], {}, ""
     for place, name in enumerate(scenario.names):
         is_alien = name in ALIENS
         wide = name == "base_swing" or (not is_alien and effect(name).scope == "machine")
@@ -170,6 +170,9 @@ def build(scenario: Scenario) -> Built:
             raise ValueError(f"{name} cannot be {scenario.strength}: {table()[name]['why_no_more']}")
         cap = ALIEN_CAPS[name][0] if is_alien else FAMILIES[name].cap
         joints = JOINTS if wide else _some_joints(scenario, place, parts, rng)
+        if scenario.joints == "leg" and not wide:
+            leg = leg or joints[0].split("_")[0]
+            joints = tuple(dict.fromkeys(f"{leg}_{j.split('_')[1]}" for j in joints))
         usual = sizes(name, strength)
         own = {
             j: min(cap, usual[j.split("_")[1] if not wide else parts[0]] * factor)

@@ -33,9 +33,9 @@ from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.replay.predict import predict
 
 LEGS = (
-    "single/stribeck/medium/probe/0/20s",
-    "pair/load_friction+cogging/medium/probe/0/20s",
-    "clean/nothing/none/probe/1/20s",
+    "single/stribeck/medium/probe/0/20s/grid/leg",
+    "pair/load_friction+cogging/medium/probe/0/20s/grid/leg",
+    "clean/nothing/none/probe/1/20s/grid/leg",
 )
 
 

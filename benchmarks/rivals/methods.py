@@ -32,6 +32,10 @@ PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
 """What PACE fits: friction, damping, rotor inertia and offset of each joint, and one delay. Source: Bjelonic 2025."""
 
 
+UNSTABLE = 1e3
+"""Log of the sum of squares of a replay that diverges."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
     """What a method says of a machine."""
@@ -69,7 +73,7 @@ def of_random(case: Case, samples: int = 8192) -> Found:
     size = sum(problem_rows(case, keys).values())
     for begin in range(0, samples, problem.replay.sets_per_batch):
         x = rng.random((min(problem.replay.sets_per_batch, samples - begin), size))
-        squares = problem.squares([_point(case, keys, row) for row in x])
+        squares = np.nan_to_num(problem.squares([_point(case, keys, row) for row in x]), nan=np.inf)
         if squares.min() < best:
             best, winner = float(squares.min()), x[int(squares.argmin())]
     return Found(effects=_effects(case, _point(case, keys, winner)), names=None, replays=problem.replay.replays)
@@ -91,7 +95,7 @@ def of_cma(case: Case, replays: int = 4096, population: int = 64) -> Found:
     while not search.stop():
         x = search.ask()
         squares = problem.squares([_point(case, keys, np.asarray(row)) for row in x])
-        search.tell(x, np.log(squares).tolist())
+        search.tell(x, np.nan_to_num(np.log(squares), nan=UNSTABLE, posinf=UNSTABLE).tolist())
     found = _point(case, keys, np.asarray(search.result.xbest))
     return Found(effects=_effects(case, found), names=None, replays=problem.replay.replays)
 
@@ -100,7 +104,9 @@ def _problem(case: Case, names: Sequence[str]) -> tuple[Problem, list[tuple[str,
     together = pool(list(case.fitted), case.machine, step_of(case.fitted, SETTINGS))
     machine = as_logged(case.machine, together.log.metadata)
     keys = [(n, p.name) for n in names for p in CATALOGUE[n].parameters]
-    return problem_of(together, machine, SETTINGS), keys
+    problem = problem_of(together, machine, SETTINGS)
+    problem.leave_out(~np.isfinite(problem.residuals([Point.of(names, machine)])[0]).all(-1))  # before anything moves
+    return problem, keys
 
 
 def problem_rows(case: Case, keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], int]:
