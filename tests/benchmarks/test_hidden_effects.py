@@ -269,6 +269,25 @@ def test_a_third_of_the_machines_with_effects_differ_from_the_catalogue():
         assert {e.name for e in built.machine.hidden} == {*scenario.names, *built.small}
 
 
+def test_all_that_is_hidden_is_in_the_leg_of_the_log():
+    pairs = [s for s in ordered(2, 20.0) if s.group in ("pair", "alien")]
+    for scenario in pairs[::3]:
+        one_leg = replace(scenario, joints="leg")
+        assert Scenario.of(one_leg.key) == one_leg
+        assert for_choosing(one_leg.key) == for_choosing(scenario.key)
+        built = build(one_leg)
+        assert all(set(joints) <= set(built.leg) or joints == JOINTS for joints in built.where.values())
+
+
+def test_a_leg_by_itself_is_the_leg_of_the_robot():
+    robot, leg = suite.hung(JOINTS), suite.hung(JOINTS[6:9])
+    index = [robot.joints.index(j) for j in leg.joints]
+    assert leg.joints == JOINTS[6:9]
+    assert np.allclose(leg.model.body_mass[leg.body], robot.model.body_mass[robot.body[index]])
+    for name in ("kp", "kd", "torque", "speed", "flat", "armature", "friction"):
+        assert np.allclose(getattr(leg.drives, name), getattr(robot.drives, name)[index]), name
+
+
 @pytest.mark.parametrize("beginning", [64, 160, 320])
 def test_any_beginning_of_the_balanced_order_has_all_clocks_halves_and_groups(beginning):
     first = list(balanced(6, 20.0))[:beginning]
