@@ -71,12 +71,8 @@ def play(
         raise ConfigError(
             f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
         )
-    if camera is not None and run is not None and run.lead is not None:
-        raise ConfigError(
-            "--lead asks for targets before their time; what a camera will see is not known: leave it out"
-        )
-    if camera is not None and retarget is not None and retarget.slow_down != 1.0:
-        raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
+    if camera is not None:
+        _check_camera_options(run, retarget, pose)
     from mimic.flows.motion import InputSettings
 
     given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
@@ -105,6 +101,18 @@ def play(
     played: Path | str = source if text is None else text  # type: ignore[assignment]
     saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
     return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> None:
+    """Raise a ConfigError for what can be asked of a stored motion only."""
+    if run is not None and run.lead is not None:
+        raise ConfigError(
+            "--lead asks for targets before their time; what a camera will see is not known: leave it out"
+        )
+    if pose is not None and pose.person is not None:
+        raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
+    if retarget is not None and retarget.slow_down != 1.0:
+        raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 
 
 def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:

@@ -24,6 +24,8 @@ class PoseSettings:
     """Largest plausible motion of a hip or wrist between two frames [m]."""
     max_jump_share: float = 0.05
     """Largest share of frames with such a jump, before a warning."""
+    person: Literal["left", "right", "largest"] | int | None = None
+    """Who is followed where a video shows several people: by place in its first picture, or a number from the left."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     pose_model: Path | None = None
@@ -34,6 +36,8 @@ class PoseSettings:
         check_range("min-visibility", self.min_visibility, 0.0, 1.0)
         check_range("min-person-share", self.min_person_share, 0.0, 1.0)
         check_range("cutoff-hz", self.cutoff_hz, 0.5, 30.0, "Hz")
+        if isinstance(self.person, int):
+            check_range("person", self.person, 1, 5)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

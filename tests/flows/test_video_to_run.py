@@ -215,6 +215,16 @@ def test_person_and_robot_are_slowed_down_together(workplace):
     assert pose.t[-1] == pytest.approx(1.5 * np.load(source)["t"][-1], abs=0.02)
 
 
-def test_a_camera_has_no_lead(workplace, capsys):
-    assert main(["--camera", "0", "--sim", "--lead", "0.06"]) == 2
-    assert "not known" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (["--lead", "0.06"], "not known"),
+        (["--slow-down", "2"], "in real time"),
+        (["--person", "left"], "of a video file"),
+    ],
+)
+def test_what_a_camera_cannot_do_is_said_in_a_line(workplace, capsys, option, words):
+    assert main(["--camera", "0", "--sim", *option]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1

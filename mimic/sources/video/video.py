@@ -19,13 +19,14 @@ from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
+from mimic.sources.video.people import People
 from mimic.sources.video.pose_model import BUNDLE, pose_model
 from mimic.sources.video.screening import jump_share, person_rows, upside_down
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 4
+ALGORITHM = 5
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -53,6 +54,8 @@ class _Detections:
     size: tuple[int, int]
     frame_count: int | None
     repaired: int
+    people: list[str]
+    """What is to be said about several people in view."""
 
 
 def track_video(
@@ -98,6 +101,7 @@ def track_video(
     jumps = jump_share(t, landmarks, image, valid, detections.size, settings.max_jump)
     warnings = [
         *_file_warnings(detections),
+        *detections.people,
         *describe(changes, t),
         *_picture_warnings(person, jumps, settings),
         *_side_warnings(swapped, upside_down(image, valid)),
@@ -134,11 +138,13 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     """Run the detector over every frame."""
     stamps, change, light, clothes, rows = [], [], [], [], []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
-    with open_video(path) as video, BlazePose(pose_model(settings.pose_model)) as detect:
+    model = pose_model(settings.pose_model)
+    with open_video(path) as video, BlazePose(model) as detect, People(model, settings.person, path.name) as people:
         for frame in video:
             stamps.append(frame.stamp_ms)
             change.append(frame.change)
-            rows.append(detect(frame.rgb) or no_person)
+            rows.append(detect(people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)) or no_person)
+            people.saw(rows[-1][1])
             light.append(lightness(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
             if progress is not None:
@@ -146,7 +152,8 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
     looks = np.array(change), np.array(light), np.array(clothes)
-    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, video.frame_count, repaired)
+    said = people.sentences()
+    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, video.frame_count, repaired, said)
 
 
 def _person_share(detections: _Detections, settings: PoseSettings) -> float:

@@ -1,0 +1,219 @@
+"""How many people a video shows, and which of them is followed.
+
+The pose detector follows one person from frame to frame. From time to time a second detector looks for everybody; where
+one person was chosen, the rest of the picture is hidden from the first one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from mimic.errors import SourceError
+from mimic.records import LANDMARKS, FloatArray
+from mimic.sources.video.quiet import quiet_stderr
+
+Choice = Literal["left", "right", "largest"] | int
+
+EVERY, EVERY_CHOSEN = 1.5, 0.5
+"""Time between two looks for everybody, and between two where one person was chosen [s]."""
+MOST = 5
+"""At most this many people are found."""
+VISIBLE = 0.6
+"""Both shoulders of a person must be at least this visible."""
+SMALLEST = 0.25
+"""Smaller people than this share of the largest one are background."""
+LOST = 3
+"""After this many looks without the chosen person, as after a cut, they are chosen anew."""
+SAME = 0.5
+"""Two findings closer than this are one person [trunk heights]."""
+MIN_LOOKS, MIN_SHARE = 2, 0.15
+"""Several people are reported if this many looks and this share of them found more than one."""
+MARGIN = 0.35
+"""What is shown around a chosen person, on each side [box heights]."""
+GREY = 128
+"""What hides the rest of the picture."""
+
+_SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
+_ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Person:
+    """Somebody in a picture; lengths as a fraction of its height."""
+
+    middle: FloatArray
+    """Middle of the shoulders (2,)."""
+    trunk: float
+    """Height of the trunk, at least the width of the shoulders."""
+    low: FloatArray
+    """Left and upper end (2,)."""
+    high: FloatArray
+    """Right and lower end (2,)."""
+
+
+def person_of(image: FloatArray, aspect: float) -> Person:
+    """Return the person of landmarks (33, 2), fraction of width and height of a picture with this width over height."""
+    points = image * (aspect, 1.0)
+    shoulders, hips = points[_SHOULDERS], points[_HIPS].mean(axis=0)
+    middle = shoulders.mean(axis=0)
+    trunk = max(float(np.linalg.norm(hips - middle)), float(np.linalg.norm(shoulders[0] - shoulders[1])), 1e-3)
+    return Person(middle, trunk, points.min(axis=0), points.max(axis=0))
+
+
+def distinct(found: list[Person]) -> list[Person]:
+    """Return the people from left to right, each once and without the background."""
+    largest = max((person.trunk for person in found), default=0.0)
+    kept: list[Person] = []
+    for person in sorted(found, key=lambda one: -one.trunk):
+        near = any(_apart(person, other) < SAME for other in kept)
+        if person.trunk >= SMALLEST * largest and not near:
+            kept.append(person)
+    return sorted(kept, key=lambda one: float(one.middle[0]))
+
+
+def chosen(people: list[Person], choice: Choice) -> Person:
+    """Return the person that was chosen among people from left to right; the rightmost if there are not as many."""
+    if choice == "largest":
+        return max(people, key=lambda one: one.trunk)
+    place = choice if isinstance(choice, int) else 1 if choice == "left" else len(people)
+    return people[min(place, len(people)) - 1]
+
+
+def _apart(one: Person, other: Person) -> float:
+    """Return how far two people are apart [trunk heights of the other]."""
+    return float(np.linalg.norm(one.middle - other.middle)) / other.trunk
+
+
+class People:
+    """Finds everybody now and then, and hides all but a chosen person; use it in a ``with`` block."""
+
+    def __init__(self, model: Path, choice: Choice | None, name: str) -> None:
+        """Prepare.
+
+        Args:
+            model: Bundle of models of the pose detector.
+            choice: Who is followed: by place in the first picture with several people, or by size. None leaves that to
+                the detector.
+            name: Of the video, for messages.
+        """
+        self._model, self._name = model, name
+        self._choice: Choice | None = choice
+        self._next, self._aspect = -np.inf, 1.0
+        self._person: Person | None = None
+        self._missed, self._settled = 0, False
+        self._looks: list[tuple[float, list[Person]]] = []
+        self._followed: list[int | None] = []
+
+    def __enter__(self) -> Self:
+        with quiet_stderr():
+            import mediapipe
+            from mediapipe.tasks.python import BaseOptions, vision
+
+            self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
+            options = vision.PoseLandmarkerOptions(
+                base_options=BaseOptions(model_asset_path=str(self._model)),
+                running_mode=vision.RunningMode.IMAGE,
+                num_poses=MOST,
+            )
+            self._everybody: Any = vision.PoseLandmarker.create_from_options(options)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._everybody.close()
+
+    def show(self, t: float, rgb: np.ndarray) -> np.ndarray:
+        """Return what the detector may see of a frame at time t [s]: all of it, or the chosen person."""
+        self._aspect = rgb.shape[1] / rgb.shape[0]
+        if t >= self._next:
+            self._next = t + (EVERY if self._choice is None else EVERY_CHOSEN)
+            self._look(t, rgb)
+        if self._choice is None or self._person is None:
+            return rgb
+        height, width = rgb.shape[:2]
+        margin = MARGIN * (self._person.high[1] - self._person.low[1])
+        x0, y0 = np.clip(np.floor((self._person.low - margin) * height), 0, (width, height)).astype(int)
+        x1, y1 = np.clip(np.ceil((self._person.high + margin) * height), 0, (width, height)).astype(int)
+        shown = np.full_like(rgb, GREY)
+        shown[y0:y1, x0:x1] = rgb[y0:y1, x0:x1]
+        return shown
+
+    def saw(self, image: FloatArray) -> None:
+        """Take the landmarks (33, 2) that the detector found in that frame; NaN if none."""
+        if not np.isfinite(image).all():
+            return
+        person = person_of(image, self._aspect)
+        if self._person is not None:
+            self._person = person if _apart(person, self._person) < 1.0 else self._person
+        if len(self._followed) < len(self._looks):
+            people = self._looks[-1][1]
+            away = [_apart(person, one) for one in people]
+            near = int(np.argmin(away)) if away else -1
+            self._followed.append(near if away and away[near] < 2 * SAME else None)
+
+    def _look(self, t: float, rgb: np.ndarray) -> None:
+        with quiet_stderr():
+            picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
+            found = self._everybody.detect(picture).pose_landmarks
+        seen = [pose for pose in found if min(pose[i].visibility for i in _SHOULDERS) >= VISIBLE]
+        people = distinct([person_of(np.array([(p.x, p.y) for p in pose]), self._aspect) for pose in seen])
+        if len(self._followed) < len(self._looks):
+            self._followed.append(None)
+        self._looks.append((t, people))
+        if self._choice is None or not people:
+            return
+        if self._person is None or (len(people) > 1 and not self._settled) or self._missed >= LOST:
+            self._person, self._missed = chosen(people, self._choice), 0
+            self._settled = self._settled or len(people) > 1
+            return
+        last = self._person
+        nearest = min(people, key=lambda one: _apart(one, last))
+        near = _apart(nearest, last) < 2.0
+        self._missed = 0 if near else self._missed + 1
+        if near:
+            self._person = nearest
+
+    def sentences(self) -> list[str]:
+        """Return what is to be said about several people in view.
+
+        Raises:
+            SourceError: If fewer people are in view than the number that was chosen.
+        """
+        most = max((len(people) for _, people in self._looks), default=0)
+        if isinstance(self._choice, int) and most < self._choice:
+            raise SourceError(
+                f"--person {self._choice}: {self._name} shows {most} {'person' if most == 1 else 'people'} at most; "
+                "give left, right, largest, or a number from the left"
+            )
+        return describe(self._looks, self._followed, self._choice)
+
+
+def describe(looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None) -> list[str]:
+    """Return a sentence if several people are in view: when, and who of them is followed.
+
+    Args:
+        looks: Times [s] and the people found then, from left to right.
+        followed: Which of them the detector followed; None where it was none of them.
+        choice: Who was chosen, if anybody.
+    """
+    several = [i for i, (_, people) in enumerate(looks) if len(people) > 1]
+    if len(several) < MIN_LOOKS or len(several) < MIN_SHARE * len(looks):
+        return []
+    most = max(len(looks[i][1]) for i in several)
+    times = f"between {looks[several[0]][0]:.0f} and {looks[several[-1]][0]:.0f} s"
+    ranks = Counter(followed[i] for i in several if i < len(followed) and followed[i] is not None)
+    who = _ORDINALS[ranks.most_common(1)[0][0] or 0] if ranks else ""
+    if ranks and ranks.most_common(1)[0][0] == most - 1:
+        who = "right"
+    said = f"up to {most} people are in view {times}; "
+    said += f"the {who} one is followed" if ranks else "it is not clear who of them is followed"
+    if choice is None:
+        return [said + ", as the detector chose: --person left|right|largest|N chooses"]
+    return [f"{said} (--person {choice})"]

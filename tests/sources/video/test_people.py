@@ -1,0 +1,88 @@
+"""Who is in view and who is followed, on people that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mimic.config.pose import PoseSettings
+from mimic.errors import ConfigError, SourceError
+from mimic.records import LANDMARKS
+from mimic.sources.video.people import Person, chosen, describe, distinct, person_of
+from mimic.sources.video.video import track_video
+
+
+def person(x: float, size: float = 1.0) -> Person:
+    """Somebody whose trunk is 0.3 of the picture times ``size``."""
+    image = np.full((33, 2), (x, 0.3))
+    for name, across, down in (("shoulder", 0.05, 0.0), ("hip", 0.03, 0.3), ("ankle", 0.03, 0.6)):
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            image[LANDMARKS.index(f"{side}_{name}")] += size * np.array([sign * across, down])
+    return person_of(image, 4 / 3)
+
+
+def test_people_are_told_apart_from_left_to_right_and_the_background_is_left_out():
+    found = distinct([person(0.8), person(0.2), person(0.81, 0.9), person(0.5, 0.1)])
+    assert [round(float(one.middle[0]), 2) for one in found] == [round(0.2 * 4 / 3, 2), round(0.8 * 4 / 3, 2)]
+
+
+@pytest.mark.parametrize(("choice", "place"), [("left", 0), ("right", 2), ("largest", 1), (1, 0), (2, 1), (3, 2)])
+def test_one_is_chosen_by_place_or_size(choice, place):
+    people = [person(0.2), person(0.5, 1.4), person(0.8)]
+    assert chosen(people, choice) is people[place]
+
+
+def test_several_people_are_said_with_the_times_and_who_is_followed():
+    one, two = [person(0.2)], [person(0.2), person(0.8)]
+    looks = [(0.0, one), (1.5, two), (3.0, two), (4.5, one)]
+    (said,) = describe(looks, [0, 1, 1, 0], None)
+    assert "up to 2 people are in view between 2 and 3 s; the right one is followed" in said
+    assert "--person left|right|largest|N" in said
+    (said,) = describe(looks, [0, 0, 0, 0], "left")
+    assert said.endswith("the left one is followed (--person left)")
+    assert describe(looks[:2], [0, 0], None) == []  # once may be an error
+    assert describe([(1.5 * i, one) for i in range(5)], [0] * 5, None) == []
+
+
+@pytest.mark.parametrize("number", [0, 6])
+def test_numbers_that_nobody_has_are_refused(number):
+    with pytest.raises(ConfigError, match="person is"):
+        PoseSettings(person=number)
+
+
+@pytest.fixture(scope="module")
+def two(clip: Callable[[str], Path], tmp_path_factory) -> Path:
+    """A signer on the left and a rendered boxer on the right, for two seconds."""
+
+    def frames(name: str) -> list[np.ndarray]:
+        capture, found = cv2.VideoCapture(str(clip(name))), []
+        while len(found) < 60 and (read := capture.read())[0]:
+            found.append(read[1])
+        return found
+
+    path = tmp_path_factory.mktemp("people") / "two.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (1280, 480))
+    for left, right in zip(frames("real/01_asl_walk.mkv"), frames("rendered/boxing.mp4"), strict=True):
+        writer.write(np.hstack([left, right]))
+    writer.release()
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("choice", "low", "high"), [("left", 0.15, 0.35), ("right", 0.65, 0.85), (1, 0.15, 0.35)])
+def test_the_chosen_person_is_followed_in_every_frame(two, choice, low, high):
+    pose = track_video(two, PoseSettings(person=choice))
+    x = pose.image[:, [pose.index("left_shoulder"), pose.index("right_shoulder")], 0].mean(axis=1)
+    assert np.isfinite(x).all()
+    assert low < x.min() <= x.max() < high
+    assert any("up to 2 people are in view" in warning for warning in pose.warnings)
+
+
+@pytest.mark.slow
+def test_a_third_person_of_two_is_refused(two):
+    with pytest.raises(SourceError, match="shows 2 people at most"):
+        track_video(two, PoseSettings(person=3))
