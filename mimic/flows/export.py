@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Format = Literal["lerobot", "csv", "npz", "mjlab", "gmr"]
 ENDINGS = {"csv": ".csv", "npz": ".npz", "mjlab": ".npz", "gmr": ".pkl"}
 """Ending of the file of each format that is a file."""
+FILES = (*ENDINGS.values(), ".parquet", ".zip", ".mp4")
+"""Endings that no folder should have."""
 STATE = (
     *(f"{name}.pos" for name in JOINTS),
     *(f"{name}.vel" for name in JOINTS),
@@ -67,7 +69,7 @@ def export(
     folders = _runs(source)
     if form in ENDINGS and out.suffix.lower() != ENDINGS[form]:
         raise ConfigError(f"--out is {out}; expected a file name that ends with {ENDINGS[form]} for --format {form}")
-    if form not in ENDINGS and out.suffix:
+    if form not in ENDINGS and out.suffix.lower() in FILES:
         raise ConfigError(f"--out is {out}; expected the name of a folder for --format {form}")
     if out.exists():
         raise ConfigError(f"{out} exists; name another place with --out, or remove it")
@@ -108,12 +110,23 @@ def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
 
     name = str(log.metadata.get("robot", "cyberdog2"))
     description = load_description(name)
-    fps = round(1.0 / float(np.median(np.diff(log.t))))
+    fps = _rate(log, folder)
     ticks = _even_ticks(log, fps)
     log = fill_dropouts(log, description)
     if not all(np.isfinite(values).all() for values in (log.q, log.quat_WB, log.p_WB)):
         raise AssetError(f"{folder / LOG} lacks joint positions or orientations; a motion has no gaps")
     return (mjlab_motion if form == "mjlab" else gmr_motion)(log, ticks, fps, description)
+
+
+def _rate(log: RunLog, folder: Path) -> int:
+    """Return the ticks of a log per second [Hz].
+
+    Raises:
+        AssetError: If it has too few of them.
+    """
+    if len(log.t) < 2:
+        raise AssetError(f"{folder / LOG} has {len(log.t)} tick; a motion needs at least two")
+    return round(1.0 / float(np.median(np.diff(log.t))))
 
 
 def _even_ticks(log: RunLog, fps: int) -> np.ndarray:
@@ -174,7 +187,7 @@ def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Re
     from mimic.io.lerobot import write_dataset
 
     logs = [store.load(folder / LOG, RunLog) for folder in folders]
-    rates = {round(1.0 / float(np.median(np.diff(log.t)))) for log in logs}
+    rates = {_rate(log, folder) for log, folder in zip(logs, folders, strict=True)}
     robots = {str(log.metadata.get("robot", "cyberdog2")) for log in logs}
     if len(rates) > 1 or len(robots) > 1:
         raise ConfigError(f"a dataset has one robot and one rate; these runs have {robots} at {rates} Hz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pickle
 from pathlib import Path
@@ -161,6 +162,15 @@ def test_what_cannot_be_exported_is_reported_and_nothing_is_written(run, batch, 
         with pytest.raises(error, match=message):
             export(source, tmp_path / out, form)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "there"]
+
+
+@pytest.mark.parametrize(("form", "name"), [("lerobot", "ds"), ("mjlab", "m.npz"), ("gmr", "g.pkl")])
+def test_a_run_of_one_tick_is_no_motion(log, tmp_path, form, name):
+    arrays = {f.name: getattr(log, f.name)[:1] for f in dataclasses.fields(log) if "axes" in f.metadata}
+    store.save(dataclasses.replace(log, **arrays), tmp_path / "run/log.parquet", made_by=store.provenance())
+    with pytest.raises(AssetError, match="has 1 tick"):
+        export(tmp_path / "run", tmp_path / name, form, video=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_a_dataset_that_cannot_be_finished_is_not_there(run, log, tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -39,6 +40,8 @@ class Footage:
     def __init__(self, video: Path) -> None:
         """Start decoding and encoding ``video``."""
         import av  # noqa: F401  # imported here, because imports in the thread could run in parallel with others
+
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # read when OpenCV is imported
         import cv2  # noqa: F401
 
         self.video = video
