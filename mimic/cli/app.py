@@ -94,6 +94,13 @@ COMMANDS = {
         "mimic export out -o dataset --no-video",
     ),
     "view": ("mimic.cli.play:view", "Open the Rerun scene of a run.", "mimic view runs/video"),
+    "lead": (
+        "mimic.cli.lead:lead",
+        "Lead a simulated robot by the hand.",
+        "mimic lead --direction 30 --video lead.mp4",
+        "mimic lead --toe right --most 6 --speed 0.15",
+        "mimic lead --interactive",
+    ),
     "evaluate": (
         "mimic.cli.evaluate:evaluate",
         "Evaluate a policy over many episodes.",

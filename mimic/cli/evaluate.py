@@ -10,6 +10,7 @@ from mimic.cli.exit_status import DONE
 from mimic.config.evaluation import (
     CalmSettings,
     EvaluateSettings,
+    LeadSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
     StandUpSettings,
@@ -26,6 +27,7 @@ def evaluate(
     robustness: Annotated[bool, o.Flag] = False,
     stand_up: Annotated[bool, o.Flag] = False,
     calm: Annotated[bool, o.Flag] = False,
+    lead: Annotated[bool, o.Flag] = False,
     out: o.Out = None,
     episodes: int | None = None,
     seconds: float | None = None,
@@ -49,17 +51,19 @@ def evaluate(
         Instead, standing up from 500 lying starts, and standing still for 20 s.
     calm
         Instead, standing for 60 s without a command: planted feet, heat, torque, drift; and pushes while standing.
+    lead
+        Instead, being led by the hand: a pull on a front toe, 5 m at 0.2 m/s in any direction.
     out
         JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json,
-        stand-up-NAME.json or calm-NAME.json in the current folder. The heat map goes beside it.
+        stand-up-NAME.json, calm-NAME.json or lead-NAME.json in the current folder. The heat map goes beside it.
     episodes
         Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
-        --stand-up 500 starts; with --calm 20; 500 switches to a policy that sits down.
+        --stand-up 500 starts; with --calm 20; with --lead 40; 500 switches to a policy that sits down.
     seconds
         Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; with --calm
-        60 s; latest policy switch: 10 s.
+        60 s, with --lead 32 s; latest policy switch: 10 s.
     seed
-        Seed of the first episode: 1; with --table and --calm one that no policy was chosen with.
+        Seed of the first episode: 1; with --table, --calm and --lead one that no policy was chosen with.
     workers
         Processes; 0 takes one for each core.
     """
@@ -67,8 +71,10 @@ def evaluate(
     from mimic.flows.evaluate import evaluate as run
     from mimic.flows.evaluate import policy_path, task_of
 
-    if table + robustness + stand_up + calm > 1:
-        raise ConfigError("--table, --robustness, --stand-up and --calm are different evaluations; give one of them")
+    if table + robustness + stand_up + calm + lead > 1:
+        raise ConfigError(
+            "--table, --robustness, --stand-up, --calm and --lead are different evaluations; give one of them"
+        )
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     path = policy_path(policy)
@@ -78,6 +84,7 @@ def evaluate(
     }
     kinds["stand-up"] = (stand_up, StandUpSettings, _show_stand_up)
     kinds["calm"] = (calm, CalmSettings, _show_calm)
+    kinds["lead"] = (lead, LeadSettings, _show_lead)
     name, kind, show = "evaluation", EvaluateSettings, _show_tracking
     for word, (chosen, settings_class, printer) in kinds.items():
         if chosen:
@@ -218,6 +225,24 @@ def _show_calm(policy: Path, result: dict[str, Any], settings: CalmSettings, out
             for push, share in s["pushed"].items()
         }
         | {"written": str(out)},
+    )
+
+
+def _show_lead(policy: Path, result: dict[str, Any], settings: LeadSettings, out: Path) -> None:
+    from mimic.cli.console import table
+
+    s, hand = result["summary"], settings.hand
+    table(
+        f"{policy.name}: {s['episodes']} randomised robots led {hand.way:g} m at {hand.speed:g} m/s by a front toe",
+        {
+            "still standing": f"{s['stood']:.1%}",
+            "followed the hand": f"{s['followed']:.1%}",
+            "… and stopped when let go": f"{s['stopped']:.1%}",
+            "way": f"{s['way_m']:.1f} m of {hand.way:g} m in the hand's direction",
+            "pull": f"{s['pull_mean_n']:.1f} N mean, {s['pull_max_n']:.1f} N most (the hand slips at {hand.most:g} N)",
+            "speed 1 s after it is let go": f"{s['speed_after_m_s']:.2f} m/s",
+            "written": str(out),
+        },
     )
 
 

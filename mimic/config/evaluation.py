@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
 from mimic.config.ranges import check_range
 
@@ -106,6 +107,27 @@ class CalmSettings(EpisodeSettings):
     def __post_init__(self) -> None:
         self.check_episodes(5.0, 3600.0)
         check_range("pushed-episodes", self.pushed_episodes, 1, 100_000)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LeadSettings(EpisodeSettings):
+    """Evaluation of being led by the hand, by either front toe in any direction."""
+
+    episodes: int = 40
+    """Randomised robots."""
+    seconds: float = 32.0
+    """Length of each [s]; what is left of it when the hand has let go is watched."""
+    hand: HandSettings = field(default_factory=HandSettings)
+    """The hand; its toe and its direction are drawn."""
+    leading: LeadingSettings = field(default_factory=LeadingSettings)
+    """How the robot answers."""
+    seed: int = FRESH_SEED
+    """Seed of the first episode."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+
+    def __post_init__(self) -> None:
+        self.check_episodes(self.hand.end + 2.0)
+        object.__setattr__(self, "hand", replace(self.hand, after=self.seconds - self.hand.end))
 
 
 STAND_UP_RANGES = Randomisation(

@@ -9,6 +9,7 @@ from typing import Any
 from mimic.config.evaluation import (
     CalmSettings,
     EvaluateSettings,
+    LeadSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
     StandUpSettings,
@@ -23,7 +24,13 @@ from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 
 AnyEvaluation = (
-    EvaluateSettings | SitDownEvaluateSettings | TableSettings | StandUpSettings | CalmSettings | RobustnessSettings
+    EvaluateSettings
+    | SitDownEvaluateSettings
+    | TableSettings
+    | StandUpSettings
+    | CalmSettings
+    | LeadSettings
+    | RobustnessSettings
 )
 
 
@@ -40,7 +47,8 @@ def evaluate(
         policy: ONNX file with its contract inside, or the name of a shipped policy; by default stand_track.
         settings: Their class says what is measured: EvaluateSettings (standing up, reaching, walking, turning),
             SitDownEvaluateSettings (for policies that sit down), TableSettings (Table III of the paper),
-            StandUpSettings, CalmSettings (how calmly it stands), RobustnessSettings (which disturbances it survives).
+            StandUpSettings, CalmSettings (how calmly it stands), LeadSettings (being led by the hand),
+            RobustnessSettings (which disturbances it survives).
             By default what fits the policy.
         out: Also write the figures, with their provenance, into this JSON file.
         reporter: Receives warnings and progress.
@@ -85,6 +93,10 @@ def _evaluation(settings: AnyEvaluation) -> Callable[..., dict[str, Any]]:
         from mimic.evaluation.calm import evaluate_calm
 
         return evaluate_calm
+    if isinstance(settings, LeadSettings):
+        from mimic.evaluation.leading import evaluate_leading
+
+        return evaluate_leading
     if isinstance(settings, StandUpSettings):
         from mimic.evaluation.stand_up import evaluate_stand_up
 

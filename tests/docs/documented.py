@@ -32,6 +32,7 @@ NOT_RUN = {
     r"^mimic (walk_poses\.npz|wham_output\.pkl|motion\.c3d)": "files of other programs; tests/sources/mocap makes such",
     r"--camera 0": "needs a camera",
     r"--llm-url": "needs a language model",
+    r"^mimic lead": "renders a film, or needs a display; tests/flows/test_lead.py runs a short one",
     r"^mimic evaluate": "takes minutes; tests/evaluation runs short ones",
     r"^mimic calibrate": "takes minutes; examples/calibrate_any_machine.py runs a short one",
     r"^mimic log simulate .*(-o (log|probe|second)\.parquet)": "takes a minute; tests/cli runs short ones",

@@ -144,6 +144,17 @@ class Offscreen:
         mujoco.mjv_initGeom(geom, ball, size, np.asarray(centre), straight, np.array(rgba, dtype=np.float32))
         self.scene.ngeom += 1
 
+    def add_arrow(
+        self, begin: FloatArray, end: FloatArray, radius: float, rgba: tuple[float, float, float, float]
+    ) -> None:
+        """Add an arrow to the current picture, from one point (3,) to another, world axes [m]."""
+        if self.scene.ngeom >= self.scene.maxgeom or np.allclose(begin, end):
+            return
+        geom, arrow = self.scene.geoms[self.scene.ngeom], mujoco.mjtGeom.mjGEOM_ARROW
+        mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32))
+        mujoco.mjv_connector(geom, arrow, radius, np.asarray(begin), np.asarray(end))
+        self.scene.ngeom += 1
+
     def picture(self) -> np.ndarray:
         """Return the picture (H, W, 3), RGB."""
         import cv2

@@ -42,6 +42,10 @@ _CLAMP_SHOWN = 0.005
 """The unclamped target is drawn if clamping moved it by more than this [m]."""
 
 
+METRES_PER_NEWTON = 0.08
+"""Length of the arrow of a pull."""
+
+
 class RobotFilm:
     """Renders the robot of a run at any tick, from a camera that follows it."""
 
@@ -86,8 +90,13 @@ class RobotFilm:
         unclamped = np.where(targets.moved[rows, :, None] > _CLAMP_SHOWN, targets.wanted[rows], np.nan)
         return in_world(self._qpos, unclamped)
 
-    def picture(self, tick: int) -> np.ndarray:
-        """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls."""
+    def picture(self, tick: int, pull: tuple[FloatArray, FloatArray] | None = None) -> np.ndarray:
+        """Return a picture of the robot at a tick (H, W, 3), RGB, with toe targets as transparent balls.
+
+        Args:
+            tick: Row of the log.
+            pull: Where a hand pulls (3,), world axes [m], and how strongly (3,) [N], drawn as an arrow.
+        """
         screen = self._screen
         lookat = np.array([*self._path[tick], _LOOK_HEIGHT])
         screen.pose(self._qpos[tick], lookat, distance=_DISTANCE, azimuth=self._azimuth, elevation=-_DOWN)
@@ -99,6 +108,9 @@ class RobotFilm:
                 screen.add_ball(self._target[tick, i], _TARGET_RADIUS, (red, green, blue, 0.45))
             if tracking and self._unclamped is not None and np.isfinite(self._unclamped[tick, i]).all():
                 screen.add_ball(self._unclamped[tick, i], 0.012, (1.0, 1.0, 1.0, 0.8))
+        if pull is not None:
+            at, force = pull
+            screen.add_arrow(at, at + METRES_PER_NEWTON * force, 0.012, (0.95, 0.75, 0.1, 1.0))
         return screen.picture()
 
     def close(self) -> None:
@@ -243,10 +255,10 @@ def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, frame: 
     if phase == "track":
         texts.append(("toe error", white))
         texts += [(f"{e:.1f} cm", soft(skeleton.COLOURS[side])) for e, side in zip(error, SIDES, strict=True)]
-    _write(picture, texts)
+    write_texts(picture, texts)
 
 
-def _write(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -> None:
+def write_texts(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -> None:
     """Write coloured text on a dark bar at the bottom of a picture."""
     import cv2
 

@@ -1,0 +1,68 @@
+"""``mimic lead``: lead a simulated robot by the hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from mimic.cli import options as o
+from mimic.cli.exit_status import DONE, STOPPED
+from mimic.config.leading import HandSettings, LeadingSettings
+
+
+def lead(
+    *,
+    video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
+    interactive: Annotated[bool, o.Flag] = False,
+    policy: str | None = None,
+    seed: int = 0,
+    hand: Annotated[HandSettings | None, Parameter(name="*", group="Hand")] = None,
+    answer: Annotated[LeadingSettings | None, Parameter(group="Answer to a pull")] = None,
+    robot: o.Effects = None,
+) -> int:
+    """Stand a simulated robot up and lead it by a front toe: it follows, and stops when it is let go.
+
+    Parameters
+    ----------
+    video
+        Also write a film in which the pull is drawn (.mp4).
+    interactive
+        Open MuJoCo's viewer instead: double-click a front leg, then drag it with Ctrl and the right mouse button.
+    policy
+        ONNX file that stands and walks; by default the shipped one.
+    seed
+        Seed of the start.
+    """
+    from mimic.cli.console import ConsoleReporter, note, table
+    from mimic.config.play import AS_DESCRIBED
+    from mimic.flows.lead import lead as run
+
+    hand = hand or HandSettings()
+    if interactive:
+        note("double-click a front leg, then drag it with Ctrl and the right mouse button; close the window to end")
+    led = run(
+        hand,
+        answer,
+        policy=policy,
+        robot=robot or AS_DESCRIBED,
+        seed=seed,
+        film=video,
+        interactive=interactive,
+        reporter=ConsoleReporter(),
+    )
+    if led.fell_at is not None:
+        note(f"the robot fell {led.fell_at:.1f} s after the start")
+    if led.figures:
+        f = led.figures
+        rows = {
+            "way": f"{f['way_m']:.1f} m of {hand.way:g} m in the hand's direction" if "way_m" in f else "-",
+            "followed the hand": "yes" if f["followed"] else "no",
+            "stopped when let go": "yes" if f["stopped"] else "no",
+            "pull": f"{f['pull_mean_n']:.1f} N mean, {f['pull_max_n']:.1f} N most",
+        }
+        table(f"Led by the {hand.toe} front toe, {hand.direction:g} deg, at {hand.speed:g} m/s", rows)
+    if video is not None:
+        note(f"wrote {video}")
+    return DONE if led.fell_at is None else STOPPED

@@ -1,0 +1,67 @@
+"""Being led by the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from mimic.config.ranges import check_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LeadingSettings:
+    """How a robot answers a pull on a front toe."""
+
+    threshold: float = 1.5
+    """A weaker pull does not move it [N]. A standing robot that nobody touches feels up to 1 N."""
+    full: float = 4.0
+    """Pull at which it walks as fast as it may [N]."""
+    speed: float = 0.3
+    """Fastest velocity command [m/s]."""
+    turn_rate: float = 0.6
+    """Fastest turn towards a pull from the side [rad/s]."""
+    smoothing: float = 0.4
+    """Time constant of the low pass on the pull [s]."""
+
+    def __post_init__(self) -> None:
+        check_range("threshold", self.threshold, 0.0, 20.0, "N")
+        check_range("full", self.full, self.threshold + 0.1, 50.0, "N")
+        check_range("speed", self.speed, 0.0, 1.0, "m/s")
+        check_range("turn-rate", self.turn_rate, 0.0, 2.0, "rad/s")
+        check_range("smoothing", self.smoothing, 0.0, 5.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HandSettings:
+    """A simulated hand that takes a front toe, walks off with it on a straight line, and lets go."""
+
+    toe: Literal["left", "right"] = "left"
+    """The toe that it takes."""
+    direction: float = 0.0
+    """Where it goes, from where the belly faces, to the left [deg]."""
+    way: float = 5.0
+    """How far it goes [m]."""
+    speed: float = 0.2
+    """How fast [m/s]."""
+    most: float = 8.0
+    """Strongest pull [N]; what would take more slips through the fingers."""
+    stiffness: float = 60.0
+    """Pull for each metre that the toe is behind the hand [N/m]."""
+    begin: float = 4.0
+    """When it takes the toe [s]."""
+    after: float = 3.0
+    """How long the robot is watched when it has let go [s]."""
+
+    def __post_init__(self) -> None:
+        check_range("direction", self.direction, -360.0, 360.0, "deg")
+        check_range("way", self.way, 0.1, 100.0, "m")
+        check_range("speed", self.speed, 0.01, 2.0, "m/s")
+        check_range("most", self.most, 0.1, 50.0, "N")
+        check_range("stiffness", self.stiffness, 1.0, 1000.0, "N/m")
+        check_range("begin", self.begin, 2.0, 60.0, "s")
+        check_range("after", self.after, 2.0, 60.0, "s")
+
+    @property
+    def end(self) -> float:
+        """When it lets go [s]."""
+        return self.begin + self.way / self.speed

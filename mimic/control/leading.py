@@ -1,0 +1,126 @@
+"""Being led by the hand: a pull on a front toe becomes a walk in its direction.
+
+The pull is estimated from the torques of the front legs: what they give beyond holding up their own weight. An
+admittance turns it into commands: the stronger the pull forward or back, the faster the walk, and the robot turns
+towards where it is pulled. When the hand lets go, it stops. The policy itself knows nothing of it.
+"""
+
+# Pinocchio has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from mimic.config.leading import LeadingSettings
+from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.records import Command, FloatArray, RobotState, Tick
+from mimic.robot.description import RobotDescription
+from mimic.robot.model import TOES
+from mimic.robot.rigid_body import rigid_body_model
+
+MOST_AHEAD = 0.6
+"""A turn is not asked for further ahead of the robot than this [rad]."""
+
+BACKWARD = np.deg2rad(120.0)
+"""Pulled from further behind than this it walks backward; otherwise it turns its belly to the pull [rad]."""
+
+STRETCHED = 0.02
+"""Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
+
+
+class PullEstimator:
+    """The force on each front toe, from the torques of its leg."""
+
+    def __init__(self, description: RobotDescription) -> None:
+        self._model, _ = rigid_body_model(description)
+        self._data = self._model.createData()
+        self._frames = [self._model.getFrameId(name) for name in TOES[:2]]
+
+    def force(self, state: RobotState) -> FloatArray:
+        """Return the force on the left and the right front toe (2, 3), world axes [N], as if the robot were at rest."""
+        w, x, y, z = state.quat_WB
+        q = np.concatenate([np.zeros(3), [x, y, z, w], state.q])
+        gravity = pin.computeGeneralizedGravity(self._model, self._data, q)[6:]
+        pin.computeJointJacobians(self._model, self._data, q)
+        pin.updateFramePlacements(self._model, self._data)
+        forces = np.zeros((2, 3))
+        for side, frame in enumerate(self._frames):
+            jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            own = slice(3 * side, 3 * side + 3)
+            leg = jacobian[:3, 6:][:, own]
+            excess = gravity[own] - state.tau[own]
+            forces[side] = np.linalg.solve(leg @ leg.T + STRETCHED**2 * np.eye(3), leg @ excess)
+        return forces
+
+
+class HandLeading:
+    """Commands of a robot that is led by the hand, for `run_policy`; give it `see` as the sink."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        toes: FloatArray,
+        settings: LeadingSettings,
+        *,
+        seconds: float = math.inf,
+    ) -> None:
+        """Hold out the front toes.
+
+        Args:
+            description: The robot.
+            toes: Base -> front toe (2, 3), base axes [m].
+            settings: How it answers a pull.
+            seconds: How long it may be led [s].
+        """
+        self._estimator, self._toes = PullEstimator(description), toes
+        self._settings, self._dt, self._left = settings, description.dt, seconds
+        self._pulls = np.zeros((2, 3))
+        self._began: float | None = None
+        self._now, self._turned = 0.0, 0.0
+
+    @property
+    def pull(self) -> FloatArray:
+        """Smoothed pull on the toe that is pulled harder (3,), world axes [N]."""
+        return self._pulls[int(np.argmax(np.linalg.norm(self._pulls[:, :2], axis=1)))]
+
+    def see(self, tick: Tick) -> None:
+        """Take the state after a control step."""
+        share = self._dt / (self._settings.smoothing + self._dt)
+        self._pulls += share * (self._estimator.force(tick.state) - self._pulls)
+        self._now = float(heading_from_quat(tick.state.quat_WB))
+        if self._began is None:
+            self._began = self._now
+
+    def stop(self) -> None:
+        """Let the motion end."""
+        self._left = 0.0
+
+    def newest(self) -> Command | None:
+        """Return what the pull asks for; None when the time is over."""
+        s = self._settings
+        self._left -= self._dt
+        if self._left < 0:
+            return None
+        forward, left = turned(self.pull[:2], -self._now)
+        size = math.hypot(forward, left)
+        share = min(max((size - s.threshold) / (s.full - s.threshold), 0.0), 1.0)
+        way, away = 1.0, math.atan2(left, forward)
+        if abs(away) > BACKWARD:
+            way, away = -1.0, away - math.copysign(math.pi, away)
+        if share > 0:
+            self._turned += share * float(np.clip(2.0 * away, -s.turn_rate, s.turn_rate)) * self._dt
+            behind = float(wrap_angle(self._now - (self._began or 0.0) - self._turned))
+            self._turned += behind - float(np.clip(behind, -MOST_AHEAD, MOST_AHEAD))
+        v = np.array([way * s.speed * share * max(math.cos(away), 0.0), 0.0])
+        return Command(v=v, heading=self._turned, p_BE=self._toes)
+
+
+def turned(vector: FloatArray, angle: float) -> tuple[float, float]:
+    """Return a horizontal vector (2,) turned to the left by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    return float(c * vector[0] - s * vector[1]), float(s * vector[0] + c * vector[1])

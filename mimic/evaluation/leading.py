@@ -1,0 +1,145 @@
+"""How well a robot lets itself be led by the hand: it follows a pull on a front toe, and stops when it is let go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.config.evaluation import LeadSettings
+from mimic.config.leading import HandSettings, LeadingSettings
+from mimic.config.play import Randomisation
+from mimic.control.leading import HandLeading
+from mimic.control.loop import RunResult, run_policy
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
+from mimic.evaluation.episode import TRACKING_RULES
+from mimic.evaluation.policy import TIMING, stands_at_end
+from mimic.jobs.local import Progress, run_all
+from mimic.policy.runtime import Policy, cached_policy
+from mimic.records import SIDES, Tick
+from mimic.robot.description import load_description
+from mimic.simulation.hand import Hand
+from mimic.simulation.plant import PhysicsObserver, SimulatedPlant, plant_options
+
+STOPS_WITHIN = 1.0
+"""A robot that is let go should stand still from here on [s]."""
+
+FOLLOWS = 0.3
+"""It has followed if its toe is at most this far behind the hand when that lets go [m]."""
+
+STANDS_STILL = 0.08
+"""It has stopped if its mean velocity is at most this [m/s]: stepping in place it may sway and drift."""
+
+
+def lead_robot(
+    plant: SimulatedPlant,
+    policy: Policy,
+    hand: PhysicsObserver,
+    settings: LeadingSettings,
+    *,
+    seconds: float = math.inf,
+    follow: Callable[[Tick], bool] | None = None,
+) -> RunResult:
+    """Let a simulated robot stand up and be led.
+
+    Args:
+        plant: The robot.
+        policy: Stands and walks.
+        hand: Called after each physics step; pulls.
+        settings: How the robot answers.
+        seconds: Length of the run [s].
+        follow: Called with every tick; False ends the run.
+    """
+    plant.watch(hand)
+    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+    leading = HandLeading(plant.description, neutral, settings, seconds=seconds - TIMING.stand_up)
+
+    def see(tick: Tick) -> None:
+        leading.see(tick)
+        if follow is not None and not follow(tick):
+            leading.stop()
+
+    safety = Safety(supervisor=Supervisor(plant.description, rules=TRACKING_RULES), ramp=0.0, damp_at_end=False)
+    result = run_policy(plant, policy, leading, replace(TIMING, hold=0.0), sink=see, safety=safety)
+    if result.error is not None:
+        raise result.error
+    return result
+
+
+def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[str, Any]:
+    """Return how a robot was led: way and pull while it was, speed when it was let go."""
+    log, force = result.log, np.linalg.norm(hand.force, axis=1) if hand.force else np.zeros(1)
+    held = log.t[(log.t >= settings.begin) & (log.t < settings.end)]
+    figures: dict[str, Any] = {
+        "direction_deg": settings.direction,
+        "toe": settings.toe,
+        "fell_at_s": result.fell_at,
+        "pull_mean_n": float(force.mean()),
+        "pull_max_n": float(force.max()),
+    }
+    if result.fell_at is not None or len(held) < 2:
+        return figures | {"followed": False, "stopped": False}
+    first, last = np.searchsorted(log.t, held[[0, -1]])
+    way = float((log.p_WB[last] - log.p_WB[first]) @ hand.unit)
+    after = np.flatnonzero(log.t > settings.end + STOPS_WITHIN)
+    passed = log.p_WB[after[-1], :2] - log.p_WB[after[0], :2]
+    speed = float(np.linalg.norm(passed) / (log.t[after[-1]] - log.t[after[0]]))
+    return figures | {
+        "way_m": way,
+        "behind_m": hand.behind[-1],
+        "speed_after_m_s": speed,
+        "followed": hand.behind[-1] <= FOLLOWS,
+        "stopped": speed <= STANDS_STILL,
+    }
+
+
+def _play(seed: int, settings: LeadSettings, policy_path: str) -> dict[str, Any]:
+    description, policy = load_description(), cached_policy(policy_path)
+    rng = np.random.default_rng([seed, 37])
+    hand = replace(settings.hand, direction=float(rng.uniform(-180.0, 180.0)), toe=SIDES[int(rng.integers(2))])
+    ranges: Randomisation = replace(settings.randomisation, push=(0.0, 0.0))
+    plant = SimulatedPlant(description, ranges=ranges, seed=seed, samples=False, **plant_options(settings.robot))
+    pull = Hand(plant.model, hand)
+    result = lead_robot(plant, policy, pull, settings.leading, seconds=hand.end + hand.after)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return {"seed": seed, "stands": stands_at_end(result, description)} | lead_figures(result, pull, hand)
+
+
+def evaluate_leading(policy_path: Path, settings: LeadSettings, *, progress: Progress | None = None) -> dict[str, Any]:
+    """Evaluate being led by either front toe in any direction; the same seeds give the same figures.
+
+    Raises:
+        AssetError, ContractError: If the policy cannot be run on this robot.
+    """
+    cached_policy(str(policy_path))
+    plant_options(settings.robot)
+    play = partial(_play, settings=settings, policy_path=str(policy_path))
+    seeds = [settings.seed + i for i in range(settings.episodes)]
+    rows = run_all(play, seeds, workers=settings.workers, progress=progress)
+    return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return shares over all episodes, and means over those that stayed up."""
+    up = [r for r in rows if r["stands"]]
+
+    def mean(name: str) -> float:
+        return float(np.mean([r[name] for r in up])) if up else float("nan")
+
+    return {
+        "episodes": len(rows),
+        "stood": len(up) / len(rows),
+        "followed": float(np.mean([r["stands"] and r["followed"] for r in rows])),
+        "stopped": float(np.mean([r["stands"] and r["followed"] and r["stopped"] for r in rows])),
+        "way_m": mean("way_m"),
+        "pull_mean_n": mean("pull_mean_n"),
+        "pull_max_n": max((r["pull_max_n"] for r in up), default=float("nan")),
+        "speed_after_m_s": mean("speed_after_m_s"),
+    }

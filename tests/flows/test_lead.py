@@ -1,0 +1,52 @@
+"""``mimic lead``: from the shell, with a film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from mimic.cli import main
+from mimic.view.film.footage import frame_stamps
+
+SHORT = ["lead", "--way", "0.4", "--begin", "2.5", "--after", "2"]
+
+
+@pytest.mark.slow
+def test_a_robot_is_led_and_filmed(tmp_path, capsys):
+    film = tmp_path / "lead.mp4"
+    assert main([*SHORT, "--video", str(film)]) == 0
+    said = capsys.readouterr()
+    assert "followed the hand" in said.out + said.err
+    assert len(frame_stamps(film)) == pytest.approx(30 * 6.5, abs=6)
+    video = cv2.VideoCapture(str(film))
+    found = []
+    for moment in (2.0, 4.0):  # before the pull, and during it
+        video.set(cv2.CAP_PROP_POS_FRAMES, 30 * moment)
+        blue, green, red = (channel.astype(int) for channel in cv2.split(video.read()[1]))
+        found.append(int(((red > 150) & (green > 110) & (blue < 90)).sum()))
+    assert found[0] == 0
+    assert found[1] > 20  # the yellow arrow
+
+
+def test_the_viewer_without_a_display_is_refused_in_a_line(monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(["lead", "--interactive"]) == 2
+    assert "there is no display; --interactive opens MuJoCo's viewer and needs one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--speed", "9"], "speed is 9 m/s; it must be from 0.01 to 2 m/s"),
+        (["--toe", "middle"], "middle"),
+        (["--policy", "nowhere.onnx"], "nowhere.onnx"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(options, text, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*SHORT, *options]) == 2
+    assert text in capsys.readouterr().err
+    assert not list(Path(tmp_path).iterdir())
