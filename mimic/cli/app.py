@@ -159,7 +159,7 @@ GROUPS = {
         },
     ),
     "robot": (
-        "A real robot: scan, zero, check, watch, damp, probe.",
+        "A real robot: scan, wire, zero, check, watch, damp, probe.",
         {
             "scan": (
                 "mimic.cli.robot:scan",
@@ -175,8 +175,14 @@ GROUPS = {
             ),
             "watch": (
                 "mimic.cli.robot:watch",
-                "Show what a stock robot says; nothing is sent.",
+                "Show what a robot says while it is moved by hand.",
+                "mimic robot watch can0",
                 "mimic robot watch cyberdog2 --interface eth0",
+            ),
+            "wire": (
+                "mimic.cli.robot:wire",
+                "Write the wiring file while you move each joint by hand.",
+                "mimic robot wire can0 -o wiring.toml",
             ),
             "damp": (
                 "mimic.cli.robot:damp",

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from mimic.control.supervisor import Event
-    from mimic.flows.commissioning import Watched
     from mimic.flows.motion import InputSettings
     from mimic.flows.robot import RobotRun
+    from mimic.flows.watching import Watched
     from mimic.hardware.preflight import Check
 
 
@@ -195,6 +195,30 @@ def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus 
     return DONE
 
 
+def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Bus = None) -> int:
+    """Find out by hand which motor moves which joint, and how the IMU sits, and write the wiring file.
+
+    Nothing moves by itself: the motors stay off. Hang the robot up so that its legs can be moved, and put it down for
+    the IMU.
+
+    Parameters
+    ----------
+    bus_url
+        Buses, such as can0; see mimic --help.
+    out
+        Wiring file to write; give it to the other commands with --wiring.
+    """
+    from mimic.flows.wiring import wire_robot
+
+    done = wire_robot(bus_url, out, bus, say=note)
+    for text in done.differences:
+        warn(text)
+    if not done.differences:
+        note("It agrees with the wiring that was given.")
+    note(f"done         {done.file}; use it with --wiring {done.file}")
+    return DONE
+
+
 def damp(bus_url: str, /, *, bus: o.Bus = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
@@ -230,33 +254,42 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     return USER_ERROR if any(f.verdict == "stop" for f in findings) else DONE
 
 
-def watch(bus_url: str, /, *, seconds: float | None = None, every: float = 0.5, bus: o.Bus = None) -> int:
-    """Show joints, orientation, temperatures and errors of a stock robot while it is moved by hand; nothing is sent.
+def watch(
+    bus_url: str,
+    /,
+    *,
+    seconds: float | None = None,
+    every: float = 0.5,
+    view: Annotated[bool, o.Flag] = False,
+    scene: Path | None = None,
+    bus: o.Bus = None,
+) -> int:
+    """Show joints, orientation, temperatures and errors of a robot while it is moved by hand; nothing moves.
 
     Parameters
     ----------
     bus_url
-        Name of a stock robot: cyberdog2.
+        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
     seconds
         End after this [s]; by default at Ctrl-C.
     every
         Time between two tables [s].
+    view
+        Also open the Rerun viewer and show the robot's pose.
+    scene
+        Also write the robot's poses to this Rerun scene (.rrd).
     """
     from rich.live import Live
 
-    from mimic.flows.commissioning import watch_robot
+    from mimic.flows.watching import watch_robot
 
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
-            watch_robot(
-                bus_url,
-                bus,
-                seconds=seconds,
-                every=every,
-                show=lambda seen: live.update(_watched(seen), refresh=True),
-            )
+            show = lambda seen: live.update(_watched(seen), refresh=True)  # noqa: E731
+            watch_robot(bus_url, bus, seconds=seconds, every=every, show=show, scene=scene or view)
     else:
-        watch_robot(bus_url, bus, seconds=seconds, every=every, show=lambda seen: console.print(_watched(seen)))
+        show = lambda seen: console.print(_watched(seen))  # noqa: E731
+        watch_robot(bus_url, bus, seconds=seconds, every=every, show=show, scene=scene or view)
     return DONE
 
 
@@ -268,11 +301,9 @@ def _watched(seen: Watched) -> Table:
 
     rates = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in seen.rates.items())
     roll, pitch, yaw = np.rad2deg(seen.rpy)
-    board = "not in motor mode" if seen.err_flag is None else f"error flag {seen.err_flag:#04x}"
-    others = f", {seen.foreign} commands of other programs" if seen.foreign else ""
     shown = Table(
         title=f"{seen.t:.1f} s: {rates}",
-        caption=f"roll {roll:+.1f}, pitch {pitch:+.1f}, yaw {yaw:+.1f} deg; {board}{others}",
+        caption=f"roll {roll:+.1f}, pitch {pitch:+.1f}, yaw {yaw:+.1f} deg; {'; '.join(seen.notes)}",
         title_justify="left",
         caption_justify="left",
     )

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from mimic.config.hardware import BusSettings, ProbeSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import LOG
-from mimic.geometry import rpy_from_quat
 from mimic.io import store
 from mimic.records import FloatArray, RunLog
 
@@ -148,92 +145,6 @@ def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool
         findings = preflight(motor_bus, description, rate_hz=rate, **options)
     findings.append(check_watchdog(findings, bus_url, bus))
     return findings
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Watched:
-    """What a stock robot says at one moment."""
-
-    t: float
-    """Time since watching began [s]."""
-    q: FloatArray
-    """Joint angles (12,) [rad]; NaN where nothing came."""
-    dq: FloatArray
-    """Joint velocities (12,) [rad/s]."""
-    tau: FloatArray
-    """Torques (12,) [N m]; NaN before motor mode."""
-    temperature: FloatArray
-    """(12,) [degC]; NaN before motor mode."""
-    errors: Sequence[int]
-    """Error bits of each motor (12,)."""
-    rpy: FloatArray
-    """Roll, pitch and yaw of the base (3,) [rad]."""
-    omega_B: FloatArray
-    """Rate of turn, base axes (3,) [rad/s]."""
-    rates: Mapping[str, float]
-    """Messages a second of each kind."""
-    err_flag: int | None
-    """Error bits of the board; None before motor mode."""
-    foreign: int
-    """Commands of other programs so far."""
-
-
-def watch_robot(
-    bus_url: str,
-    bus: BusSettings | None = None,
-    *,
-    seconds: float | None = None,
-    every: float = 0.5,
-    show: Callable[[Watched], None] = lambda seen: None,
-) -> None:
-    """Show what a stock robot says until Ctrl-C or for a time; nothing is sent.
-
-    Args:
-        bus_url: Name of a stock robot.
-        bus: How it is reached.
-        seconds: How long; None until Ctrl-C.
-        every: Interval between two calls of ``show`` [s].
-        show: Receives the newest readings.
-
-    Raises:
-        ConfigError: If the robot is not a stock one.
-        AssetError, BusError, MissingExtra, PlantError: If it cannot be reached.
-    """
-    from mimic.hardware.stock.messages import MOTOR_ERRORS
-    from mimic.hardware.stock.readings import NO_ERR_FLAG
-    from mimic.hardware.stock.session import open_board
-    from mimic.hardware.stock.wiring import BOARDS
-    from mimic.robot.description import load_description
-
-    if bus_url not in BOARDS:
-        raise ConfigError(f"mimic robot watch shows a stock robot ({', '.join(BOARDS)}); for motors on CAN: check")
-    with open_board(bus or BusSettings(), load_description()) as (link, _, _):
-        begin, before = link.now(), None
-        while seconds is None or link.now() - begin < seconds:
-            reports = link.wait(link.now() + every)
-            if not reports:
-                raise PlantError("the process that listens to the robot has ended")
-            last = reports[-1]
-            first = reports[0] if before is None else before
-            span, before = max(float(last["t"] - first["t"]), 1e-3), last
-            counts = {"joints": "joints_count", "motors": "motors_count", "orientation": "imu_count"}
-            heard = link.now() - float(last["heard"]) < max(0.5, every)
-            nothing = np.full(12, np.nan)
-            show(
-                Watched(
-                    t=link.now() - begin,
-                    q=np.array(last["q"]) if heard else nothing,
-                    dq=np.array(last["dq"]) if heard else nothing,
-                    tau=np.array(last["tau"]) if heard else nothing,
-                    temperature=np.array(last["temperature"]) if heard else nothing,
-                    errors=[int(flags) & MOTOR_ERRORS for flags in last["flags"]],
-                    rpy=rpy_from_quat(np.array(last["quat_WB"])) if heard else np.full(3, np.nan),
-                    omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
-                    rates={name: float(last[key] - first[key]) / span for name, key in counts.items()},
-                    err_flag=None if last["err_flag"] == NO_ERR_FLAG else int(last["err_flag"]),
-                    foreign=int(last["foreign"]),
-                )
-            )
 
 
 def probe_robot(

@@ -97,6 +97,10 @@ class LiveView:
         if self._ticks % EVERY == 0:
             self._put("robot", done.state.t, done.state.q, done.state.quat_WB, done.state.p_WB)
 
+    def pose(self, t: float, q: FloatArray, quat_WB: FloatArray) -> None:
+        """Show joint angles (12,) [rad] and orientation (4,), wxyz, at time t [s]; never blocks."""
+        self._put("robot", t, q, quat_WB, np.full(3, np.nan))
+
     def frame(self, t: float, jpeg: bytes | None, image: FloatArray, valid: BoolArray, latency: float) -> None:
         """Show a frame of the camera; never blocks.
 

@@ -16,7 +16,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.board import EmulatedBoard
 from mimic.errors import BusError, ConfigError, PlantError
-from mimic.flows.commissioning import watch_robot
+from mimic.flows.watching import watch_robot
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.plant import StockRobot

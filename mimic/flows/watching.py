@@ -1,0 +1,222 @@
+"""Showing what a real robot says, in the terminal and in Rerun, while it is moved by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mimic.config.hardware import BusSettings
+from mimic.errors import BusError, PlantError
+from mimic.geometry import rpy_from_quat
+from mimic.records import FloatArray
+
+if TYPE_CHECKING:
+    from mimic.hardware.session import BusSession
+    from mimic.hardware.watching import Watcher
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Watched:
+    """What a robot says at one moment."""
+
+    t: float
+    """Time since watching began [s]."""
+    q: FloatArray
+    """Joint angles (12,) [rad]; NaN where nothing came."""
+    dq: FloatArray
+    """Joint velocities (12,) [rad/s]."""
+    tau: FloatArray
+    """Torques (12,) [N m]; NaN where not known."""
+    temperature: FloatArray
+    """(12,) [degC]; NaN where not known."""
+    errors: Sequence[int]
+    """Error bits of each motor (12,)."""
+    rpy: FloatArray
+    """Roll, pitch and yaw of the base (3,) [rad]."""
+    quat_WB: FloatArray
+    """Orientation of the base, wxyz (4,)."""
+    omega_B: FloatArray
+    """Rate of turn, base axes (3,) [rad/s]."""
+    rates: Mapping[str, float]
+    """Messages a second of each kind."""
+    notes: Sequence[str]
+    """What else is to be said."""
+
+
+Show = Callable[[Watched], None]
+"""Receives what the robot says."""
+
+
+def watch_robot(
+    bus_url: str,
+    bus: BusSettings | None = None,
+    *,
+    seconds: float | None = None,
+    every: float = 0.5,
+    show: Show = lambda seen: None,
+    scene: bool | Path = False,
+) -> None:
+    """Show what a robot says until Ctrl-C or for a time. It moves nothing.
+
+    To a stock robot nothing is sent. Motors on CAN answer only when asked: they are asked while they are off, and no
+    more as soon as another program is heard, whose answers are then shown.
+
+    Args:
+        bus_url: Buses of the robot, or the name of a stock one.
+        bus: How it is reached.
+        seconds: How long; None until Ctrl-C.
+        every: Interval between two calls of ``show`` [s].
+        show: Receives the newest readings.
+        scene: Also show the robot's pose in Rerun, or write it to a scene file (.rrd).
+
+    Raises:
+        AssetError, BusError, ConfigError, MissingExtra, PlantError: If it cannot be reached.
+    """
+    from mimic.hardware.stock.wiring import BOARDS
+
+    bus = bus or BusSettings()
+    with _shown_in(scene, show) as show_all:
+        if bus_url in BOARDS:
+            _watch_board(bus, seconds, every, show_all)
+        else:
+            _watch_can(bus_url, bus, seconds, every, show_all)
+
+
+@contextmanager
+def _shown_in(scene: bool | Path, show: Show) -> Iterator[Show]:
+    """Yield a function that shows readings, also in Rerun where asked for."""
+    if not scene:
+        yield show
+        return
+    from mimic.robot.description import load_description
+    from mimic.view.scene.live import LiveView
+
+    description = load_description()
+    with LiveView(description, path=scene if isinstance(scene, Path) else None) as view:
+
+        def both(seen: Watched) -> None:
+            if np.isfinite(seen.q).all() and np.isfinite(seen.quat_WB).all():
+                view.pose(seen.t, seen.q, seen.quat_WB)
+            show(seen)
+
+        yield both
+
+
+@contextmanager
+def open_for_watching(bus_url: str, bus: BusSettings) -> Iterator[tuple[BusSession, bool]]:
+    """Open buses to look at a robot, also beside another program.
+
+    Yields:
+        The buses, and whether this program may ask the motors: no other one of this computer uses them.
+    """
+    from mimic.hardware.bus_lock import bus_lock
+    from mimic.hardware.session import open_unlocked
+
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(bus_lock(bus_url))
+            alone = True
+        except BusError:
+            alone = False
+        yield stack.enter_context(open_unlocked(bus_url, bus)), alone
+
+
+def _watch_can(bus_url: str, bus: BusSettings, seconds: float | None, every: float, show: Show) -> None:
+    """Show what motors and IMU on CAN say."""
+    from mimic.hardware.homing import zero_problems
+    from mimic.hardware.motor_bus import MotorBus
+    from mimic.hardware.watching import Watcher
+
+    with open_for_watching(bus_url, bus) as (robot, alone):
+        motor_bus = MotorBus(robot.link, robot.wiring, overhear=True)
+        watcher = Watcher(motor_bus, asks=alone)
+        known = bus.zeroed or bool(watcher.only_listens) or not zero_problems(motor_bus, robot.homing)
+        zeros = "" if known else "the zeros were not set since power-up: angles are off by whole rotor turns or more"
+        begin, before = robot.link.now(), 0
+        while seconds is None or robot.link.now() - begin < seconds:
+            seen = watcher.look(every)
+            imu, before = seen.imu, seen.imu.count if before == 0 else before
+            rates = {"orientation": (imu.count - before) / every}
+            before = imu.count
+            show(
+                Watched(
+                    t=seen.t - begin,
+                    q=seen.q,
+                    dq=seen.dq,
+                    tau=seen.tau,
+                    temperature=seen.temperature,
+                    errors=[int(bits) for bits in seen.faults],
+                    rpy=rpy_from_quat(imu.quat_WB),
+                    quat_WB=imu.quat_WB,
+                    omega_B=imu.omega_B,
+                    rates=rates,
+                    notes=_can_notes(watcher, seen, zeros),
+                )
+            )
+
+
+def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
+    """Return what there is to say beside the readings."""
+    motor_bus, notes = watcher.motor_bus, []
+    load = ", ".join(f"{name} {share:.0%}" for name, share in zip(motor_bus.link.names, seen.load, strict=True))
+    notes.append(f"bus load {load}; {seen.running} motors on")
+    if watcher.only_listens:
+        notes.append(f"only listening: {watcher.only_listens}")
+    if zeros:
+        notes.append(zeros)
+    if seen.imu.problem:
+        notes.append(seen.imu.problem)
+    if motor_bus.unknown:
+        names = ", ".join(name for (_, name), _ in motor_bus.unknown.most_common(6))
+        notes.append(f"unknown senders: {names}")
+    if motor_bus.errors:
+        notes.append(f"{motor_bus.errors} frames made no sense")
+    return notes
+
+
+def _board_notes(err_flag: int | None, last: Any) -> list[str]:
+    notes = ["not in motor mode" if err_flag is None else f"error flag {err_flag:#04x}"]
+    if last["foreign"]:
+        notes.append(f"{int(last['foreign'])} commands of other programs")
+    return notes
+
+
+def _watch_board(bus: BusSettings, seconds: float | None, every: float, show: Show) -> None:
+    """Show what a stock robot says; nothing is sent."""
+    from mimic.hardware.stock.messages import MOTOR_ERRORS
+    from mimic.hardware.stock.readings import NO_ERR_FLAG
+    from mimic.hardware.stock.session import open_board
+    from mimic.robot.description import load_description
+
+    with open_board(bus, load_description()) as (link, _, _):
+        begin, before = link.now(), None
+        while seconds is None or link.now() - begin < seconds:
+            reports = link.wait(link.now() + every)
+            if not reports:
+                raise PlantError("the process that listens to the robot has ended")
+            last = reports[-1]
+            first = reports[0] if before is None else before
+            span, before = max(float(last["t"] - first["t"]), 1e-3), last
+            counts = {"joints": "joints_count", "motors": "motors_count", "orientation": "imu_count"}
+            heard = link.now() - float(last["heard"]) < max(0.5, every)
+            nothing = np.full(12, np.nan)
+            show(
+                Watched(
+                    t=link.now() - begin,
+                    q=np.array(last["q"]) if heard else nothing,
+                    dq=np.array(last["dq"]) if heard else nothing,
+                    tau=np.array(last["tau"]) if heard else nothing,
+                    temperature=np.array(last["temperature"]) if heard else nothing,
+                    errors=[int(flags) & MOTOR_ERRORS for flags in last["flags"]],
+                    rpy=rpy_from_quat(np.array(last["quat_WB"])) if heard else np.full(3, np.nan),
+                    quat_WB=np.array(last["quat_WB"]) if heard else np.full(4, np.nan),
+                    omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
+                    rates={name: float(last[key] - first[key]) / span for name, key in counts.items()},
+                    notes=_board_notes(None if last["err_flag"] == NO_ERR_FLAG else int(last["err_flag"]), last),
+                )
+            )
