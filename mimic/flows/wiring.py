@@ -1,4 +1,4 @@
-"""The guided check of a wiring: a person moves each joint by hand and tilts the trunk; the wiring file is the result."""
+"""The guided check of a wiring: a person moves each joint by hand and tilts the trunk, and a file is written."""
 
 from __future__ import annotations
 
