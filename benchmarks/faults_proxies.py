@@ -401,7 +401,9 @@ class StockScene:
 
     def driven(self) -> list[str]:
         kp, tau = self.board.applied[2], self.board.applied[4]
-        return [f"place {i}" for i in np.flatnonzero((kp > 0.0) | (np.abs(tau) > 0.1))]
+        rules = self.board._rules
+        free = np.ones(12, dtype=bool) if rules is None else rules.limits == 0  # elsewhere the firmware's own springs
+        return [f"place {i}" for i in np.flatnonzero((kp > 0.0) | (free & (np.abs(tau) > 0.1)))]
 
     def reachable(self, lasts: float) -> bool:
         return True

@@ -19,7 +19,9 @@ STOP_TRIES = 10
 """How often a stop is sent to a motor before it counts as unreachable."""
 
 
-def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], None]) -> None:
+def damp(
+    motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], None], *, patience: float = np.inf
+) -> None:
     """Damp every motor as much as it can until all that answer rest, for at most the robot's ``damp_seconds``.
 
     If one bus fails, the others are still served, and the failed one is tried again until the end.
@@ -28,15 +30,16 @@ def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], 
         motor_bus: With the motors.
         description: The robot.
         beat: Called every control step.
+        patience: Give up when no bus has taken a frame for so long [s].
 
     Raises:
-        BusError: If no frame could be sent in all that time.
+        BusError: If no frame could be sent in all that time, or for longer than the patience.
     """
     link, dt, limits = motor_bus.link, description.dt, limits_for(description)
     q, _, _ = motor_bus.readings(-np.inf)
     q = np.clip(np.where(np.isnan(q), description.poses["lie"], q), description.q_min, description.q_max)
     damping = damping_command(q, description.kd_max)
-    began = rested = link.now()
+    began = rested = taken = link.now()
     sent = False
     while link.now() - began < limits.damp_seconds and link.now() - rested < limits.rest_seconds:
         beat()
@@ -44,7 +47,9 @@ def damp(motor_bus: MotorBus, description: RobotDescription, beat: Callable[[], 
         for joint in ALL:
             with suppress(BusError):
                 motor_bus.command(damping, [joint])
-                sent = True
+                sent, taken = True, since
+        if since - taken > patience:
+            raise BusError("no bus takes frames any more")
         with suppress(BusError):
             motor_bus.listen(since + dt)
         link.sleep(max(since + dt - link.now(), 0.0))

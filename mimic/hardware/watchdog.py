@@ -36,6 +36,9 @@ POLL_PERIOD = 0.02
 REOPEN_FOR, REOPEN_EVERY = 30.0, 0.2
 """How long, and how often, a failed bus is opened again [s]."""
 
+DEAD = 0.3
+"""A bus that has taken nothing for so long is opened again [s]."""
+
 OPEN_TRIES = 3
 """How many attempts to open the buses are made."""
 
@@ -192,13 +195,13 @@ def damp_and_stop(bus_url: str, wiring: Wiring, link: Link | None, open_link: Ca
         try:
             link = open_link(bus_url, bitrate=wiring.bitrate) if link is None else link
             motor_bus = MotorBus(link, wiring)
-            damp(motor_bus, description, lambda: None)
+            damp(motor_bus, description, lambda: None, patience=DEAD)
             left = switch_off(motor_bus, description, lambda: None)
             report = shutdown_report(left)
             if len(left) < len(ALL):
                 return report
         except MimicError as reason:
-            report = str(reason)
+            report = f"the motors could not be stopped: {reason}; cut the power"
         if link is not None:
             link.close()
             link = None

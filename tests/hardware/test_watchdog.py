@@ -104,6 +104,25 @@ def test_it_damps_and_switches_off(description):
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
 
 
+def test_a_bus_that_is_dead_is_opened_again_soon_while_the_robot_still_stands(description):
+    robot, _ = running(description)
+    dead = EmulatedLink(robot)
+
+    def refuse(bus: int, frame: object) -> None:
+        raise BusError("it is gone")
+
+    dead.send = refuse
+    begin = robot.now
+    opened: list[float] = []
+
+    def again(bus_url: str, bitrate: int) -> EmulatedLink:
+        opened.append(robot.now - begin)
+        return EmulatedLink(robot)
+
+    assert "all motors are off" in damp_and_stop("can0", WIRING, dead, again)
+    assert opened[0] < 0.5
+
+
 def test_it_opens_a_bus_that_failed_again(description):
     robot, _ = running(description)
     tries = []
