@@ -68,6 +68,24 @@ def winding_hot(report: StepReport, history: StepHistory, limits: Limits) -> Ite
             yield Alert(outcome="SIT_DOWN", text=f"{text} by the thermal model", about=name)
 
 
+def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Answers that take long, though none is missing."""
+    text = f"answers of the motors take {1e3 * history.round_trip:.0f} ms"
+    if history.round_trip > limits.slowest_answers:
+        yield Alert(outcome="SIT_DOWN", text=text)
+    elif history.round_trip > limits.slow_answers:
+        yield Alert(outcome="RUN", text=f"{text}; it sits down at {1e3 * limits.slowest_answers:g} ms")
+
+
+def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A supply that runs down."""
+    text = f"the supply is at {history.voltage:.1f} V"
+    if history.voltage < limits.lowest_voltage:
+        yield Alert(outcome="SIT_DOWN", text=text)
+    elif history.voltage < limits.low_voltage:
+        yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.lowest_voltage:g} V")
+
+
 def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Readings that no joint can have."""
     description, q = history.description, report.state.q

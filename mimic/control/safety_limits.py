@@ -61,6 +61,14 @@ class Limits(SafetyNumbers):
     """One overrun this long [s]: five control steps without a command."""
     bus_errors: int = 12
     """Error frames within a tenth of a second: one for each motor."""
+    slow_answers: float = 0.02
+    """From a question to its answer, median of half a second, that is announced [s]; a quiet bus takes 1 to 5 ms."""
+    slowest_answers: float = 0.06
+    """… at which it sits down [s]: 30 ms each way. Robots with 30 ms each way still stood (8 of 8), with 40 ms 7 of 8."""
+    low_voltage: float = 21.0
+    """Supply, median of five seconds, that is announced [V]: 3.5 V a cell of a pack of six; a choice of this project."""
+    lowest_voltage: float = 19.0
+    """… at which it sits down [V]: 3.2 V a cell. The motors switch off at 16."""
     foreign_storm: int = 12
     """Commands of another program within a tenth of a second: as many as the robot has motors. Sitting down needs
     motors that follow one program."""

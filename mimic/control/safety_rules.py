@@ -18,6 +18,8 @@ from mimic.control.balance_checks import (
     tipping,
 )
 from mimic.control.motor_checks import (
+    answers_slow,
+    battery_low,
     encoder_frozen,
     joint_impossible,
     motor_fault,
@@ -126,6 +128,18 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
         lambda L: f"{L.rise_warning:.0%}; {L.rise:.0%} of the winding's limit by the thermal model",
         "1 tick",
         f"announce; {_SIT}",
+    ),
+    (
+        answers_slow,
+        lambda L: f"half a second of answers that take {1e3 * L.slow_answers:g} ms; {1e3 * L.slowest_answers:g} ms",
+        "0.5 s",
+        "announce; sit down",
+    ),
+    (
+        battery_low,
+        lambda L: f"supply below {L.low_voltage:g} V; {L.lowest_voltage:g} V",
+        "5 s",
+        "announce; sit down",
     ),
     (
         joint_impossible,

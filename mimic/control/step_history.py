@@ -63,6 +63,10 @@ class StepHistory:
         """Joints whose readings do not change although their targets do (12,)."""
         self.fast = self.off_target = np.zeros(len(JOINTS), dtype=int)
         """Steps in a row in which each joint was too fast, and too far from its target (12,)."""
+        self.round_trip = self.voltage = float("nan")
+        """Median of the last half second of answers [s], and of the last five seconds of supply voltages [V]."""
+        self._round_trips: deque[float] = deque(maxlen=25)
+        self._voltages: deque[float] = deque(maxlen=250)
         self._trusted: StepReport | None = None
         self._rows: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=limits.frozen_ticks)
         self.hind_apart = self.front_above = float("nan")
@@ -93,6 +97,7 @@ class StepHistory:
         self.small_overruns = self.small_overruns + 1 if health.late > limits.small_overrun else 0
         self._bus_errors = _recent(self._bus_errors, state.t, health.bus_errors)
         self._foreign = _recent(self._foreign, state.t, health.foreign)
+        self._keep_answers(report)
         self._compare_imu(report)
         self._compare_legs(report)
         self._compare_targets(report)
@@ -140,6 +145,15 @@ class StepHistory:
         self.rotation = rotation
         if np.isfinite(rotation).all() and np.isfinite(state.omega_B).all():
             self._trusted, self._trusted_rotation = report, rotation
+
+    def _keep_answers(self, report: StepReport) -> None:
+        """Keep times of answers and voltages; their medians are known once the memory is half full."""
+        medians = []
+        for kept, new in ((self._round_trips, report.health.round_trip), (self._voltages, report.health.voltage)):
+            if np.isfinite(new):
+                kept.append(new)
+            medians.append(float(np.median(kept)) if 2 * len(kept) >= (kept.maxlen or 0) else float("nan"))
+        self.round_trip, self.voltage = medians
 
     def _compare_targets(self, report: StepReport) -> None:
         """Compare readings with targets: is a joint frozen, too fast, or far from where it should be?"""

@@ -25,6 +25,9 @@ ALL = tuple(range(len(JOINTS)))
 ANSWER_TIMEOUT = 0.05
 """A motor answers within a millisecond on a quiet bus; adapters and a busy computer take the rest [s]."""
 
+ASK_TIMEOUT = 0.5
+"""A question whose time is measured is given up after this [s]."""
+
 TRIES = 4
 """How often a motor is asked before it counts as silent."""
 
@@ -71,6 +74,9 @@ class MotorBus:
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
+        self._asked: tuple[int, Register, float] | None = None
+        self.round_trip = float("nan")
+        """From the newest question by `ask_round_trip` with an answer to that answer [s]."""
         self._uids: dict[int, int] = {}
         self.bits: FloatArray = np.zeros(wiring.buses)
         """Bits on each bus so far, as this computer saw the frames (buses,)."""
@@ -135,6 +141,8 @@ class MotorBus:
                 self.feedback[joint], self.came[joint] = answer, t
             case RegisterValue():
                 self._values[joint, answer.register] = answer.value
+                if self._asked is not None and self._asked[:2] == (joint, answer.register):
+                    self.round_trip, self._asked = t - self._asked[2], None
             case Identity():
                 self._uids[joint] = answer.uid
             case FaultReport():
@@ -253,6 +261,18 @@ class MotorBus:
         """Ask one motor for a register without waiting for the answer; `value` has it later."""
         if register in self.motors.facts.registers:
             self.send(joint, self.motors.read(self.id(joint), register))
+
+    def ask_round_trip(self, joint: int, register: Register) -> None:
+        """Ask one motor for a register, and measure how long its answer takes, unless one is waited for already."""
+        waits = self._asked is not None and self.link.now() - self._asked[2] < ASK_TIMEOUT
+        if register in self.motors.facts.registers and not waits:
+            self._asked = joint, register, self.link.now()
+            self.request(joint, register)
+
+    def voltage(self) -> float:
+        """Return the median of the supply voltages that the motors told last [V]; NaN where none did."""
+        known = [v for joint in ALL if np.isfinite(v := self.value(joint, Register.SUPPLY_VOLTAGE))]
+        return float(np.median(known)) if known else float("nan")
 
     def value(self, joint: int, register: Register) -> float:
         """Return the newest value of a register that arrived; NaN where none did."""

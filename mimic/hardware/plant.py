@@ -29,6 +29,10 @@ OUTAGE = 0.1
 """A bus that fails for longer than this ends the run [s]. The motors go on with their last commands meanwhile."""
 
 
+ASK_EVERY = 5
+"""Control steps between two questions for a supply voltage, whose answers also show how long answers take."""
+
+
 class Watchdog(Protocol):
     """Damps the robot when this process cannot; see `mimic.hardware.watchdog`."""
 
@@ -95,6 +99,7 @@ class CanRobot:
         self._outage = outage
         self._failing: float | None = None
         self._failed, self._outages = False, 0
+        self._steps = 0
         self.motor_bus = MotorBus(link, wiring)
         self._link = link
         self._watchdog = watchdog
@@ -164,6 +169,7 @@ class CanRobot:
         sent = replace(command, q_des=unsent, kp=unsent, kd=unsent)
         with self._tolerated():
             sent = self._send(command, asked)
+            self._ask()
         until = max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW)
         with self._tolerated():
             motor_bus.listen(until)
@@ -176,6 +182,15 @@ class CanRobot:
             self._due = now  # missed time is not caught up
         self.count(asked)
         return Tick(state=self.state(asked, now), sent=sent, health=self.health(compute, late, now))
+
+    def _ask(self) -> None:
+        """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
+        turn, rest = divmod(self._steps, ASK_EVERY)
+        self._steps += 1
+        if rest == 0:
+            joint = turn // 2 % len(JOINTS)
+            register = (Register.SUPPLY_VOLTAGE, Register.POSITION)[turn % 2]
+            self.motor_bus.ask_round_trip(joint, register)
 
     @contextmanager
     def _tolerated(self) -> Iterator[None]:
@@ -251,6 +266,8 @@ class CanRobot:
             bus_errors=motor_bus.errors + self._outages,
             guarded=self._watchdog is None or self._watchdog.alive(),
             foreign=motor_bus.foreign,
+            voltage=motor_bus.voltage(),
+            round_trip=motor_bus.round_trip,
         )
 
     def load(self) -> FloatArray:

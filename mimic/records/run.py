@@ -103,6 +103,10 @@ class Health:
     """Longest time without a command that a motion board reported during the step [s]."""
     foreign: int = 0
     """Commands of other programs to this robot that were seen since the start."""
+    voltage: float = float("nan")
+    """Newest supply voltage that a motor reported [V]; NaN where none does."""
+    round_trip: float = float("nan")
+    """From the newest question with an answer of its own to that answer [s]; NaN where none is asked."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -139,6 +143,10 @@ class HealthLog(Record):
     """Longest time without a command that a motion board reported [s]."""
     foreign: FloatArray = array(optional=True)
     """Commands of other programs."""
+    voltage: FloatArray = array(optional=True)
+    """Supply voltage of one motor after the other [V]."""
+    round_trip: FloatArray = array(optional=True)
+    """From a question to its answer [s]."""
     clamped: FloatArray = array()
     """Numbers of this tick's targets and command that were outside their limits."""
     mode: FloatArray = array()

@@ -238,6 +238,30 @@ def test_a_joint_that_does_not_get_to_its_target_makes_it_sit_down(away, mode, d
     assert drive(ticks).mode == mode
 
 
+@pytest.mark.parametrize(
+    ("health", "rule", "mode"),
+    [
+        ({"round_trip": 0.015}, None, SafetyMode.RUN),
+        ({"round_trip": 0.03}, "answers_slow", SafetyMode.RUN),
+        ({"round_trip": 0.062}, "answers_slow", SafetyMode.SIT_DOWN),
+        ({"voltage": 22.0}, None, SafetyMode.RUN),
+        ({"voltage": 20.0}, "battery_low", SafetyMode.RUN),
+        ({"voltage": 18.5}, "battery_low", SafetyMode.SIT_DOWN),
+    ],
+)
+def test_slow_answers_and_an_empty_battery_are_announced_and_then_end_the_run(health, rule, mode, drive):
+    supervisor = drive([health] * 200)
+    assert {event.rule for event in supervisor.events} == ({rule} if rule else set())
+    assert supervisor.mode == mode
+
+
+def test_a_moment_of_slow_answers_or_of_load_ends_nothing(drive):
+    ticks = [{"round_trip": 0.003, "voltage": 24.0} for _ in range(300)]
+    for tick in range(200, 210):
+        ticks[tick] = {"round_trip": 0.2, "voltage": 15.0}
+    assert not drive(ticks).events
+
+
 # ---------------------------------------------------------------------- IMU
 
 

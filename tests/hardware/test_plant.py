@@ -430,3 +430,14 @@ def test_an_interpolated_command_goes_out_in_four_parts_on_a_line(made, descript
     assert targets[3] - targets[0] == pytest.approx(0.075, abs=1e-3)
     assert (tick.sent.ramp, len(targets)) == (description.dt, 5)
     np.testing.assert_allclose(tick.sent.q_des, lie + 0.1, atol=1e-3)
+
+
+def test_voltage_and_the_time_of_answers_are_measured_while_it_runs(made, description):
+    robot, plant = made("under_voltage=19@1.0", "frames_late=0.02@2.0")
+    plant.start()
+    seen = [plant.step(hold(description)).health for _ in range(180)]
+    assert seen[20].voltage == pytest.approx(24.0)
+    assert 0.0005 < seen[20].round_trip < 0.008
+    assert seen[-1].voltage == pytest.approx(19.0)
+    assert seen[-1].round_trip == pytest.approx(0.04, abs=0.01)
+    plant.close()
