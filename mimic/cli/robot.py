@@ -47,7 +47,7 @@ def _operator(bus: BusSettings | None) -> Operator:
         if bus is None or not bus.yes:
             console.input(f"{what} Press Enter to begin, Ctrl-C to leave. ")
 
-    return Operator(show_findings=_show_findings, confirm=confirm, show_event=_show_event)
+    return Operator(show_findings=_show_findings, confirm=confirm, say=note, show_event=_show_event)
 
 
 def play_on_robot(

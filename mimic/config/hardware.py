@@ -7,6 +7,9 @@ from typing import Literal
 
 from mimic.config.ranges import check_range
 
+TETHER_TORQUE, TETHER_RAMP = 9.0, 6.0
+"""On a rope: largest torque of each motor [N m] and time of the start [s]."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BusSettings:
@@ -27,9 +30,25 @@ class BusSettings:
     """Largest torque of each motor [N m]; written to the motors and read back. By default their peak torque."""
     ramp: float = 2.0
     """Time in which the gains rise and the joints move into the lying pose [s]."""
+    dry_run: bool = False
+    """Do everything but switch the motors on: pre-flight, policy, timing and log."""
+    tether: bool = False
+    """First steps on a rope: less torque, a slow start, and sitting down at whatever would only be announced."""
+    hold: str | None = None
+    """Run only while this is held: key (any key of this terminal), or a gamepad's device such as /dev/input/js0."""
 
     def __post_init__(self) -> None:
         check_range("ramp", self.ramp, 0.5, 30.0, "s")
+
+    @property
+    def start_ramp(self) -> float:
+        """Time of the start [s], longer on a rope."""
+        return max(self.ramp, TETHER_RAMP) if self.tether else self.ramp
+
+    @property
+    def torque(self) -> float | None:
+        """Largest torque of each motor [N m]; None for their peak torque."""
+        return TETHER_TORQUE if self.tether and self.torque_limit is None else self.torque_limit
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

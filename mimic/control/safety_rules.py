@@ -59,6 +59,12 @@ def interrupt(report: StepReport, history: StepHistory, limits: Limits) -> Itera
         yield Alert(outcome="DAMP", text="Ctrl-C was pressed again")
 
 
+def released(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """What must be held was let go."""
+    if report.released:
+        yield Alert(outcome="SIT_DOWN", text="the key or button was let go (--hold)", needs_upright=False)
+
+
 def terminated(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """SIGTERM."""
     if report.terminated:
@@ -118,6 +124,7 @@ _SIT = "sit down if upright and at most one motor is lost, else damp"
 
 _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
     (interrupt, lambda L: "Ctrl-C, or the terminal is closed; Ctrl-C again", "1 tick", "sit down; damp"),
+    (released, lambda L: "`--hold`: the key or button is let go", "1 tick; a key 0.3 s", "sit down"),
     (terminated, lambda L: "SIGTERM", "1 tick", "damp"),
     (motor_silent, lambda L: f"{L.silent_ticks} ticks without an answer", "100 ms", _SIT),
     (motor_fault, lambda L: "any fault bit", "1 tick", _SIT),
@@ -231,6 +238,19 @@ RULES = tuple(
 
 SUSPENDED_RULES = tuple(rule for rule in RULES if not rule.name.startswith(("imu", "tipping", "rolling")))
 """Rules for a suspended robot, which needs no balance."""
+
+_OF_MOTION = (
+    "motor_off",
+    "encoder_frozen",
+    "off_target",
+    "imu_frozen",
+    "imu_contradicts_legs",
+    "tipping",
+    "rolling_over",
+)
+
+DRY_RULES = tuple(rule for rule in RULES if rule.name not in _OF_MOTION)
+"""Rules for a dry run, in which the motors are off and nothing moves."""
 
 LOOP_RULES = {
     "not_finite": "a target or an answer of the policy is not a number: damped in the same tick",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -20,7 +20,14 @@ class Signals:
         self.terminated = False
         self.hung_up = False
         """Whether the terminal was closed; it counts as Ctrl-C."""
+        self.hold: Callable[[], bool] | None = None
+        """Returns whether somebody still holds what must be held; None where nothing must be."""
         self._read = 0
+
+    @property
+    def released(self) -> bool:
+        """Whether what must be held was let go."""
+        return self.hold is not None and not self.hold()
 
     def read(self) -> int:
         """Return how often Ctrl-C was pressed; call it at every control step."""

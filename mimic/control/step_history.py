@@ -35,6 +35,8 @@ class StepReport:
     """How often Ctrl-C was pressed."""
     hung_up: bool = False
     """Whether one of them was the terminal that closed (SIGHUP)."""
+    released: bool = False
+    """Whether the key or button that must be held was let go."""
     terminated: bool = False
     """Whether SIGTERM asked the process to end."""
 
@@ -148,12 +150,8 @@ class StepHistory:
 
     def _keep_answers(self, report: StepReport) -> None:
         """Keep times of answers and voltages; their medians are known once the memory is half full."""
-        medians = []
-        for kept, new in ((self._round_trips, report.health.round_trip), (self._voltages, report.health.voltage)):
-            if np.isfinite(new):
-                kept.append(new)
-            medians.append(float(np.median(kept)) if 2 * len(kept) >= (kept.maxlen or 0) else float("nan"))
-        self.round_trip, self.voltage = medians
+        self.round_trip = _median(self._round_trips, report.health.round_trip)
+        self.voltage = _median(self._voltages, report.health.voltage)
 
     def _compare_targets(self, report: StepReport) -> None:
         """Compare readings with targets: is a joint frozen, too fast, or far from where it should be?"""
@@ -193,3 +191,10 @@ def _turn(vector: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) about a vector (3,) by its length [rad]."""
     half = 0.5 * float(np.linalg.norm(vector))
     return rotation_from_quat(np.array([np.cos(half), *(0.5 * np.sinc(half / np.pi) * vector)]))
+
+
+def _median(kept: deque[float], new: float) -> float:
+    """Keep a number and return the median of those kept; NaN until half of them are there."""
+    if np.isfinite(new):
+        kept.append(new)
+    return float(np.median(kept)) if 2 * len(kept) >= (kept.maxlen or 0) else float("nan")

@@ -53,6 +53,7 @@ class Supervisor:
         *,
         rules: Sequence[Rule] = RULES,
         sits: bool = True,
+        strict: bool = False,
     ) -> None:
         """Begin with a robot that runs.
 
@@ -61,7 +62,9 @@ class Supervisor:
             limits: Limits of the rules; by default those of the robot.
             rules: The rules to apply.
             sits: Whether the robot can sit down; if not, a rule that asks for it damps.
+            strict: Sit down also at what would only be announced.
         """
+        self._strict = strict
         limits = limits_for(description) if limits is None else limits
         self._description, self._limits, self._rules, self._sits = description, limits, rules, sits
         self._history = StepHistory(description, limits)
@@ -114,6 +117,8 @@ class Supervisor:
 
     def _weigh(self, rule: str, alert: Alert, report: StepReport) -> None:
         mode, text = SafetyMode[alert.outcome], alert.text
+        if mode == SafetyMode.RUN and self._strict:
+            mode = SafetyMode.SIT_DOWN
         if mode == SafetyMode.SIT_DOWN and not self._sits:
             mode = SafetyMode.DAMP
         elif mode == SafetyMode.SIT_DOWN:

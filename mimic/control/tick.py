@@ -177,6 +177,7 @@ class Run:
             q_des=command.q_des,
             interrupts=signals.read(),
             hung_up=signals.hung_up,
+            released=signals.released,
             terminated=signals.terminated,
         )
         self.safety.supervisor.update(report)

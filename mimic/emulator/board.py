@@ -69,6 +69,10 @@ FAULTS = (
 )
 """Kinds of faults that the board has; its network counts as bus 0."""
 
+FRAME = (200.0, 10.0, 12.6, 30.0, 12.0)
+"""Ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The maker's
+ranges of kp, kd and tau; the others are not published."""
+
 _BODY = tuple(LEGS.index(leg) * len(PARTS) + part for leg in ("FR", "FL", "RR", "RL") for part in range(len(PARTS)))
 """Joint of the description at each place of the firmware's order."""
 
@@ -256,12 +260,10 @@ class EmulatedBoard:
                 self.body.drive(joint, FREE, self.now)
                 continue
             sign = _SIGN[place]
+            values = (kp[place], kd[place], sign * q_des[place], sign * dq_des[place], sign * tau[place])
+            numbers = (min(max(float(np.nan_to_num(v)), -most), most) for v, most in zip(values, FRAME, strict=True))
             drive = Drive(
-                kp=float(kp[place]),
-                kd=float(kd[place]),
-                q=float(sign * q_des[place]),
-                dq=float(sign * dq_des[place]),
-                tau=float(sign * tau[place]),
+                *numbers,
                 limit=self._d.torque_max,
             )
             self.body.drive(joint, drive, self.now)

@@ -21,6 +21,8 @@ class Operator:
     """Shows what the pre-flight check found, also where that forbids moving."""
     confirm: Callable[[str], None] = lambda what: None
     """Returns when the person wants the robot to move; may raise to refuse."""
+    say: Callable[[str], None] = lambda text: None
+    """Tells the person what to do now."""
     show_event: Callable[[Event], None] = lambda event: None
     """Shows what the supervisor found, while the robot runs; called from a thread of its own."""
 

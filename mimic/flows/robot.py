@@ -15,7 +15,7 @@ import numpy as np
 from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
-from mimic.errors import AssetError, MimicError
+from mimic.errors import AssetError, MimicError, PlantError
 from mimic.flows.camera import CameraRecord, camera_name, follow_camera, save_camera_record, with_pose
 from mimic.flows.motion import InputSettings, Motion, load_motion, motion_from_text
 from mimic.flows.operator import Operator, undisturbed
@@ -28,7 +28,11 @@ from mimic.records import CommandTrack, LiveCommands
 
 if TYPE_CHECKING:
     from mimic.control.supervisor import Event, Supervisor
+    from mimic.hardware.hold_to_run import Hold
     from mimic.policy.contract import PolicyContract
+
+HOLD_WITHIN = 20.0
+"""What must be held is held within this after the robot may move [s]."""
 
 WARM_UP = 20
 """Inferences of a policy before the robot moves, so that the first ones are not slow."""
@@ -110,10 +114,12 @@ def play_on_robot(
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
     from mimic.control.recorder import RunRecorder
+    from mimic.control.safety_rules import DRY_RULES, RULES
     from mimic.control.signals import Signals
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
+    from mimic.hardware.hold_to_run import hold_to_run
     from mimic.hardware.plant import INTERPOLATION_PARTS, CanRobot
     from mimic.hardware.session import robot_session
     from mimic.policy.runtime import load_policy
@@ -139,16 +145,18 @@ def play_on_robot(
     parts = INTERPOLATION_PARTS if policy.contract.interpolate else 1
     rate_hz = parts / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
-    supervisor, signals = Supervisor(description), Signals()
-    what = "It stands up now." if standing else f"It stands up now and plays {name}."
+    supervisor = Supervisor(description, rules=DRY_RULES if bus.dry_run else RULES, strict=bus.tether)
+    signals = Signals()
+    what = _announcement(None if standing else name, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
     with ExitStack() as stack:
         if camera is not None:  # opened before anything moves
-            zero = bus.ramp + run.stand_up
+            zero = bus.start_ramp + run.stand_up
             commands, record = stack.enter_context(
                 follow_camera(camera, settings, live, zero=zero, low_priority=True, reporter=reporter)
             )
+        hold = None if bus.hold is None else stack.enter_context(hold_to_run(bus.hold))
         recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})
         stack.callback(recorder.abandon)
         plant = stack.enter_context(
@@ -158,10 +166,13 @@ def play_on_robot(
                 description,
                 rate_hz=rate_hz,
                 report=operator.show_findings,
-                go=lambda: operator.confirm(f"{what} Ctrl-C sits down, a second one damps at once."),
+                go=lambda: _confirm(operator, what, hold),
             )
         )
-        safety = Safety(supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.ramp, endless=standing)
+        safety = Safety(
+            supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.start_ramp, endless=standing
+        )
+        signals.hold = None if hold is None else hold.held
         with signals.caught(), _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
@@ -196,6 +207,30 @@ def play_on_robot(
         text = "".join(traceback.format_exception(ended.bug))
         (folder / ERROR).write_text(text, encoding="utf-8")
     return ended
+
+
+def _announcement(name: str | None, bus: BusSettings) -> str:
+    """Return what is about to happen."""
+    if bus.dry_run:
+        return "Dry run: the motors stay off."
+    what = "It stands up now." if name is None else f"It stands up now and plays {name}."
+    return f"{what} On its rope: at most {bus.torque:g} N m." if bus.tether else what
+
+
+def _confirm(operator: Operator, what: str, hold: Hold | None) -> None:
+    """Return once the person wants the robot to move, and holds what must be held.
+
+    Raises:
+        PlantError: If nobody holds it.
+    """
+    operator.confirm(f"{what} Ctrl-C sits down, a second one damps at once.")
+    if hold is None:
+        return
+    operator.say(f"Hold it now, and let go to sit down (within {HOLD_WITHIN:g} s).")
+    from mimic.hardware.hold_to_run import await_hold
+
+    if not await_hold(hold, HOLD_WITHIN):
+        raise PlantError(f"nothing was moved. Nothing was held for {HOLD_WITHIN:g} s (--hold)")
 
 
 def _motion(source: Path | str | None, settings: InputSettings, contract: PolicyContract, reporter: Reporter) -> Motion:

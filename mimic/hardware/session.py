@@ -10,9 +10,10 @@ from pathlib import Path
 
 from mimic.config.hardware import BusSettings
 from mimic.config.ranges import check_range
-from mimic.errors import PlantError
+from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.link import Link
+from mimic.hardware.dry_run import DryRobot
 from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import CanRobot
@@ -144,11 +145,13 @@ def robot_session(
     if settings.torque_limit is not None:
         check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
     if bus_url in BOARDS:
+        if settings.dry_run:
+            raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
         with board_session(settings, description, report=report, go=go, suspended=suspended) as board:
             yield board
         return
     wiring = wiring_of(bus_url, settings)
-    wanted = settings.watchdog and allows_second_socket(bus_url)
+    wanted = settings.watchdog and allows_second_socket(bus_url) and not settings.dry_run
     with bus_lock(bus_url) as lock, ExitStack() as stack:
         watchdog = WatchdogProcess(bus_url, wiring.path, keep=lock) if wanted else None
         if watchdog is not None:
@@ -168,14 +171,14 @@ def robot_session(
                 )
 
             checks = checked()
-            checks.append(check_watchdog(checks, bus_url, settings))
+            if not settings.dry_run:
+                checks.append(check_watchdog(checks, bus_url, settings))
             report(checks)
             refuse(checks)
             go()
             refuse(checked())  # power may have blinked meanwhile, or the robot was moved
-            plant = CanRobot(
-                robot.link, robot.wiring, description, torque_limit=settings.torque_limit, watchdog=watchdog
-            )
+            kind = DryRobot if settings.dry_run else CanRobot
+            plant = kind(robot.link, robot.wiring, description, torque_limit=settings.torque, watchdog=watchdog)
             try:
                 yield plant
             except PlantError as reason:  # such as a motor that does not switch on while others are on already

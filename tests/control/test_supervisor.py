@@ -75,7 +75,7 @@ def drive(description) -> Callable[..., Supervisor]:
                 p_WB=np.full(3, np.nan),
                 v_WB=np.full(3, np.nan),
             )
-            said = {k: tick.pop(k) for k in ("interrupts", "terminated", "q_des") if k in tick}
+            said = {k: tick.pop(k) for k in ("interrupts", "terminated", "released", "q_des") if k in tick}
             tick.setdefault("age", 0.018 + DT * np.asarray(tick.get("missed", HEALTHY.missed)))
             health = dataclasses.replace(HEALTHY, **{"imu_count": number, **tick})
             supervisor.update(StepReport(state=state, health=health, phase=PHASES.index(name), **said))
@@ -119,6 +119,17 @@ def test_ctrl_c_while_it_still_lies_damps(drive):
 
 def test_sigterm_damps_within_a_tick(drive):
     assert outcome(drive([{}, {"terminated": True}])) == ("terminated", SafetyMode.DAMP)
+
+
+def test_what_must_be_held_and_is_let_go_makes_it_sit_down(drive):
+    assert outcome(drive([{}, {"released": True}])) == ("released", SafetyMode.SIT_DOWN)
+
+
+@pytest.mark.parametrize("given", [{"late": 0.011}, {"bus_errors": 1}, {"temperature": np.full(12, 66.0)}])
+def test_on_a_rope_it_sits_down_at_what_is_otherwise_announced(given, drive, description):
+    ticks = [{}, {}, given]
+    assert drive(ticks).mode == SafetyMode.RUN
+    assert drive(ticks, supervisor=Supervisor(description, strict=True)).mode == SafetyMode.SIT_DOWN
 
 
 # ---------------------------------------------------------------------- motors

@@ -433,7 +433,7 @@ def test_an_interpolated_command_goes_out_in_four_parts_on_a_line(made, descript
 
 
 def test_voltage_and_the_time_of_answers_are_measured_while_it_runs(made, description):
-    robot, plant = made("under_voltage=19@1.0", "frames_late=0.02@2.0")
+    _, plant = made("under_voltage=19@1.0", "frames_late=0.02@2.0")
     plant.start()
     seen = [plant.step(hold(description)).health for _ in range(180)]
     assert seen[20].voltage == pytest.approx(24.0)
