@@ -137,12 +137,13 @@ def _watch_can(bus_url: str, bus: BusSettings, seconds: float | None, every: flo
         watcher = Watcher(motor_bus, asks=alone)
         known = bus.zeroed or bool(watcher.only_listens) or not zero_problems(motor_bus, robot.homing)
         zeros = "" if known else "the zeros were not set since power-up: angles are off by whole rotor turns or more"
-        begin, before = robot.link.now(), 0
+        begin = last = robot.link.now()
+        before = motor_bus.imu.reading(begin).count
         while seconds is None or robot.link.now() - begin < seconds:
             seen = watcher.look(every)
-            imu, before = seen.imu, seen.imu.count if before == 0 else before
-            rates = {"orientation": (imu.count - before) / every}
-            before = imu.count
+            imu = seen.imu
+            rates = {"orientation": (imu.count - before) / max(seen.t - last, 1e-3)}
+            before, last = imu.count, seen.t
             show(
                 Watched(
                     t=seen.t - begin,
