@@ -29,7 +29,7 @@ def main() -> None:
     parser.add_argument("videos", nargs="*", type=Path)
     parser.add_argument("--rate", type=float, default=0.1)
     parser.add_argument("--policy", default=None)
-    parser.add_argument("--lead", type=float, default=TOE_LAG, help="see RunSettings.lead")
+    parser.add_argument("--early", type=float, default=TOE_LAG, help="see RunSettings.early")
     options = parser.parse_args()
     description = load_description()
     policy = load_policy(options.policy, description)
@@ -44,7 +44,7 @@ def main() -> None:
         assert targets is not None
         plant = SimulatedPlant(description)
         m = run_metrics(
-            run_policy(plant, policy, command_track(targets), RunSettings(lead=options.lead)).log, description
+            run_policy(plant, policy, command_track(targets), RunSettings(early=options.early)).log, description
         )
         e, r = m["toe_error_cm"], targets.report
         lines.append(

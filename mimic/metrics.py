@@ -46,15 +46,15 @@ def _step(log: RunLog) -> float:
     return float(np.median(np.diff(log.t))) if len(log.t) > 1 else float(log.metadata["dt"])
 
 
-def lead_ticks(log: RunLog) -> int:
+def early_ticks(log: RunLog) -> int:
     """Return how many ticks before its time each target was asked for; 0 for live commands."""
     settings = log.metadata.get("settings")
-    return round(((settings or {}).get("lead") or 0.0) / _step(log))
+    return round(((settings or {}).get("early") or 0.0) / _step(log))
 
 
 def target_toes(log: RunLog) -> FloatArray:
     """Return where the toes should be at each tick (ticks, 2, 3), base axes [m]: what was asked for, in its time."""
-    rows = np.arange(len(log.t)) - lead_ticks(log)
+    rows = np.arange(len(log.t)) - early_ticks(log)
     return log.p_BE_des[np.maximum(rows, 0)]
 
 
@@ -76,7 +76,7 @@ def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     dt = _step(log)
     reached, target = log.p_BE[rows], target_toes(log)[rows]
     most = len(rows) // 2
-    shifts = range(-min(lead_ticks(log), most - 1), min(round(longest / dt) + 1, most))
+    shifts = range(-min(early_ticks(log), most - 1), min(round(longest / dt) + 1, most))
 
     def error(shift: int) -> float:
         late, early = max(shift, 0), max(-shift, 0)
@@ -153,7 +153,7 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
             "right": float(error[:, 1].mean()) if error.size else float("nan"),
         },
         "lag_s": lag,
-        "lead_s": lead_ticks(log) * dt,
+        "early_s": early_ticks(log) * dt,
         "toe_error_without_lag_cm": 100 * left,
         "heading_error_rad": float(np.abs(wrap_angle(heading - log.heading_des))[rows].mean()) if rows.any() else None,
         "drift_m": float(drift),

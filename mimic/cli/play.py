@@ -105,9 +105,9 @@ def play(
 
 def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> None:
     """Raise a ConfigError for what can be asked of a stored motion only."""
-    if run is not None and run.lead is not None:
+    if run is not None and run.early is not None:
         raise ConfigError(
-            "--lead asks for targets before their time; what a camera will see is not known: leave it out"
+            "--early asks for targets before their time; what a camera will see is not known: leave it out"
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")

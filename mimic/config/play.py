@@ -32,7 +32,7 @@ class RunSettings:
     """Time the last target is held before the end [s]."""
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half of it."""
-    lead: float | None = None
+    early: float | None = None
     """How much earlier than the person the robot is asked for each target, so that its toes are there in time [s]. None
     takes the known lag of the toes, 0.06 s, and 0 for a camera, whose future is unknown."""
 
@@ -41,8 +41,8 @@ class RunSettings:
         check_range("blend", self.blend, 0.1, 5.0, "s")
         check_range("hold", self.hold, 0.0, 30.0, "s")
         check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
-        if self.lead is not None:
-            check_range("lead", self.lead, 0.0, 0.5, "s")
+        if self.early is not None:
+            check_range("early", self.early, 0.0, 0.5, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

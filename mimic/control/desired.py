@@ -70,7 +70,7 @@ def _held(command: Command) -> Desired:
 class StoredMotion:
     """A motion that is known from its beginning to its end.
 
-    With ``settings.lead`` its commands run ahead of the phase "track", which is the time of the motion itself: they
+    With ``settings.early`` its commands run ahead of the phase "track", which is the time of the motion itself: they
     begin at the end of the blend and end with the last one held.
     """
 
@@ -87,8 +87,8 @@ class StoredMotion:
             endless: Hold the last command for ever.
         """
         self._track, self._timing, self._endless = track, _Timing(settings, dt, neutral), endless
-        self._lead = round((settings.lead or 0.0) / dt)
-        self.ticks = self._timing.stand + self._timing.blend + self._lead + len(track.t) + self._timing.hold
+        self._early = round((settings.early or 0.0) / dt)
+        self.ticks = self._timing.stand + self._timing.blend + self._early + len(track.t) + self._timing.hold
         """Control ticks of the motion, unless it is endless."""
 
     def _row(self, row: int) -> Command:
@@ -104,8 +104,8 @@ class StoredMotion:
         if row < 0:
             return timing.blending(tick, toes, self._row(0))
         command = self._row(row) if row < len(self._track.t) else _held(self._row(-1)).command
-        if row < self._lead + len(self._track.t):
-            return Desired(phase=TRACK if row >= self._lead else BLEND, command=command)
+        if row < self._early + len(self._track.t):
+            return Desired(phase=TRACK if row >= self._early else BLEND, command=command)
         return _held(command) if self._endless or tick < self.ticks else None
 
 

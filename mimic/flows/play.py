@@ -161,8 +161,8 @@ def play(
     else:
         motion = as_motion(commands, reporter=reporter)
         asked = motion.commands
-    if settings.lead is None or motion is None:
-        settings = replace(settings, lead=0.0 if motion is None else TOE_LAG)
+    if settings.early is None or motion is None:
+        settings = replace(settings, early=0.0 if motion is None else TOE_LAG)
     description = load_robot() if plant is None else plant.description
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)

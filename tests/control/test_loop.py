@@ -57,7 +57,7 @@ def test_tracking_asks_for_the_track_row_by_row(play, memory_plant, fixed_policy
 
 def test_a_lead_lets_commands_run_ahead_of_the_time_of_the_motion(play, memory_plant, fixed_policy, track):
     wanted, lead = track(20), 3
-    settings = dataclasses.replace(SHORT, lead=0.06)
+    settings = dataclasses.replace(SHORT, early=0.06)
     log = play(memory_plant(), fixed_policy(), wanted, settings).log
     assert names(log) == ["stand_up"] * STAND + ["blend"] * (BLEND + lead) + ["track"] * 20 + ["hold"] * HOLD
     rows = np.flatnonzero(log.phase == PHASES.index("track"))
@@ -69,8 +69,8 @@ def test_a_lead_lets_commands_run_ahead_of_the_time_of_the_motion(play, memory_p
 
 def test_the_robot_moves_alike_with_and_without_a_lead(play, memory_plant, fixed_policy, track):
     plain, ahead = (
-        play(memory_plant(), fixed_policy(), track(20), dataclasses.replace(SHORT, lead=lead)).log
-        for lead in (0.0, 0.1)
+        play(memory_plant(), fixed_policy(), track(20), dataclasses.replace(SHORT, early=early)).log
+        for early in (0.0, 0.1)
     )
     assert np.array_equal(ahead.p_BE_des[: len(plain.t)], plain.p_BE_des)
 

@@ -173,7 +173,7 @@ def test_the_toes_of_the_shipped_policy_are_where_the_video_is(workplace):
     run = workplace / "in-time"
     assert main([str(WAVING.with_suffix(".npz")), "--sim", "--no-view", "-o", str(run)]) == 0
     metrics = json.loads((run / "metrics.json").read_text())
-    assert metrics["lead_s"] == pytest.approx(TOE_LAG)
+    assert metrics["early_s"] == pytest.approx(TOE_LAG)
     assert abs(metrics["lag_s"]) <= 0.021
 
 
@@ -218,7 +218,7 @@ def test_person_and_robot_are_slowed_down_together(workplace):
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        (["--lead", "0.06"], "not known"),
+        (["--early", "0.06"], "not known"),
         (["--slow-down", "2"], "in real time"),
         (["--person", "left"], "of a video file"),
     ],
