@@ -279,6 +279,16 @@ def inertias(
     return changed_inertias(own, machine.body, machine.toward, machine.tip, factor, shift, payload)
 
 
+def loaded(machine: MachineModel, payload: FloatArray) -> MachineModel:
+    """Return the machine with masses (J,) at the ends of its links [kg]."""
+    if not payload.any():
+        return machine
+    made, model = inertias(machine, None, None, payload[None]), copy(machine.model)
+    for name in ("mass", "ipos", "inertia", "iquat"):
+        getattr(model, f"body_{name}")[:] = getattr(made, name)[0]
+    return replace(machine, model=model)
+
+
 def changed_inertias(
     own: Inertias,
     bodies: Sequence[int] | IntArray,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,37 +11,34 @@ import numpy as np
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, as_logged
+from mimic.dynamics.machine import MachineModel, as_logged, loaded
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
 from mimic.sysid.fit.baseline import MOST_STEPS, fit_baseline, fit_sending_times, problem_of, step_of
-from mimic.sysid.fit.by_log import errors_by_log, errors_of_unseen
-from mimic.sysid.fit.least_squares import Fit, fit, fit_all, fitting, left_out
+from mimic.sysid.fit.by_log import errors_by_log, errors_of, errors_of_unseen
+from mimic.sysid.fit.least_squares import Fit, fit, fit_all, fitting
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.random_search import random_search
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, compared, correct, refine_steps
-from mimic.sysid.fit.uncertainty import deviations, of_white_noise
+from mimic.sysid.fit.step_refinement import compared
+from mimic.sysid.fit.uncertainty import deviations
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
-from mimic.sysid.result import Calibration, Errors, LogErrors, Stage, Traces
-from mimic.sysid.selection.encoders import with_encoders
-from mimic.sysid.selection.evidence import cross_validated, stopped
-from mimic.sysid.selection.forward import forward_selection, prune
+from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
+from mimic.sysid.screen.regression import asked_for, torques_of
+from mimic.sysid.selection.encoders import as_read, coarse_encoders, with_encoders
+from mimic.sysid.selection.evidence import stopped
+from mimic.sysid.selection.hypotheses import Hypothesis, Search
 from mimic.sysid.selection.jitter import widening
-from mimic.sysid.selection.screening import predicted, starts_of
+from mimic.sysid.selection.pruning import pruned
+from mimic.sysid.selection.starts import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
-from mimic.sysid.state import CalibrationState, Progress, errors_of
 from mimic.sysid.summary import experiments, no_match, of_base, of_baseline, sentence, stopped_at, weak
+from mimic.sysid.thresholds import RULES
 
-MOST_FINAL_PASSES, LARGEST_MOVE = 4, 2.0
-"""Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where
-another is needed.
-"""
-
-UNRELATED = 0.5
-"""Error over the spread of the positions from which on log and model have nothing to do with each other."""
+Progress = Callable[[str, int], None]
+"""Called with what is being done and the number of replays so far."""
 
 
 def check_names(settings: CalibrateSettings) -> None:
@@ -90,79 +87,58 @@ def calibrate(
     log = together.log
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
     problem = problem_of(together, machine, settings)
-    names = list(settings.baseline)
-    rough = [n for n in names if effect(n).structural and settings.method == "least-squares"]
-    names = [n for n in names if n not in rough]
-    start = Point.of(names, machine)
+    start = Point.of(settings.baseline, machine)
     _check_bounds(start, machine)
-    moves = np.ptp(log.q, axis=0) > 0
-    where = {} if moves.all() else {n: moves for n in names if effect(n).scope == "joint"}
     report("replaying", 0)
     first = problem.residuals([start])[0]
-    problem.leave_out(~np.isfinite(first).all(-1))
+    problem = problem.without(~np.isfinite(first).all(-1))
     nominal = errors_of(problem, first)
-    if settings.method == "random":
-        report(f"{settings.samples} random samples", problem.replay.replays)
-        fitted = random_search(problem, start, settings.samples, settings.seed, report)
-    else:
-        report("fitting the baseline model", problem.replay.replays)
-        fitted = fit_sending_times(problem, fit_baseline(problem, start, names, where), names, where)
-        for name in rough:
-            fitted = _with_threshold(problem, fitted, name, names, where)
-            names.append(name)
+
+    def tick(text: str) -> None:
+        report(text, problem.replay.replays)
+
+    before = _baseline(problem, settings, tick)
+    problem = before.problem
     spread = np.nanstd(log.q, axis=0)
-    joints = len(machine.joints)
-    error = Errors.total(errors_of(problem, fitted.residual).train / np.maximum(spread, 1e-9))
-    together, why = targets_match_log(log)
-    log_matches_model = together and error < UNRELATED
+    error = Errors.total(errors_of(problem, before.fitted.residual).train / np.maximum(spread, 1e-9))
+    follows, why = targets_match_log(log)
+    log_matches_model = follows and error < RULES.stranger
+    final, stages = before, before.stages(())[:1]
+    residual, coarse = before.fitted.residual, np.zeros(len(machine.joints), dtype=bool)
     if settings.method == "least-squares" and log_matches_model:
-        if problem.weigh_logs(fitted.residual):
-            report("fitting the baseline model with logs of equal weight", problem.replay.replays)
-            fitted = fit(problem, fitted.point, names, where, most=MOST_STEPS)
-        report("refining the step size", problem.replay.replays)
-        fitted = compared(problem, fitted, names, where)
-    state = CalibrationState(
-        problem=problem,
-        settings=settings,
-        progress=report,
-        joints=where,
-        names=names,
-        current=fitted,
-        baseline=cross_validated(problem, fitted),
-    )
-    stages = [Stage(added="baseline", errors=errors_of(problem, fitted.residual))]
-    before = fitted
-    final, left = fitted, fitted.residual
-    if settings.method == "least-squares" and log_matches_model:
-        stages += forward_selection(state)
-        final = _polished(state)
-        while (fewer := prune(state, final, stages[1:])) is not None:
-            stages, final = [stages[0], *fewer], _polished(state)
-        left = final.residual
+        before = final = _refined(before, tick)
+        stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
-            stages, left = with_encoders(state, stages, final)
-    stages[-1] = replace(stages[-1], errors=errors_of(problem, left))
-    motion = predicted(problem, final)
-    shown, first = problem.in_floors(left), problem.in_floors(before.residual)
-    target = log.q_des if log.q_des is not None else np.zeros_like(log.q)
+            found, last = Search(settings=settings, tick=tick, asked_for=_shortlist(before.problem)).run(before)
+            final = pruned(found, tick)
+            stages, residual = final.stages(last), final.fitted.residual
+            if (coarse := coarse_encoders(final)).any():
+                tick("adding encoder rounding")
+                residual = as_read(final, coarse)
+                stages = with_encoders(final, stages, coarse, residual)
+    unseen: tuple[LogErrors, ...] = ()
+    if len(logs) > 1 or others:
+        tick("predicting each log")
+    if others:
+        apart = pool(others, model, step_of(others, settings), called[len(logs) :])
+        unseen = errors_of_unseen(problem_of(apart, machine, settings), before.fitted, final.fitted)
+    if len(logs) > 1 or others:
+        done = replace(final.fitted, residual=residual)
+        unseen = (*errors_by_log(final.problem, before.fitted, done, final.joints), *unseen)
+    problem = final.problem
+    joints = len(machine.joints)
+    scale, motion = problem.noise[:joints], predicted(problem, final.fitted)
+    shown, first = problem.in_floors(residual), before.problem.in_floors(before.fitted.residual)
     rest = unexplained_residuals(
         machine.joints,
         shown[:, :joints],
         motion,
-        target,
+        log.q_des if log.q_des is not None else np.zeros_like(log.q),
         problem.blocks.index,
         np.asarray(machine.drives.neighbour),
-        None if state.base is None else problem.in_floors(state.base.residual)[:, :joints],
+        None if final.base is None else problem.in_floors(final.base.residual)[:, :joints],
     )
-    effects = _effect_set(state, final)
-    by_log: tuple[LogErrors, ...] = ()
-    if len(logs) > 1 or others:
-        report("predicting each log", problem.replay.replays)
-        by_log = errors_by_log(problem, before, replace(final, residual=left), state.joints)
-    if others:
-        unseen = pool(others, model, step_of(others, settings), called[len(logs) :])
-        by_log += errors_of_unseen(problem_of(unseen, machine, settings), before, final)
-    scale = problem.noise[:joints]
+    effects = _effect_set(final, coarse)
     if not log_matches_model:
         said = no_match(why)
     elif settings.method == "random" or not settings.most_effects:
@@ -191,11 +167,11 @@ def calibrate(
         unexplained=rest,
         sentence=said,
         log_matches_model=log_matches_model,
-        experiments=(*experiments(stages), *of_base(state, scale, machine.unit)),
-        warnings=(*state.rejections, *(stopped_at(*row, machine) for row in stopped(final, problem))),
-        not_identifiable=weak(final, problem),
+        experiments=(*experiments(stages), *of_base(final, scale, machine.unit)),
+        warnings=(*final.rejections, *(stopped_at(*row, machine) for row in stopped(final.fitted, problem))),
+        not_identifiable=weak(final.fitted, problem),
         traces=traces,
-        logs=by_log,
+        logs=unseen,
         replays=problem.replay.replays,
         seconds=time.monotonic() - began,
         metadata={
@@ -205,6 +181,53 @@ def calibrate(
             "sending_times": problem.replay.sending.how,
         },
     )
+
+
+def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str], None]) -> Hypothesis:
+    """Return the baseline parameters, fitted in coarse steps or drawn."""
+    machine = problem.machine
+    moves = np.ptp(problem.replay.log.q, axis=0) > 0
+    where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
+    if settings.method == "random":
+        tick(f"{settings.samples} random samples")
+        start = Point.of(settings.baseline, machine)
+        drawn = random_search(problem, start, settings.samples, settings.seed, lambda text, count: tick(text))
+        return Hypothesis(problem=problem, fitted=drawn, names=settings.baseline, joints=where)
+    tick("fitting the baseline model")
+    names = [n for n in settings.baseline if not effect(n).structural]
+    fitted = fit_baseline(problem, Point.of(names, machine), names, where)
+    problem, fitted = fit_sending_times(problem, fitted, names, where)
+    for name in settings.baseline:
+        if name not in names:
+            fitted = _with_threshold(problem, fitted, name, names, where)
+            names.append(name)
+    return Hypothesis(problem=problem, fitted=fitted, names=tuple(names), joints=where)
+
+
+def _refined(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
+    """Return the baseline parameters fitted in fine steps, to logs of equal weight."""
+    problem, fitted = h.problem.with_equal_logs(h.fitted.residual), h.fitted
+    if problem is not h.problem:
+        tick("fitting the baseline model with logs of equal weight")
+        fitted = fit(problem, fitted.point, h.names, h.joints, most=MOST_STEPS)
+    tick("refining the step size")
+    problem, fitted = compared(problem, fitted, h.names, h.joints)
+    return replace(h, problem=problem, fitted=fitted)
+
+
+def _shortlist(problem: Problem) -> Callable[[Sequence[str], Sequence[str]], tuple[str, ...]]:
+    """Return what chooses effects by the torques of the fitted blocks of a log."""
+    replay = problem.replay
+    seen = np.isin(problem.blocks.index, problem.blocks.train)
+    logs, rows, sent = [], [], []
+    for part in replay.parts:
+        gains = {k: dict(zip(replay.machine.joints, getattr(part, k), strict=True)) for k in ("kp", "kd")}
+        own = replay.log.part(part.slice)
+        logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(replay.machine, part.payload)))
+        rows.append(seen[part.slice])
+        sent.append(replay.sending.of_part(part.slice, part.begin))
+    torques = torques_of(logs, rows, sent)
+    return lambda names, given: asked_for(torques, names, given) if torques else tuple(names)
 
 
 def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:
@@ -229,29 +252,17 @@ def _check_bounds(start: Point, machine: MachineModel) -> None:
             )
 
 
-def _polished(state: CalibrationState) -> Fit:
-    state.tick("final fit")
-    if "kt_heat" in state.names:
-        state.problem.warm_up(state.current.point, FINE, FINE_SEGMENT)
-        correct(state.problem, state.current.point)
-    fitted = fit(state.problem, state.current.point, state.names, state.joints, most=1)
-    for _ in range(MOST_FINAL_PASSES):
-        before, fitted = fitted, refine_steps(state.problem, fitted, every=True)
-        moved = fitted.point.read(fitted.free_parameters) - before.point.read(fitted.free_parameters)
-        if np.all(np.abs(moved) <= LARGEST_MOVE * of_white_noise(fitted, state.problem)):
-            break  # near enough for the derivatives of where it began
-    return fitted
-
-
-def _effect_set(state: CalibrationState, final: Fit) -> EffectSet:
-    deviation = deviations(final, state.problem, left_out(final, state.problem)[1])
-    if (late := state.problem.replay.late) is not None and "delay_jitter" in state.names:
-        deviation = deviation * widening(state.problem, final, float(np.var(late)))
+def _effect_set(h: Hypothesis, coarse: BoolArray) -> EffectSet:
+    """Return everything that was fitted, with intervals, and the encoders (J,) that are coarse."""
+    problem, final = h.problem, h.fitted
+    deviation = deviations(final, problem, h.left_out[1])
+    if (late := problem.replay.late) is not None and "delay_jitter" in h.names:
+        deviation = deviation * widening(problem, final, float(np.var(late)))
     spread = {(k.key, k.joint): d for k, d in zip(final.free_parameters, deviation, strict=True)}
     effects = []
-    for name in state.names:
+    for name in h.names:
         spec = CATALOGUE[name]
-        mask = state.joints.get(name, np.ones(len(state.problem.machine.joints), dtype=bool))
+        mask = h.joints.get(name, np.ones(len(problem.machine.joints), dtype=bool))
         index = [-1] if spec.scope == "machine" else [int(j) for j in np.flatnonzero(mask)]
         if not index:
             continue
@@ -259,21 +270,21 @@ def _effect_set(state: CalibrationState, final: Fit) -> EffectSet:
         for p in spec.parameters:
             row = final.point.values[name, p.name]
             values[p.name] = np.array([row[max(j, 0)] for j in index])
-            if name in state.intervals:
-                intervals[p.name] = np.array([state.intervals[name]])
-            elif not p.fixed and (name, p.name) not in state.problem.pinned:
+            if name in h.intervals:
+                intervals[p.name] = np.array([h.intervals[name]])
+            elif not p.fixed and (name, p.name) not in problem.pinned:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
-                half = np.hypot(half, state.unsure.get((name, p.name), 0.0))
+                half = np.hypot(half, h.unsure.get((name, p.name), 0.0))
                 low, high = values[p.name] - half, values[p.name] + half
                 if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
-                    times = state.problem.replay.sending
+                    times = problem.replay.sending
                     low, high = np.maximum(low - times.later, np.minimum(low, 0.0)), high + times.earlier
                 if np.isfinite(half).all():
                     intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
-        joints = () if spec.scope == "machine" else tuple(state.problem.machine.joints[j] for j in index)
+        joints = () if spec.scope == "machine" else tuple(problem.machine.joints[j] for j in index)
         effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
-    if (has := state.joints.get("encoder_step")) is not None:
-        joints = tuple(np.array(state.problem.machine.joints)[has])
-        angle = {"angle": state.problem.encoder_steps[has]}
+    if coarse.any():
+        joints = tuple(np.array(problem.machine.joints)[coarse])
+        angle = {"angle": problem.encoder_steps[coarse]}
         effects.append(EffectValues(name="encoder_step", joints=joints, values=angle, intervals={}, role="fitted"))
     return EffectSet(tuple(effects))

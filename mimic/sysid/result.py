@@ -62,6 +62,10 @@ class Candidate:
     accepted: bool = False
     why: str = ""
     """Why it was not accepted; empty where it was."""
+    odds: float = 0.0
+    """Probability of blocks that were left out over that with the accepted one, with a price for each number; 0 where
+    none was accepted.
+    """
     alternative_z: float = 0.0
     """How far, in standard errors, the accepted one is better; below 2 they cannot be told apart."""
 

@@ -15,7 +15,7 @@ from mimic.sysid.fit.point import FreeParameter
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import weak_directions
 from mimic.sysid.result import Errors, Stage, UnexplainedResidual
-from mimic.sysid.state import CalibrationState
+from mimic.sysid.selection.hypotheses import Hypothesis
 
 
 def experiments(stages: list[Stage]) -> tuple[str, ...]:
@@ -27,12 +27,12 @@ def experiments(stages: list[Stage]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(lines))
 
 
-def of_base(state: CalibrationState, noise: FloatArray, unit: str) -> tuple[str, ...]:
+def of_base(h: Hypothesis, noise: FloatArray, unit: str) -> tuple[str, ...]:
     """Return what a base motion would leave, if one explains the residual; noise floors are (J,)."""
-    if (base := state.base) is None:
+    if (base := h.base) is None:
         return ()
     at = " and ".join(f"{f:.2f}" for f in base.frequencies)
-    squares = state.problem.mean_squares(base.residual, True)[: len(noise)]
+    squares = h.problem.mean_squares(base.residual, True)[: len(noise)]
     left = _number(Errors.total(np.sqrt(squares) * noise), unit)
     return (f"a base motion at {at} Hz would leave {left}: hold the base more stiffly and log an IMU on it",)
 

@@ -103,25 +103,24 @@ def _replay(together: Pool, machine: MachineModel, settings: CalibrateSettings) 
     return WorldReplay(machine, log, device=settings.device, **own)
 
 
-def fit_sending_times(problem: Problem, fitted: Fit, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:
-    """Return the fit with the sending times of targets that explain most, of all that the log allows.
+def fit_sending_times(
+    problem: Problem, fitted: Fit, names: Sequence[str], joints: Mapping[str, BoolArray]
+) -> tuple[Problem, Fit]:
+    """Return problem and fit with the sending times of targets that explain most, of all that the log allows.
 
     From rows alone it is open whether a steady clock sends targets beside rows that jitter, or whoever writes the rows
     sends them too. The motion tells.
     """
-    best = problem.replay.sending
     for times in problem.sending[1:]:
-        before = problem.replay.sending
-        shift = float(np.mean(times.at - before.at))
+        shift = float(np.mean(times.at - problem.replay.sending.at))
         values = dict(fitted.point.values)
         if ("delay", "time") in values:
             values["delay", "time"] = values["delay", "time"] - shift
-        problem.send_at(times)
-        other = fit(problem, Point(values), names, joints, most=3)
-        if _left(problem, other) < _left(problem, fitted):
-            best, fitted = times, other
-        problem.send_at(best)
-    return fitted
+        other = problem.sent_at(times)
+        found = fit(other, Point(values), names, joints, most=3)
+        if _left(other, found) < _left(problem, fitted):
+            problem, fitted = other, found
+    return problem, fitted
 
 
 def _left(problem: Problem, fitted: Fit) -> float:

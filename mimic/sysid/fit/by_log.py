@@ -1,9 +1,8 @@
-"""How well each of several logs is predicted, and how well by what the others say alone."""
+"""Errors in the unit of the log: of all, and of each of several logs, also by what the others say alone."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,14 +10,21 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import in_fine_steps
-from mimic.sysid.log.blocks import Blocks
-from mimic.sysid.result import LogErrors
+from mimic.sysid.result import Errors, LogErrors
 
 LEAST_LOGS = 3
 """Fewest logs of which each is left out once."""
 
 REFITS = 4
 """Most steps of a fit without one of the logs."""
+
+
+def errors_of(problem: Problem, residual: FloatArray) -> Errors:
+    """Return the errors of each joint [rad or m] of a residual (T, C) in noise floors."""
+    joints = len(problem.machine.joints)
+    scale, residual = problem.noise[:joints], problem.in_floors(residual)
+    train, held = (np.sqrt(problem.mean_squares(residual, side)[:joints]) * scale for side in (False, True))
+    return Errors(train=train, held_out=held)
 
 
 def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str, BoolArray]) -> tuple[LogErrors, ...]:
@@ -72,12 +78,5 @@ def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
 
 def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> FloatArray:
     """Return the residual (T, C) of a fit to all but some rows."""
-    blocks = problem.blocks
-    own = np.unique(blocks.index[rows & (blocks.index >= 0)])
-    held = np.isin(np.arange(len(blocks.held_out)), own)
     names = list(dict.fromkeys(name for name, _ in fitted.point.values))
-    try:
-        problem.blocks = Blocks(index=blocks.index, held_out=held)
-        return fit(problem, fitted.point, names, where, most=REFITS).residual
-    finally:
-        problem.blocks = replace(blocks)
+    return fit(problem.holding_out(rows), fitted.point, names, where, most=REFITS).residual

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +45,7 @@ LEAST_WEIGHT = 1e-4
 
 
 class Problem:
-    """One log and model as a least-squares problem."""
+    """One log and model as a least-squares problem; a change makes another one."""
 
     def __init__(self, replay: Replay, noise: FloatArray, torque_noise: FloatArray | None, blocks: Blocks) -> None:
         """Take the replay and what its residuals are measured in.
@@ -64,11 +66,11 @@ class Problem:
         self.channel_chain = self.machine.chain[self.channel_joint]
         self.channels = len(self.channel_joint)
         self.weight = np.ones(int(self.machine.chain.max()) + 1)
-        """Of each chain (K,), see `weigh`."""
+        """Of each chain (K,), see `weighed`."""
         self.sending: tuple[SendingTimes, ...] = (replay.sending,)
         """All that the logs allow."""
         self.log_scale = np.ones((len(replay.log.t), 1), dtype=np.float32)
-        """Of each row's log: its residuals are divided by it, see `weigh_logs`."""
+        """Of each row's log: its residuals are divided by it, see `with_equal_logs`."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps = np.zeros(joints)
@@ -89,11 +91,17 @@ class Problem:
         part.pinned, part.encoder_steps, part._scales = self.pinned, self.encoder_steps, self._scales
         return part
 
-    def send_at(self, sending: SendingTimes) -> None:
-        """Let targets be sent at these times from now on; what was remembered is forgotten."""
-        self.replay.send_at(sending)
-        self._fine.clear()
-        self.correction = None
+    def changed(self, **fields: Any) -> Problem:
+        """Return the problem with other fields; replays in fine steps are remembered together."""
+        other = copy(self)
+        for name, value in fields.items():
+            setattr(other, name, value)
+        return other
+
+    def sent_at(self, sending: SendingTimes) -> Problem:
+        """Return the problem with targets sent at these times."""
+        fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
+        return self.changed(replay=self.replay.sent_at(sending), correction=None, _fine=fine)
 
     @cached_property
     def period(self) -> float | None:
@@ -187,10 +195,11 @@ class Problem:
         made = self._whitened(self._replayed(finer, [*points, *opposite]))
         return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
-    def warm_up(self, point: Point, times: int, segment: float) -> None:
-        """Start each segment with motors as warm as a finer replay says; see `in_fine_steps`."""
+    def warmed_up(self, point: Point, times: int, segment: float) -> Problem:
+        """Return the problem whose segments begin with motors as warm as a finer replay says; see `in_fine_steps`."""
         fine = self.replay.finer(times, segment)
-        self.replay.set_heat(np.sqrt(fine.mean_square_torque(stack([point], self.machine))))
+        heat = np.sqrt(fine.mean_square_torque(stack([point], self.machine)))
+        return self.changed(replay=self.replay.with_heat(heat))
 
     def _whitened(self, residual: FloatArray) -> FloatArray:
         """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
@@ -248,49 +257,50 @@ class Problem:
         rows = (self.blocks.index >= 0) & inside
         return np.mean(residual[rows].astype(np.float64) ** 2, axis=0)
 
-    def leave_out(self, rows: BoolArray) -> None:
-        """Mask these readings (T,)."""
-        self.blocks = replace(self.blocks, index=np.where(rows, -1, self.blocks.index))
+    def without(self, rows: BoolArray) -> Problem:
+        """Return the problem with these readings (T,) masked."""
+        return self.changed(blocks=replace(self.blocks, index=np.where(rows, -1, self.blocks.index)))
+
+    def holding_out(self, rows: BoolArray) -> Problem:
+        """Return the problem in which the blocks of these readings (T,) are held out, and all others are fitted."""
+        held = np.isin(np.arange(len(self.blocks.held_out)), self.blocks.index[rows & (self.blocks.index >= 0)])
+        return self.changed(blocks=replace(self.blocks, held_out=held))
 
     def in_floors(self, residual: FloatArray) -> FloatArray:
         """Return a whitened residual (T, C) in noise floors, whatever the weight of its log."""
         return residual * self.log_scale
 
-    def weigh_logs(self, residual: FloatArray) -> bool:
-        """Give each of several logs the same say, whatever the baseline parameters leave of it (residual (T, C)).
+    def with_equal_logs(self, residual: FloatArray) -> Problem:
+        """Return the problem in which each of several logs has the same say, whatever is left of it (residual (T, C)).
 
-        Else the one log that no model explains, such as a joint that falls, is all that the others are fitted for.
-
-        Returns:
-            Whether a weight differs from 1.
+        Else the one log that no model explains, such as a joint that falls, is all that the others are fitted for. It
+        is this very problem where all have.
         """
         parts, squares = self.replay.parts, self.in_floors(residual).astype(np.float64) ** 2
         train = np.isin(self.blocks.index, self.blocks.train)
         left = [float(np.mean(squares[p.slice][train[p.slice]])) if train[p.slice].any() else 1.0 for p in parts]
-        least = max(min(left), 1.0)
+        least, scale = max(min(left), 1.0), self.log_scale.copy()
         for part, own in zip(parts, left, strict=True):
-            self.log_scale[part.slice] = np.sqrt(max(own / least, 1.0))
-        return bool((self.log_scale > 1.0).any())
+            scale[part.slice] = np.sqrt(max(own / least, 1.0))
+        return self.changed(log_scale=scale) if (scale > 1.0).any() else self
 
-    def weigh(self, residual: FloatArray) -> bool:
-        """Reduce the weight of poorly explained chains (residual (T, C)) in parameters that all chains share.
+    def weighed(self, residual: FloatArray) -> Problem:
+        """Return the problem with less weight of poorly explained chains (residual (T, C)) in what all chains share.
 
         Otherwise a leg that lacks an effect bends the delay of the machine to make up for it, and the other legs then
-        seem to lack something too. A chain's own numbers are what they were: its weight is on its priors as well.
-
-        Returns:
-            Whether some chain's weight has changed by more than half.
+        seem to lack something too. A chain's own numbers are what they were: its weight is on its priors as well. It is
+        this very problem where no chain's weight changes by more than half.
         """
         left = np.maximum(self.mean_squares(residual, False), 1.0)
         chains = np.array([left[self.channel_chain == c].mean() for c in range(len(self.weight))])
         share = chains.min() / chains
-        before, self.weight = self.weight, np.where(share > EQUAL, 1.0, np.maximum(share, LEAST_WEIGHT))
-        return bool((np.abs(np.log(self.weight / before)) > np.log(1.5)).any())
+        weight = np.where(share > EQUAL, 1.0, np.maximum(share, LEAST_WEIGHT))
+        return self.changed(weight=weight) if np.any(np.abs(np.log(weight / self.weight)) > np.log(1.5)) else self
 
-    def coarsen_torque(self, least: FloatArray) -> None:
-        """Raise the noise floor of the torque channels to this (J,): the uncertainty of coarse steps."""
+    def with_torque_noise(self, least: FloatArray) -> Problem:
+        """Return the problem with a noise floor of the torque channels of no less than this (J,)."""
         joints = len(self.machine.joints)
-        self.noise = np.concatenate([self.noise[:joints], np.maximum(self.noise[joints:], least)])
+        return self.changed(noise=np.concatenate([self.noise[:joints], np.maximum(self.noise[joints:], least)]))
 
     # ------------------------------------------------------------------ derivatives
 

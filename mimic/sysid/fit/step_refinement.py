@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,30 +40,32 @@ def in_fine_steps(problem: Problem, point: Point) -> FloatArray:
     return problem.in_fine_steps(point, FINE, FINE_SEGMENT)
 
 
-def correct(problem: Problem, point: Point) -> None:
-    """Correct all residuals from now on by the error of coarse steps at this point."""
-    problem.correction = in_fine_steps(problem, point) - problem.uncorrected([point])[0]
+def corrected(problem: Problem, point: Point) -> Problem:
+    """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
+    return problem.changed(correction=in_fine_steps(problem, point) - problem.uncorrected([point])[0])
 
 
-def compared(problem: Problem, fitted: Fit, names: list[str], where: dict[str, BoolArray]) -> Fit:
-    """Return the baseline fit again, with coarse steps corrected by fine ones."""
+def compared(
+    problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray]
+) -> tuple[Problem, Fit]:
+    """Return problem and baseline fit again, with coarse steps corrected by fine ones."""
     joints = len(problem.machine.joints)
     for _ in range(2):
-        if not problem.weigh(fitted.residual):
+        if (weighed := problem.weighed(fitted.residual)) is problem:
             break
+        problem = weighed
         fitted = fit(problem, fitted.point, names, where, most=3)
     if problem.channels > joints:
-        correct(problem, fitted.point)
+        problem = corrected(problem, fitted.point)
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
-        problem.coarsen_torque(unsure)
-        correct(problem, fitted.point)
+        problem = corrected(problem.with_torque_noise(unsure), fitted.point)
         fitted = fit(problem, fitted.point, names, where, most=3)
     return refine_steps(problem, fitted)
 
 
-def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
-    """Return the fit converged in fine steps; coarse replays are corrected by the difference from then on.
+def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Problem, Fit]:
+    """Return the fit converged in fine steps, and the problem whose coarse replays are corrected by the difference.
 
     Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
@@ -74,8 +76,7 @@ def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> Fit:
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
     columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.free_parameters, fitted.columns, strict=True)]
     settled = _converged(problem, replace(fitted, columns=tuple(columns)))
-    problem.correction = settled.residual - problem.uncorrected([settled.point])[0]
-    return settled
+    return problem.changed(correction=settled.residual - problem.uncorrected([settled.point])[0]), settled
 
 
 def refined(problem: Problem, fitted: Fit) -> Fit:

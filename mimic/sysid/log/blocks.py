@@ -67,7 +67,7 @@ class Sums:
     square: FloatArray
     """Sum of squares (B,)."""
     weighed: tuple[FloatArray, FloatArray]
-    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see `Problem.weigh`."""
+    """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see `Problem.weighed`."""
     weight: FloatArray
     """Weight of the chain of each free parameter, 1 for those of the whole machine (P,)."""
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -116,7 +117,7 @@ class Replay:
         row = np.clip(np.searchsorted(t, np.arange(self.total) * timestep + 1e-9, side="right") - 1, 0, len(t) - 1)
         self._most = None if on.all() else np.where(on[row], UNLIMITED, 0.0)
         self.readings = self._readings()
-        self.replays = 0
+        self._count = [0]
         self.heat: FloatArray | None = None
         """Square torque at each reading (T, J), where it is known."""
         self._batches: dict[int, Batch] = {}
@@ -126,13 +127,11 @@ class Replay:
         """Return this replay in finer steps and segments of another length [s]; counts ``count`` replays."""
         self.replays += times * count
         segment = min(segment, self.longest_fine)
-        if (times, segment) not in self._finer:
-            self._finer[times, segment] = self._again(self.dt / times, segment)
-        fine = self._finer[times, segment]
+        fine = self._finer.get((times, segment)) or self._again(self.dt / times, segment)
         if fine.late is not self.late:
-            fine.set_late(self.late)
-        fine.heat = self.heat
-        return fine
+            fine = fine.with_late(self.late)
+        self._finer[times, segment] = fine
+        return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
     def _again(self, timestep: float, segment: float) -> Replay:
         return Replay(
@@ -175,25 +174,38 @@ class Replay:
         """Rows that first show each target (K,)."""
         return self.sending.rows
 
-    def send_at(self, sending: SendingTimes) -> None:
-        """Let targets be sent at these times from now on."""
-        self.sending = sending
-        self._finer.clear()
-        self.set_late(None)
+    def sent_at(self, sending: SendingTimes) -> Self:
+        """Return the replay with targets sent at these times."""
+        return self._with(sending=sending, _finer={}).with_late(None)
+
+    def _with(self, **fields: Any) -> Self:
+        """Return the replay with other fields; batches are used by both."""
+        other = copy(self)
+        for name, value in fields.items():
+            setattr(other, name, value)
+        return other
+
+    @property
+    def replays(self) -> int:
+        """Number of replays so far, of this one and those that it was made into."""
+        return self._count[0]
+
+    @replays.setter
+    def replays(self, count: int) -> None:
+        self._count[0] = count
 
     @property
     def segments(self) -> int:
         """Number of segments."""
         return len(self._begin)
 
-    def set_heat(self, tau: FloatArray) -> None:
-        """Keep the torque (T, J) from which the mean square torque at the start of each segment follows."""
-        self.heat = np.asarray(tau) ** 2
+    def with_heat(self, tau: FloatArray) -> Self:
+        """Return the replay of motors warm from a torque (T, J) at the start of each segment."""
+        return self._with(heat=np.asarray(tau) ** 2)
 
-    def set_late(self, late: FloatArray | None) -> None:
-        """Let each target act so much later (K,) [s]; one that the next overtakes is lost."""
-        self.late = late
-        self._grid = self.delayed(np.zeros(len(self.sent)) if late is None else late)
+    def with_late(self, late: FloatArray | None) -> Self:
+        """Return the replay in which each target acts so much later (K,) [s]; one that the next overtakes is lost."""
+        return self._with(late=late, _grid=self.delayed(np.zeros(len(self.sent)) if late is None else late))
 
     def delayed(self, late: FloatArray) -> Targets:
         """Return the targets when each acts so much later (K,) [s]."""

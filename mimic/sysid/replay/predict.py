@@ -48,9 +48,9 @@ def predict(
         step = physics_step(log.rate) / times
         replay = Replay(machine, log, timestep=step, threads=threads, sending=sending_times(log)[0], **pieces)
         if spread:
-            replay.set_late(np.full(len(replay.sent), spread / 2))
+            replay = replay.with_late(np.full(len(replay.sent), spread / 2))
         if ("kt_heat", "time") in p and not whole:
-            replay.set_heat(np.sqrt(replay.mean_square_torque(p)))
+            replay = replay.with_heat(np.sqrt(replay.mean_square_torque(p)))
         made.append(replay.run(p, 1).residual[0].astype(np.float64))
     residual = 2.0 * made[1] - made[0]
     return np.where(valid_samples(log)[:, None], residual, np.nan)

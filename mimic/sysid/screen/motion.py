@@ -19,6 +19,7 @@ from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.log.pool import enabled
+from mimic.sysid.timing import SendingTimes, at_rows
 
 BANDWIDTH = 1.2
 """Bandwidth of a comparison over the frequency of the fastest drive: beyond, an acceleration has more noise than the
@@ -84,7 +85,13 @@ def cut_off_of(log: JointLog, machine: MachineModel) -> float:
     return float(np.clip(BANDWIDTH * fastest, min(LEAST, most), log.rate / 8.0))
 
 
-def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray | None = None) -> Motion:
+def motion_of(
+    log: JointLog,
+    model: MachineModel,
+    delay: float,
+    rows: BoolArray | None = None,
+    sending: SendingTimes | None = None,
+) -> Motion:
     """Return a log at even times.
 
     Args:
@@ -92,6 +99,7 @@ def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray 
         model: What it should have done.
         delay: Of the targets [s].
         rows: Rows of the log that may be looked at (T,), all by default.
+        sending: When targets were sent; with the rows that first show them by default.
     """
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
     rate, t0 = log.rate, log.t[0]
@@ -101,7 +109,9 @@ def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray 
     q = _low_pass(q_read, min(2.0 * cut_off, 0.45 * rate), rate)
     dq = slope(q, t)
     ddq = slope(dq, t)
-    target = _held(t - delay, log.t - t0, log.q_des) if log.q_des is not None else q_read
+    sending = sending or at_rows(log)
+    targets = np.zeros_like(log.q[sending.rows]) if log.q_des is None else log.q_des[sending.rows]
+    target = q_read if log.q_des is None else _held(t - delay, sending.at, targets)
     kp, kd = np.asarray(machine.drives.kp), np.asarray(machine.drives.kd)
     force = 0.0 if log.force is None else _held(t, log.t - t0, log.force)
     most = np.asarray(machine.drives.torque)
@@ -117,7 +127,7 @@ def motion_of(log: JointLog, model: MachineModel, delay: float, rows: BoolArray 
         tau, later = on * _at(t, log.t - t0, log.tau), np.zeros_like(q)
     else:
         tau = asked(target)
-        further = tau if log.q_des is None else asked(_held(t - delay - 1e-3, log.t - t0, log.q_des))
+        further = tau if log.q_des is None else asked(_held(t - delay - 1e-3, sending.at, targets))
         later = _low_pass(further - tau, cut_off, rate)
     noise = noise_floor(log.q, rate)
     slow = 2.0 * noise * 2 * np.pi * cut_off * np.sqrt(2 * cut_off / rate)

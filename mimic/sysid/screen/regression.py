@@ -18,15 +18,14 @@ from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.screen.columns import Column, Columns
 from mimic.sysid.screen.motion import Motion, motion_of
+from mimic.sysid.thresholds import RULES
+from mimic.sysid.timing import SendingTimes, at_rows
 
 DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
 """Delays of the targets that are tried before anything else [s]; the baseline moves between them."""
 
 GAUGE = ("gains", "kt_gain")
 """They multiply the torque itself, so that a regression of torques hardly sees them."""
-
-SHORTLIST = 8
-"""Effects that are worth a fit by gain, and as many by z; of what was hidden the worst was fifth of either."""
 
 RIVAL = 2.0
 """Standard errors by which an effect must be behind another to be told from it."""
@@ -113,6 +112,67 @@ class _Rows:
     """Rows of each log that count (T, J)."""
 
 
+class Torques:
+    """The torques of some logs of one machine, and what each effect would add to them."""
+
+    def __init__(
+        self,
+        logs: Sequence[tuple[JointLog, MachineModel]],
+        settings: ScreenSettings | None = None,
+        rows: Sequence[BoolArray] | None = None,
+        sending: Sequence[SendingTimes] | None = None,
+    ) -> None:
+        """Take the logs.
+
+        Args:
+            logs: What one machine did, with the model for each (payloads may differ); gains are those of the log.
+            settings: Thresholds.
+            rows: Rows of each log that may be looked at (T,); all by default.
+            sending: When the targets of each were sent; with the rows that first show them by default.
+
+        Raises:
+            CalibrationError: If there is nothing to compare: no torque, too little motion.
+        """
+        self._settings = settings or ScreenSettings()
+        seen = rows or [np.ones(len(log.t), dtype=bool) for log, _ in logs]
+        given = [
+            (log.of(m.joints), m, use, sent)
+            for (log, m), use, sent in zip(logs, seen, sending or [at_rows(log) for log, _ in logs], strict=True)
+        ]
+        self.delay, self.motions = _with_delay(given)
+        columns = Columns(self.motions)
+        self._base = columns.baseline()
+        self._alone = _Search(self.motions, self._base, self._settings)
+        self._columns = columns.candidates(self._alone.left_of_baseline())
+
+    def screened(self, effects: Sequence[str] = (), given: Sequence[str] = ()) -> Screen:
+        """Rank effects and sets of effects by the torque that they explain.
+
+        Args:
+            effects: Names that may be claimed; empty for all.
+            given: Effects that are there anyhow, with the thresholds that suit them best: all others come on top.
+        """
+        base, search, candidates = list(self._base), self._alone, self._columns
+        for name in given:
+            own = [c for c in candidates if c.name == name]
+            if own:
+                base.append(min(own, key=lambda c: _total(search.score((c,)))))
+                candidates = [c for c in candidates if c.name != name]
+                search = _Search(self.motions, base, self._settings)
+        candidates = [c for c in candidates if not effects or c.name in effects]
+        singles, sets = search.run(candidates)
+        return Screen(
+            joints=self.motions[0].machine.joints,
+            delay=self.delay,
+            error=search.spread,
+            relative=search.spread / np.maximum(search.torque, 1e-12),
+            baseline=search.score(()),
+            singles=tuple(singles),
+            sets=tuple(sets),
+            rivals=tuple(s.names[0] for s in singles[1:] if _behind(singles[0], s) < RIVAL),
+        )
+
+
 def screen(
     logs: Sequence[tuple[JointLog, MachineModel]],
     settings: ScreenSettings | None = None,
@@ -120,68 +180,35 @@ def screen(
     given: Sequence[str] = (),
     rows: Sequence[BoolArray] | None = None,
 ) -> Screen:
-    """Rank effects and sets of effects by the torque that they explain.
-
-    Args:
-        logs: What one machine did, with the model for each (payloads may differ); gains are those of the log.
-        settings: Thresholds.
-        effects: Names that may be claimed; empty for all.
-        given: Effects that are there anyhow, with the thresholds that suit them best: all others come on top.
-        rows: Rows of each log that may be looked at (T,); all by default.
-
-    Raises:
-        CalibrationError: If there is nothing to compare: no torque, too little motion.
-    """
-    settings = settings or ScreenSettings()
-    delay, motions = _with_delay(logs, rows or [np.ones(len(log.t), dtype=bool) for log, _ in logs])
-    columns = Columns(motions)
-    base = columns.baseline()
-    search = _Search(motions, base, settings)
-    candidates = columns.candidates(search.left_of_baseline())
-    for name in given:
-        own = [c for c in candidates if c.name == name]
-        if own:
-            base.append(min(own, key=lambda c: _total(search.score((c,)))))
-            candidates = [c for c in candidates if c.name != name]
-            search = _Search(motions, base, settings)
-    baseline = search.score(())
-    candidates = [c for c in candidates if not effects or c.name in effects]
-    singles, sets = search.run(candidates)
-    return Screen(
-        joints=motions[0].machine.joints,
-        delay=delay,
-        error=search.spread,
-        relative=search.spread / np.maximum(search.torque, 1e-12),
-        baseline=baseline,
-        singles=tuple(singles),
-        sets=tuple(sets),
-        rivals=tuple(s.names[0] for s in singles[1:] if _behind(singles[0], s) < RIVAL),
-    )
+    """Rank effects and sets of effects of some logs by the torque that they explain; see `Torques`."""
+    return Torques(logs, settings, rows).screened(effects, given)
 
 
-def _with_delay(logs: Sequence[tuple[JointLog, MachineModel]], seen: Sequence[BoolArray]) -> tuple[float, list[Motion]]:
+_Given = tuple[JointLog, MachineModel, BoolArray, SendingTimes]
+"""A log, its model, the rows that may be looked at, and when its targets were sent."""
+
+
+def _with_delay(logs: Sequence[_Given]) -> tuple[float, list[Motion]]:
     """Return the delay of the targets with which the baseline leaves least, and the motions with it."""
-    by_target = any(log.tau is None and log.q_des is not None for log, _ in logs)
-    found = {d: _plain(logs, seen, d) for d in (DELAYS if by_target else (0.0,))}
+    by_target = any(log.tau is None and log.q_des is not None for log, *_ in logs)
+    found = {d: _plain(logs, d) for d in (DELAYS if by_target else (0.0,))}
     delay = min(found, key=lambda d: found[d][0])
     for _ in range(REFINED if by_target else 0):
         nearer = float(np.clip(delay + found[delay][1], 0.0, 2 * DELAYS[-1]))
         if nearer not in found:
-            found[nearer] = _plain(logs, seen, nearer)
+            found[nearer] = _plain(logs, nearer)
         if found[nearer][0] >= found[delay][0]:
             break
         delay = nearer
     return delay, found[delay][2]
 
 
-def _plain(
-    logs: Sequence[tuple[JointLog, MachineModel]], seen: Sequence[BoolArray], delay: float
-) -> tuple[float, float, list[Motion]]:
+def _plain(logs: Sequence[_Given], delay: float) -> tuple[float, float, list[Motion]]:
     """Return the log error of each joint's own inertia and friction, summed, by how much later is better, the motions.
 
     The error is that of a torque in units of the declared one, since all torques scale with inertia and friction.
     """
-    motions = [motion_of(log.of(m.joints), m, delay, use) for (log, m), use in zip(logs, seen, strict=True)]
+    motions = [motion_of(log, m, delay, use, sent) for log, m, use, sent in logs]
     rows = _rows(motions, ScreenSettings())
     left, later, weight = 0.0, 0.0, 0.0
     for j in range(motions[0].q.shape[1]):
@@ -434,35 +461,39 @@ def _evidence(difference: FloatArray) -> tuple[float, float]:
     return best if np.isfinite(best[1]) else (0.0, 0.0)
 
 
-def worth_a_fit(
-    log: JointLog,
-    model: MachineModel,
-    effects: Sequence[str],
-    given: Sequence[str] = (),
-    rows: BoolArray | None = None,
-) -> tuple[str, ...]:
-    """Return the effects that a log asks for in the torque domain, best first, and those that it cannot judge.
-
-    Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all). Where
-    there is too little motion to judge anything, all effects are returned.
+def asked_for(torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the effects that torques ask for, best first, and those that they cannot judge.
 
     Args:
-        log: What a machine did.
-        model: What it should have done.
+        torques: Of the same logs, as they were measured and as the drives were asked for.
         effects: To choose from.
         given: Effects that are in the model by now.
-        rows: Rows of the log that may be looked at (T,).
     """
-    both = [log] if log.tau is None or log.q_des is None else [log, replace(log, tau=None)]
-    seen, quick = None if rows is None else [rows], ScreenSettings(most=0)
     found: dict[str, list[Score]] = {}
-    try:
-        for one in both:
-            for s in screen([(one, model)], quick, effects, given, seen).singles:
-                found.setdefault(s.names[0], []).append(s)
-    except CalibrationError:
-        return tuple(effects)
+    for one in torques:
+        for s in one.screened(effects, given).singles:
+            found.setdefault(s.names[0], []).append(s)
     by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
     by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
-    chosen = [n for n in by_gain if n in by_gain[:SHORTLIST] or n in by_z[:SHORTLIST]]
+    chosen = [n for n in by_gain if n in by_gain[: RULES.shortlist] or n in by_z[: RULES.shortlist]]
     return (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
+
+
+def torques_of(
+    logs: Sequence[tuple[JointLog, MachineModel]],
+    rows: Sequence[BoolArray] | None = None,
+    sending: Sequence[SendingTimes] | None = None,
+) -> tuple[Torques, ...]:
+    """Return the torques of logs for `asked_for`; see `Torques`.
+
+    Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all). None
+    where there is too little motion to judge anything.
+    """
+    quick, made = ScreenSettings(most=0), []
+    if all(log.tau is not None and log.q_des is not None for log, _ in logs):
+        made.append(logs)
+    made.append([(replace(log, tau=None) if log.q_des is not None else log, m) for log, m in logs])
+    try:
+        return tuple(Torques(one, quick, rows, sending) for one in made)
+    except CalibrationError:
+        return ()

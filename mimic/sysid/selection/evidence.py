@@ -15,36 +15,11 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import deviations
 from mimic.sysid.result import Candidate
 from mimic.sysid.selection.jitter import Timing
-from mimic.sysid.selection.screening import least_order, on_harmonic
+from mimic.sysid.selection.starts import least_order, on_harmonic
+from mimic.sysid.thresholds import RULES
 
-LEAST_GAIN = 0.01
-"""Share by which the error of a block judged without itself must fall."""
-
-LEAST_Z = 3.0
-"""Gain over its standard error; about Holm's correction over 25 candidates at 5 %."""
-
-LEAST_IMPROVEMENT = 0.35
-"""What leaves the error of some joint, over its noise floor. Smaller negligible are differences between integrators."""
-
-LEAST_SHARE = 0.15
-"""Share that it takes of what noise does not explain, on the joints where it acts; less is the nearest wrong name."""
-
-LEAST_PARAMETER = 3.0
-"""How far an effect's number is from none, in standard deviations."""
-
-LEAST_MISSED = 0.1
-"""What an effect at a joint must take of the error of its chain, in noise floors; less is a crumb."""
-
-LEAST_BESIDE = 0.1
-"""The same as a share of what it takes at the joint of the chain where it takes most."""
-
-ALTERNATIVE_Z = 2.0
-"""A rival closer than this to the best, in standard errors of the paired difference, cannot be told from it."""
-
-FAR_BEYOND = 2.0
-"""Steps by which a number would cross its bound, from which on an effect that pushes it there, or stands in its chain,
-is not named.
-"""
+INDEPENDENT = 10.0
+"""Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
 
 MATERIAL = 0.025
 """Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
@@ -71,11 +46,16 @@ class TriedEffect:
     timing: Timing | None = None
     """Which targets were late, where that is the effect."""
 
+    def likelihood(self, problem: Problem) -> float:
+        """Return the logarithm of the probability of the log, see `likelihood`."""
+        return likelihood(problem, self.squares, len(self.fitted.free_parameters))
+
     def candidate(self, problem: Problem, best: TriedEffect | None) -> Candidate:
         """Return the record of it."""
         machine, spec = problem.machine, CATALOGUE[self.name]
         names = tuple(np.array(machine.joints)[self.joints]) if spec.scope == "joint" else ()
         values = {p.name: self.fitted.point.values[self.name, p.name] for p in spec.parameters}
+        log_odds = 0.0 if best is None else self.likelihood(problem) - best.likelihood(problem)
         return Candidate(
             name=self.name,
             gain=self.gain,
@@ -85,6 +65,7 @@ class TriedEffect:
             joints=names,
             accepted=best is self,
             why="" if best is self else self.why or "another effect explains more",
+            odds=float(np.exp(np.clip(log_odds, -700.0, 700.0))) if best is not None else 0.0,
             alternative_z=0.0 if best is None or best is self else _apart(problem, best, self)[1],
         )
 
@@ -141,13 +122,13 @@ def evaluate(
     gain, z = paired(after, before, channels) if there.any() else paired(after, before)
     why = ""
     if not there.any():
-        why = f"no joint has a parameter {LEAST_PARAMETER:.0f} standard deviations from neutral"
-    elif little := too_little(gain, z, LEAST_Z):
+        why = f"no joint has a parameter {RULES.deviations:.0f} standard deviations from neutral"
+    elif little := too_little(gain, z, RULES.z):
         why = little
-    elif improvement < LEAST_IMPROVEMENT:
-        why = f"it removes {improvement:.2f} noise floors, below {LEAST_IMPROVEMENT}"
-    elif (share := share_taken(problem, incumbent, fitted, channels)) < LEAST_SHARE:
-        why = f"it removes {100 * share:.0f} % of the unexplained error on its joints, below {100 * LEAST_SHARE:.0f} %"
+    elif improvement < RULES.improvement:
+        why = f"it removes {improvement:.2f} noise floors, below {RULES.improvement}"
+    elif (share := share_taken(problem, incumbent, fitted, channels)) < RULES.share:
+        why = f"it removes {100 * share:.0f} % of the unexplained error on its joints, below {100 * RULES.share:.0f} %"
     else:
         why = _pushed(problem, incumbent, fitted, there)
     overall, _ = paired(after, before)
@@ -166,8 +147,8 @@ def evaluate(
 
 def too_little(gain: float, z: float, least: float) -> str:
     """Return why a gain is too small or not significant, or an empty string."""
-    if gain < LEAST_GAIN:
-        return f"gain {100 * gain:.1f} % is below {100 * LEAST_GAIN:.0f} %"
+    if gain < RULES.gain:
+        return f"gain {100 * gain:.1f} % is below {100 * RULES.gain:.0f} %"
     return f"gain is {z:.1f} standard errors, below {least:.0f}" if z < least else ""
 
 
@@ -184,13 +165,13 @@ def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviati
             continue
         value = fitted.point.values[free.key][max(free.joint, 0)]
         none = float(neutral(*free.key, problem.machine)[max(free.joint, 0)])
-        if abs(value - none) > LEAST_PARAMETER * deviation[i]:
+        if abs(value - none) > RULES.deviations * deviation[i]:
             there[slice(None) if free.joint < 0 else free.joint] = True
     if spec.scope != "joint":
         return there
     missed, chain = _missed(fitted, problem, name), problem.machine.chain
     strongest = np.array([missed[chain == c].max() for c in chain])
-    return there & joints & (missed > np.maximum(LEAST_MISSED, LEAST_BESIDE * strongest))
+    return there & joints & (missed > RULES.negligible * np.maximum(1.0, strongest))
 
 
 def _missed(fitted: Fit, problem: Problem, name: str) -> FloatArray:
@@ -230,7 +211,7 @@ def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArra
     joints = len(problem.machine.joints)
     gain = np.log(np.maximum(before.sum(0), 1e-12) / np.maximum(after.sum(0), 1e-12))
     better = np.zeros(joints, dtype=bool)
-    np.logical_or.at(better, problem.channel_joint, gain > 2 * LEAST_GAIN)
+    np.logical_or.at(better, problem.channel_joint, gain > 2 * RULES.gain)
     return better
 
 
@@ -240,7 +221,7 @@ def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, there: BoolArray) -> 
     A number that the log hardly determines stays near its prior and says nothing, and one that was at its bound without
     the effect was not pushed there.
     """
-    for free, bound in stopped(fitted, problem, FAR_BEYOND):
+    for free, bound in stopped(fitted, problem, RULES.beyond):
         if not CATALOGUE[free.key[0]].baseline or (free.joint >= 0 and not there[free.joint]):
             continue
         if abs(incumbent.point.values[free.key][max(free.joint, 0)] - bound) > 1e-9:
@@ -269,15 +250,38 @@ def stopped(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Fre
     return found
 
 
+def likelihood(problem: Problem, squares: FloatArray, numbers: int) -> float:
+    """Return the logarithm of the probability of blocks that were left out, less the price of numbers.
+
+    Residuals are normal, of a size that each channel has for itself; readings count as far as they are independent, a
+    tenth of a second each. A number costs half the logarithm of that count (Schwarz 1978).
+
+    Args:
+        problem: Log and model.
+        squares: Of each fitted block, judged without itself (B_train, C).
+        numbers: How many were fitted.
+    """
+    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()), 1)
+    count = max(readings * min(INDEPENDENT / problem.replay.log.rate, 1.0), 1.0)
+    size = np.maximum(squares.sum(0) / readings, 1e-12)
+    return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
+
+
 def hard_to_tell_apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> bool:
     """Return whether the log leaves it open which of two effects it is."""
     gain, z = _apart(problem, best, other)
-    return z < ALTERNATIVE_Z or gain < LEAST_GAIN
+    return z < RULES.apart or gain < RULES.gain
 
 
 def _apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> tuple[float, float]:
     """Return gain and z of one effect over another, where either acts."""
     return paired(best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
+
+
+def pays(better: FloatArray, worse: FloatArray, z: float = RULES.z) -> bool:
+    """Return whether left-out blocks (B, C) of one fit are surely better than those of another."""
+    gain, sure = paired(better, worse)
+    return gain >= RULES.gain and sure >= z
 
 
 def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
@@ -286,19 +290,6 @@ def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
     return left_out(fitted, problem)[0].sum(0) / readings
 
 
-def lasts(problem: Problem, before: Fit, after: Fit, tried: TriedEffect) -> bool:
-    """Return whether an effect, fitted to the end, leaves less of blocks that are judged without themselves.
-
-    What is read off the log is not asked.
-    """
-    if CATALOGUE[tried.name].read_off:
-        return True
-    channels = tried.joints[problem.channel_joint]
-    left, had = (cross_validated(problem, f)[channels].sum() for f in (after, before))
-    return bool(left < had)
-
-
 def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:
-    """Return whether an effect still pays beside the ones found after it."""
-    gain, z = paired(left_out(whole, problem)[0], left_out(without, problem)[0])
-    return gain >= LEAST_GAIN and z >= LEAST_Z
+    """Return whether an effect pays: a fit with it against one without."""
+    return pays(left_out(whole, problem)[0], left_out(without, problem)[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +12,12 @@ from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.replay.delays import eased
-from mimic.sysid.selection.evidence import ALTERNATIVE_Z, LEAST_SHARE, TriedEffect, paired, too_little
+from mimic.sysid.selection.evidence import TriedEffect, paired, too_little
 from mimic.sysid.selection.jitter import Timing, timings
+from mimic.sysid.thresholds import RULES
 
 LATE_Z = 2.0
-"""Gain of single late targets over its standard error, for which `mimic.sysid.selection.evidence.LEAST_Z` is too
+"""Gain of single late targets over its standard error, for which `mimic.sysid.thresholds.Thresholds.z` is too
 much: that the chains agree on them is tested target by target, and a short log has few blocks.
 """
 
@@ -36,12 +37,11 @@ def late_targets(
     incumbent: Fit,
     before: FloatArray,
     names: Sequence[str],
-    joints: dict[str, BoolArray],
+    joints: Mapping[str, BoolArray],
     candidates: Sequence[str],
 ) -> tuple[TriedEffect, ...]:
     """Return models of delayed commands, best first; the first is fully fitted if the chains agree."""
-    replay, found = problem.replay, []
-    had = replay.late
+    found = []
     readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
     for timing in _likelier(timings(problem, incumbent, candidates)):
         gain, z = paired(timing.squares, before)
@@ -52,14 +52,13 @@ def late_targets(
             why = f"the chains agree on {100 * timing.agreement:.0f} % of the delays"
         elif little := too_little(gain, z, LATE_Z):
             why = little
-        elif share < LEAST_SHARE:
-            why = f"it removes {100 * share:.0f} % of the unexplained error, below {100 * LEAST_SHARE:.0f} %"
+        elif share < RULES.share:
+            why = f"it removes {100 * share:.0f} % of the unexplained error, below {100 * RULES.share:.0f} %"
         why = why or _holds_none(timing)
         fitted = replace(incumbent, point=timing.point)
         improvement = float(np.sqrt(max((before.sum(0) - timing.squares.sum(0)).max() / readings, 0.0)))
         if not why and not found:
-            timing, fitted = fit_delay_per_command(problem, timing, names, joints)
-            replay.set_late(had)
+            _, timing, fitted = fit_delay_per_command(problem, timing, names, joints)
             fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
             improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
             why = _holds_none(timing)
@@ -101,16 +100,16 @@ def distinguishable(one: TriedEffect, other: TriedEffect) -> bool:
         return False
     if one.timing.likelihood - other.timing.likelihood > TOLD_APART:
         return True
-    return paired(one.squares, other.squares)[1] >= ALTERNATIVE_Z
+    return paired(one.squares, other.squares)[1] >= RULES.apart
 
 
 def fit_delay_per_command(
-    problem: Problem, timing: Timing, names: Sequence[str], joints: dict[str, BoolArray], most: int = PASSES
-) -> tuple[Timing, Fit]:
-    """Fit the delay of each command and all parameters in turn; the replay then has the delays."""
-    replay, found = problem.replay, []
+    problem: Problem, timing: Timing, names: Sequence[str], joints: Mapping[str, BoolArray], most: int = PASSES
+) -> tuple[Problem, Timing, Fit]:
+    """Fit the delay of each command and all parameters in turn; return the problem with the delays, too."""
+    found = []
     for _ in range(most):
-        replay.set_late(timing.late)
+        problem = problem.changed(replay=problem.replay.with_late(timing.late))
         fitted = fit(problem, timing.point, names, joints, most=1)
         left = float(problem.mean_squares(fitted.residual, False).sum())
         if found and left > 0.99 * found[-1][2]:
@@ -125,8 +124,7 @@ def fit_delay_per_command(
             late = eased(problem, again[0].point, had, late)
         timing = replace(again[0], late=late, squares=timing.squares, agreement=timing.agreement)
     timing, fitted, _ = found[-1]
-    replay.set_late(timing.late)
-    return timing, fitted
+    return problem.changed(replay=problem.replay.with_late(timing.late)), timing, fitted
 
 
 def _delay(point: Point) -> float:

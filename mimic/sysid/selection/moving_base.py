@@ -8,7 +8,7 @@ the rest is not explained, and the report says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -19,6 +19,8 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, prior, scaled_solution
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.selection.evidence import TriedEffect, paired, pays
+from mimic.sysid.thresholds import RULES
 
 AXES = 6
 """Accelerations along x, y, z and about x, y, z of the base."""
@@ -45,6 +47,39 @@ class BaseMotion:
     """Whitened residuals that it leaves (T, C)."""
     squares: FloatArray
     """Each fitted block judged without itself (B_train, C)."""
+
+    def instead_of(self, squares: FloatArray) -> str:
+        """Return why this explains the residual better than an effect that leaves these squares, or an empty string."""
+        gain, z = paired(squares, self.squares)
+        if gain >= RULES.gain and z >= RULES.apart:
+            return ""
+        at = " and ".join(f"{f:.2f}" for f in self.frequencies)
+        explains = "as much" if z > -RULES.apart else "more"
+        return f"one motion of the base at {at} Hz explains {explains}, with {self.numbers} parameters"
+
+
+def behind_forces(
+    problem: Problem, incumbent: Fit, before: FloatArray, shaken: TriedEffect, tick: Callable[[str], None]
+) -> BaseMotion | None:
+    """Return the base motion that explains periodic forces in the joints at least as well, or None.
+
+    Args:
+        problem: Log and model.
+        incumbent: The fit without forces.
+        before: What it leaves of blocks judged without themselves (B_train, C).
+        shaken: The effect of forces.
+        tick: Called with what is being done.
+    """
+    if shaken.joints.sum() < 2 or shaken.gain < RULES.gain or shaken.z < RULES.z:
+        return None
+    tick("testing for a moving base")
+    cosine, sine, frequency = (shaken.fitted.point.values[shaken.name, p] for p in ("cosine", "sine", "frequency"))
+    base = moving_base(problem, incumbent, frequency, np.hypot(cosine, sine), shaken.joints)
+    if base is None or (len(np.unique(problem.machine.chain)) == 1 and base.numbers >= 3 * shaken.joints.sum()):
+        return None
+    if not pays(base.squares, before) or pays(shaken.squares, base.squares, RULES.apart):
+        return None
+    return base
 
 
 def base_torques(machine: MachineModel, q: FloatArray, factor: FloatArray) -> FloatArray:

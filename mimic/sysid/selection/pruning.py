@@ -1,8 +1,8 @@
-"""Pruning: removes effects whose evidence is ambiguous."""
+"""What is left of a set of effects in the end: those that pay beside the others, and that no bound puts in doubt."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,154 +11,169 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray
-from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import FreeParameter, Point
-from mimic.sysid.fit.step_refinement import refine_steps
-from mimic.sysid.result import Stage
-from mimic.sysid.selection.evidence import FAR_BEYOND, cross_validated, stopped
-from mimic.sysid.selection.unexplained import EXPLAINED
-from mimic.sysid.state import CalibrationState, errors_of
+from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps
+from mimic.sysid.fit.uncertainty import of_white_noise
+from mimic.sysid.selection.evidence import cross_validated, earns_its_keep, stopped
+from mimic.sysid.selection.hypotheses import AS_WITHOUT, Hypothesis, as_good_without, best_without
+from mimic.sysid.thresholds import RULES
 
-NEGLIGIBLE = 0.1
-"""Least ratio of what a name takes to what is left in the same chain."""
+MOST_PASSES, LARGEST_MOVE = 4, 2.0
+"""Most passes of the last fit, each with derivatives of its own, and by how many deviations a number moves where
+another is needed.
+"""
 
-Stops = tuple[list[tuple[FreeParameter, float]], list[tuple[FreeParameter, float]]]
-"""Numbers that stop far beyond their bound, and baseline ones that stop at one; each with the bound."""
+Stop = tuple[FreeParameter, float]
+"""A number that stops at a bound, and the bound."""
 
 
-def reject_doubtful(state: CalibrationState, stages: list[Stage]) -> list[Stage]:
-    """Remove effects whose evidence is ambiguous, together with everything found in the model.
+def pruned(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
+    """Return what stays of a set, fitted to the end."""
+    for name in [n for n in h.added[:-1] if not CATALOGUE[n].read_off]:
+        tick(f"checking that {CATALOGUE[name].title} is still needed")
+        bare = best_without(h, name)
+        if not earns_its_keep(h.problem, h.fitted, bare):
+            h = replace(h, fitted=bare, names=tuple(n for n in h.names if n != name))
+    h = _polished(_without_doubtful(h, tick), tick)
+    while (fewer := _pruned_again(h, tick)) is not None:
+        h = _polished(fewer, tick)
+    return h
+
+
+def _named(h: Hypothesis) -> list[str]:
+    """Return the effects of a set beside the baseline's that are fitted."""
+    return [n for n in h.added if n in h.names and not CATALOGUE[n].read_off]
+
+
+def _polished(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
+    """Return the set fitted again, with derivatives in fine steps."""
+    tick("final fit")
+    problem = h.problem
+    if "kt_heat" in h.names:
+        problem = corrected(problem.warmed_up(h.fitted.point, FINE, FINE_SEGMENT), h.fitted.point)
+    fitted = fit(problem, h.fitted.point, h.names, h.joints, most=1)
+    for _ in range(MOST_PASSES):
+        before = fitted
+        problem, fitted = refine_steps(problem, fitted, every=True)
+        moved = fitted.point.read(fitted.free_parameters) - before.point.read(fitted.free_parameters)
+        if np.all(np.abs(moved) <= LARGEST_MOVE * of_white_noise(fitted, problem)):
+            break  # near enough for the derivatives of where it began
+    return replace(h, problem=problem, fitted=fitted)
+
+
+def _pruned_again(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis | None:
+    """Return the set without effects that the last fit makes doubtful; None if there are none.
+
+    It may have moved a number onto a bound, or have found what an effect had made up for.
+    """
+    if any(_in_doubt(h, name, _stops(h)).any() for name in _named(h)):
+        return _without_doubtful(h, tick)
+    for name in _named(h):
+        if (bare := as_good_without(h, name)) is not None:
+            why = f"{CATALOGUE[name].title} was rejected: {AS_WITHOUT}"
+            names = tuple(n for n in h.names if n != name)
+            return replace(h, fitted=bare, names=names, rejections=(*h.rejections, why))
+    return None
+
+
+def _without_doubtful(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
+    """Return the set without effects whose evidence is ambiguous.
 
     Far beyond its bound, any number of a chain puts the whole of its effects in doubt. A baseline parameter that stops
     at a bound that the log would have it cross puts in doubt what they are in this chain: there they are rejected,
     elsewhere they stay.
     """
-    named = [s for s in stages if s.added and not CATALOGUE[s.added].read_off]
-    machine, rows = state.problem.machine, _stops(state, state.current)
+    machine, rows = h.problem.machine, _stops(h)
+    fewer: dict[str, BoolArray] = {}
+    said: list[str] = []
+
+    def reject(name: str, joints: BoolArray, why: str) -> None:
+        where = ", ".join(np.array(machine.joints)[joints])
+        said.append(f"{CATALOGUE[name].title} was rejected{f' in {where}' if where else ''}: {why}")
 
     def stops(joints: BoolArray) -> str:
         return _where_it_stops(next(r for r in (*rows[0], *rows[1]) if (joints & _chains([r], machine)).any()), machine)
 
-    fewer: dict[str, BoolArray] = {}
-    for name in (s.added for s in named):
-        had = state.joints[name]
-        doubted = _in_doubt(state, name, rows)
+    for name in _named(h):
+        had = h.joints[name]
+        doubted = _in_doubt(h, name, rows)
         if (doubted == had).all():
-            state.rejections.append(f"{CATALOGUE[name].title} was rejected: {stops(had)}")
+            reject(name, np.zeros_like(had), stops(had))
             fewer[name] = np.zeros_like(had)
             continue
         has = had & ~doubted
         if doubted.any():
-            state.rejections.append(_rejected_there(name, doubted, stops(doubted), machine))
-        if (negligible := _negligible(state, name, has)).any():
-            why = "its contribution is negligible beside the remaining error of its chain"
-            state.rejections.append(_rejected_there(name, negligible, why, machine))
-            has = has & ~negligible
+            reject(name, doubted, stops(doubted))
+        if (little := _negligible(h, name, has)).any():
+            reject(name, little, "its contribution is negligible beside the remaining error of its chain")
+            has = has & ~little
         if not (has == had).all():
-            if (idle := _idle(state, has)).any():
-                state.rejections.append(
-                    _rejected_there(name, idle, "nothing was unexplained there without it", machine)
-                )
-            fewer[name] = has & ~idle
+            if (idle := has & ~_lacking(h)).any():
+                reject(name, idle, "nothing was unexplained there without it")
+            fewer[name] = has & _lacking(h)
     if not fewer:
-        return stages
-    state.tick("rejecting ambiguous effects")
-    gone = [s.added for s in named if s.added in fewer and not fewer[s.added].any()]
-    rest = [n for n in state.names if n not in gone]
-    point = state.current.point
-    for name in gone:
-        point = point.without(name)
-    values = dict(point.values)
-    for (name, parameter), row in point.values.items():
+        return h
+    tick("rejecting ambiguous effects")
+    gone = [n for n, has in fewer.items() if not has.any()]
+    values = {k: row for k, row in h.fitted.point.values.items() if k[0] not in gone}
+    for (name, parameter), row in values.items():
         if name in fewer:
             values[name, parameter] = np.where(fewer[name], row, neutral(name, parameter, machine))
-    state.joints |= fewer
-    fitted = refine_steps(state.problem, fit(state.problem, Point(values), rest, state.joints, most=3))
-    return without_effects(state, stages, gone, fitted, state.rejections[0])
+    names, joints = tuple(n for n in h.names if n not in gone), {**h.joints, **fewer}
+    problem, fitted = refine_steps(h.problem, fit(h.problem, Point(values), names, joints, most=3))
+    said = [*h.rejections, *said]
+    return replace(h, problem=problem, fitted=fitted, names=names, joints=joints, rejections=tuple(said))
 
 
-def without_effects(
-    state: CalibrationState, stages: list[Stage], names: Sequence[str], fitted: Fit, why: str
-) -> list[Stage]:
-    """Return the stages without some effects, and set the state to a fit without them.
-
-    Args:
-        state: Of the calibration.
-        stages: With the effects.
-        names: Theirs.
-        fitted: The fit.
-        why: The reason that is reported where no other effect stays.
-    """
-    state.current, state.names = fitted, [n for n in state.names if n not in names]
-    errors = errors_of(state.problem, fitted.residual)
-    kept = [s for s in stages if s.added not in names]
-    if any(s.added for s in kept):
-        return [*kept[:-1], replace(kept[-1], errors=errors)]
-    first = next(s for s in stages if s.added in names)
-    tried = tuple(replace(c, accepted=False, why=why) if c.accepted else c for c in first.candidates)
-    return [Stage(added="", errors=errors, candidates=tried)]
-
-
-def on_a_bound(state: CalibrationState, fitted: Fit, stages: list[Stage]) -> bool:
-    """Return whether a parameter at its bound makes a reported effect doubtful."""
-    rows = _stops(state, fitted)
-    named = [s.added for s in stages if s.added in state.names and not CATALOGUE[s.added].read_off]
-    return any(_in_doubt(state, name, rows).any() for name in named)
-
-
-def _stops(state: CalibrationState, fitted: Fit) -> Stops:
-    """Return the parameters of a fit that are at their bounds."""
-    far = stopped(fitted, state.problem, FAR_BEYOND)
-    bent = [row for row in stopped(fitted, state.problem) if CATALOGUE[row[0].key[0]].baseline and row[1] != 0.0]
+def _stops(h: Hypothesis) -> tuple[list[Stop], list[Stop]]:
+    """Return the numbers that stop far beyond their bound, and baseline ones that stop at one."""
+    far = stopped(h.fitted, h.problem, RULES.beyond)
+    bent = [row for row in stopped(h.fitted, h.problem) if CATALOGUE[row[0].key[0]].baseline and row[1] != 0.0]
     return far, bent
 
 
-def _in_doubt(state: CalibrationState, name: str, rows: Stops) -> BoolArray:
+def _in_doubt(h: Hypothesis, name: str, rows: tuple[list[Stop], list[Stop]]) -> BoolArray:
     """Return the joints (J,) where parameters at their bounds make an effect doubtful."""
-    had, machine = state.joints[name], state.problem.machine
+    had, machine = h.joints[name], h.problem.machine
     doubtful, elsewhere = _chains(rows[0], machine), ~_chains(rows[1], machine)
     if (had & doubtful).any() or not (had & elsewhere).any():
         return had
     return np.zeros_like(had) if CATALOGUE[name].scope == "machine" else had & ~elsewhere
 
 
-def _negligible(state: CalibrationState, name: str, has: BoolArray) -> BoolArray:
+def _negligible(h: Hypothesis, name: str, has: BoolArray) -> BoolArray:
     """Return the joints (J,) where an effect's contribution is negligible beside the rest of its chain."""
     negligible, spec = np.zeros_like(has), CATALOGUE[name]
     if spec.scope == "machine":
         return negligible
-    chain, before = state.problem.machine.chain, state.baseline[: len(has)]
-    after = cross_validated(state.problem, state.current)[: len(has)]
+    chain, first = h.problem.machine.chain, h.path[0]
+    before, after = (cross_validated(x.problem, x.fitted)[: len(has)] for x in (first, h))
     for c in np.unique(chain[has]):
         here, leg = has & (chain == c), chain == c
         takes, left = (before - after)[here].sum(), (after[leg] - 1.0).sum()
-        if after[leg].max() > EXPLAINED**2 and takes < NEGLIGIBLE * left:
+        if after[leg].max() > RULES.explained**2 and takes < RULES.negligible * left:
             negligible |= here
     return negligible
 
 
-def _idle(state: CalibrationState, has: BoolArray) -> BoolArray:
-    """Return the joints (J,) whose chain the baseline parameters already explain.
+def _lacking(h: Hypothesis) -> BoolArray:
+    """Return the joints (J,) of chains that the baseline parameters alone do not explain.
 
-    A name may stand there that was found for what is elsewhere, and says nothing once it is rejected there.
+    Elsewhere a name may stand that was found for what is not there, and says nothing once it is rejected where it is.
     """
-    machine = state.problem.machine
-    left = state.baseline[: len(has)] > EXPLAINED**2
-    return has & ~np.isin(machine.chain, machine.chain[left])
+    machine, first = h.problem.machine, h.path[0]
+    left = cross_validated(first.problem, first.fitted)[: len(machine.joints)] > RULES.explained**2
+    return np.isin(machine.chain, machine.chain[left])
 
 
-def _rejected_there(name: str, joints: BoolArray, why: str, machine: MachineModel) -> str:
-    where = ", ".join(np.array(machine.joints)[joints])
-    return f"{CATALOGUE[name].title} was rejected in {where}: {why}"
-
-
-def _where_it_stops(row: tuple[FreeParameter, float], machine: MachineModel) -> str:
+def _where_it_stops(row: Stop, machine: MachineModel) -> str:
     free, bound = row
     where = "" if free.joint < 0 else f" of {machine.joints[free.joint]}, in the same chain,"
     return f"{free.key[0]}.{free.key[1]}{where} stops at its bound {bound:g}"
 
 
-def _chains(rows: Sequence[tuple[FreeParameter, float]], machine: MachineModel) -> BoolArray:
+def _chains(rows: Sequence[Stop], machine: MachineModel) -> BoolArray:
     """Return the joints (J,) of the chains where a number stopped."""
     there = np.zeros(len(machine.joints), dtype=bool)
     for free, _ in rows:

@@ -10,10 +10,8 @@ from scipy import signal
 
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.result import UnexplainedResidual
-from mimic.sysid.selection.screening import PredictedMotion
-
-EXPLAINED = 1.2
-"""Error over noise floor up to which nothing is left to explain."""
+from mimic.sysid.selection.starts import PredictedMotion
+from mimic.sysid.thresholds import RULES
 
 STATE_R2 = 0.1
 """Share that the state predicts on blocks that were not used, from which on the rest depends on the state."""
@@ -91,13 +89,13 @@ def _remainder(
     inputs = {k: v[rows] for k, v in state.items()}
     r2 = predicted(slow, inputs, blocks[rows])
     depends: tuple[str, ...] = ()
-    if ratio >= EXPLAINED and r2 > STATE_R2:
+    if ratio >= RULES.explained and r2 > STATE_R2:
         alone = {k: predicted(slow, {k: v}, blocks[rows]) for k, v in inputs.items()}
         lost = {k: r2 - predicted(slow, {n: v for n, v in inputs.items() if n != k}, blocks[rows]) for k in inputs}
         score = {k: max(alone[k], 0.0) + max(lost[k], 0.0) for k in inputs}
         top = max(score.values())
         depends = tuple(sorted((k for k in score if score[k] > 0.4 * top), key=lambda k: -score[k]))
-    if ratio < EXPLAINED:
+    if ratio < RULES.explained:
         verdict = "explained"
     elif r2 > STATE_R2:
         verdict = "state-dependent"

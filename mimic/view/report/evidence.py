@@ -9,14 +9,15 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE, unit_of
 from mimic.records import FloatArray
 from mimic.sysid.result import Calibration, Candidate, Stage
+from mimic.sysid.thresholds import RULES
 from mimic.view.report.sections import fixed, pretty, section, title_of
 from mimic.view.report.svg import number
 
 SHOWN = 6
 """Number of candidates per stage that are shown; the others are folded."""
 
-LEAST_Z, LEAST_GAIN = 3.0, 0.01
-"""Thresholds marked on the bars. Source: the rule of `mimic.sysid.selection.evidence`."""
+LEAST_Z, LEAST_GAIN = RULES.z, RULES.gain
+"""Thresholds marked on the bars."""
 
 
 def evidence(c: Calibration) -> str:
@@ -52,7 +53,8 @@ def _candidate(x: Candidate, top: float, positions: str, stage: Stage) -> str:
     if x.accepted:
         verdict = "<span class='good'>accepted</span>"
     elif x.name in stage.alternatives:
-        verdict = f"cannot be ruled out <small>(difference: {number(x.alternative_z)} standard errors)</small>"
+        apart = f"{number(x.alternative_z)} standard errors behind, odds {number(x.odds)} : 1"
+        verdict = f"cannot be ruled out <small>({apart})</small>"
     else:
         verdict = escape(x.why) or "another effect was better"
     spec = CATALOGUE[x.name]

@@ -59,8 +59,7 @@ def test_segments_begin_as_warm_as_the_motors_were(tmp_path: Path) -> None:
     log = simulate_log(machine, t, 0.8 * np.sin(9.0 * t)[:, None], heat, exact)
     cut = Replay(machine, log, timestep=0.0025, segment=3.0, threads=1)
     cold = np.nanstd(cut.run(hot, 1).residual)
-    cut.set_heat(log.tau)
-    warm = np.nanstd(cut.run(hot, 1).residual)
+    warm = np.nanstd(cut.with_heat(log.tau).run(hot, 1).residual)
     whole = np.nanstd(Replay(machine, log, timestep=0.0025, segment=60.0, threads=1).run(hot, 1).residual)
     assert warm < 1.3 * whole
     assert cold > 3 * whole

@@ -95,9 +95,8 @@ def test_worlds_go_the_way_of_the_replay_on_the_processor(arm: MachineModel, log
     late[5::7] = 0.013
     made = []
     for replay in replays:
-        replay.set_heat(np.full((len(log.t), 2), 0.7))
-        replay.set_late(late)
-        made.append(replay.run(stack(tried, arm), len(tried)))
+        warm = replay.with_heat(np.full((len(log.t), 2), 0.7)).with_late(late)
+        made.append(warm.run(stack(tried, arm), len(tried)))
     one, other = made
     assert np.array_equal(np.isnan(one.residual), np.isnan(other.residual))
     assert np.nanmax(np.abs(one.residual - other.residual)) < SINGLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.screen.regression import ScreenSettings, screen, worth_a_fit
+from mimic.sysid.screen.regression import ScreenSettings, Torques, asked_for, screen, torques_of
+from mimic.sysid.timing import at_rows
 
 MASS, LENGTH, ROTOR, DRY, VISCOUS, DELAY = 0.8, 0.15, 0.004, 0.12, 0.03, 0.006
 STEP, RATE = 2e-4, 200.0
@@ -87,7 +89,7 @@ def test_only_named_effects_are_tried(machine: MachineModel) -> None:
 
 def test_a_shortlist_has_what_is_hidden_first_and_what_torques_cannot_judge(machine: MachineModel) -> None:
     every = [name for name, e in CATALOGUE.items() if not e.baseline]
-    kept = worth_a_fit(pendulum(12.0, load=0.15), machine, every)
+    kept = asked_for(torques_of([(pendulum(12.0, load=0.15), machine)]), every)
     assert kept[0] == "load_friction"
     assert {"gains", "kt_gain", "delay_jitter", "lost_commands", "encoder_step"} <= set(kept) < set(every)
 
@@ -103,10 +105,21 @@ def test_rows_that_may_not_be_looked_at_change_nothing(machine: MachineModel) ->
     assert screen([(other, machine)], ScreenSettings(most=0)).error > 2 * made.error
 
 
-def test_where_nothing_can_be_judged_everything_is_worth_a_fit(machine: MachineModel) -> None:
+def test_where_nothing_can_be_judged_there_are_no_torques(machine: MachineModel) -> None:
     log = pendulum(2.0)
     still = JointLog(joints=log.joints, t=log.t, q=log.q * 0, q_des=log.q_des, metadata=log.metadata)
-    assert worth_a_fit(still, machine, ["spring", "stribeck"]) == ("spring", "stribeck")
+    assert torques_of([(still, machine)]) == ()
+
+
+def test_targets_are_those_of_the_times_at_which_they_were_sent(machine: MachineModel) -> None:
+    """Rows beside the clock of the targets show each up to a row late, now more and now less."""
+    log = pendulum(16.0)
+    sent = replace(at_rows(log), at=np.arange(len(at_rows(log).at)) * 0.02)
+    late = replace(log, t=log.t + 0.0, q_des=np.concatenate([log.q_des[:1], log.q_des[:-1]]))
+    known = replace(sent, rows=at_rows(late).rows, at=sent.at[: len(at_rows(late).rows)])
+    right, shown = (Torques([(late, machine)], sending=x).screened() for x in ([known], None))
+    assert right.delay == pytest.approx(DELAY, abs=1e-3)
+    assert shown.delay == pytest.approx(DELAY - 0.005, abs=1e-3)
 
 
 def test_a_joint_at_rest_is_refused_with_what_to_do(machine: MachineModel) -> None:

@@ -124,8 +124,9 @@ def test_a_target_that_is_a_period_late_is_never_seen(pair: MachineModel) -> Non
         held[row : row + 4] = held[row - 1]
     without = Replay(pair, replace(log, q_des=held), timestep=0.0025)
     none = {("delay", "time"): np.zeros((1, 1))}
-    replay.set_late(late)
-    assert np.allclose(replay.run(none, 1).residual, without.run(none, 1).residual, equal_nan=True, atol=1e-7)
+    assert np.allclose(
+        replay.with_late(late).run(none, 1).residual, without.run(none, 1).residual, equal_nan=True, atol=1e-7
+    )
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.dynamics.servo import neutral
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.least_squares import fit, left_out
+from mimic.sysid.fit.least_squares import Fit, fit, left_out
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
@@ -21,11 +21,10 @@ from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.log.quantisation import coarse_steps
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.simulate import simulate_log
-from mimic.sysid.result import Stage
-from mimic.sysid.selection.forward import prune
-from mimic.sysid.selection.screening import PredictedMotion, screen, starts_of
-from mimic.sysid.selection.search import further, wider
-from mimic.sysid.state import CalibrationState, errors_of
+from mimic.sysid.selection.evidence import evaluate
+from mimic.sysid.selection.hypotheses import Hypothesis, elsewhere_too, further
+from mimic.sysid.selection.pruning import pruned
+from mimic.sysid.selection.starts import PredictedMotion, starting_points, starts_of
 
 PAIR = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
@@ -56,6 +55,16 @@ def problem_of(pair: MachineModel, log: JointLog) -> tuple[Problem, Point]:
     replay = Replay(pair, log, timestep=0.0025)
     problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
     return problem, Point.of(BASELINE, pair)
+
+
+def hypothesis(problem: Problem, fitted: Fit, name: str, joints) -> Hypothesis:
+    """Return a set of one effect, on these joints."""
+    mask = np.array(joints, dtype=bool)
+    return Hypothesis(problem=problem, fitted=fitted, names=(*BASELINE, name), joints={name: mask})
+
+
+def silent(text: str) -> None:
+    """Report nothing."""
 
 
 @pytest.mark.slow
@@ -96,8 +105,9 @@ def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
     other = problem.in_fine_steps(point.with_effect("coulomb", pair, {"level": 0.1}), 2, 1.0)
     assert problem.replay.replays > made
     assert np.nanmax(np.abs(other - once)) > 1.0
-    problem.replay.set_late(np.full(len(problem.replay.sent), 0.01))
-    assert np.nanmax(np.abs(problem.in_fine_steps(point, 2, 1.0) - once)) > 1.0
+    late = problem.changed(replay=problem.replay.with_late(np.full(len(problem.replay.sent), 0.01)))
+    assert np.nanmax(np.abs(late.in_fine_steps(point, 2, 1.0) - once)) > 1.0
+    assert np.array_equal(problem.in_fine_steps(point, 2, 1.0), once, equal_nan=True)
 
 
 @pytest.mark.slow
@@ -151,8 +161,8 @@ def test_a_payload_is_extended_to_ends_of_chains_only(pair: MachineModel, tmp_pa
     assert arm.last.tolist() == [False, True]
     problem, baseline = problem_of(arm, log_of(arm, EffectValues(name="payload", joints=("b",), values={"mass": 0.4})))
     unfitted = fit(problem, baseline, list(BASELINE), {}, most=1)
-    assert further(problem, unfitted, "armature", np.array([False, False])).tolist() == [True, True]
-    assert further(problem, unfitted, "payload", np.array([False, False])).tolist() == [False, True]
+    assert further(hypothesis(problem, unfitted, "armature", [False, False])).tolist() == [True, True]
+    assert further(hypothesis(problem, unfitted, "payload", [False, False])).tolist() == [False, True]
 
 
 def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel) -> None:
@@ -179,23 +189,21 @@ def test_an_effect_is_extended_to_a_joint_that_has_it_and_to_no_other(pair: Mach
     values = dict(start.values)
     values["torque_speed", "torque"] = np.where(mask, values["torque_speed", "torque"], none)
     narrow = fit(problem, Point(values), names, {"torque_speed": mask}, most=6)
-    more = further(problem, narrow, "torque_speed", mask)
-    assert more.tolist() == [False, True]
-    found = wider(problem, narrow, "torque_speed", names, {"torque_speed": mask}, more)
-    where = mask if found is None else found[1]
-    assert where.tolist() == joints
-    if found is not None:
-        assert found[0].point.values["torque_speed", "torque"] == pytest.approx([1.0, 1.0], rel=0.1)
+    found = hypothesis(problem, narrow, "torque_speed", mask)
+    assert further(found).tolist() == [False, True]
+    wide = elsewhere_too(found, silent)
+    assert wide.joints["torque_speed"].tolist() == joints
+    if all(joints):
+        assert wide.fitted.point.values["torque_speed", "torque"] == pytest.approx([1.0, 1.0], rel=0.1)
 
 
 @pytest.mark.slow
 def test_an_effect_of_all_joints_is_extended_to_none(pair: MachineModel) -> None:
     problem, baseline = problem_of(pair, log_of(pair, fast=1.0))
     unfitted = fit(problem, baseline, list(BASELINE), {}, most=1)
-    everywhere = np.array([True, True])
-    assert further(problem, unfitted, "torque_speed", ~everywhere).any()
-    assert not further(problem, unfitted, "torque_speed", everywhere).any()
-    assert not further(problem, unfitted, "lost_commands", ~everywhere).any()
+    assert further(hypothesis(problem, unfitted, "torque_speed", [False, False])).any()
+    assert not further(hypothesis(problem, unfitted, "torque_speed", [True, True])).any()
+    assert not further(hypothesis(problem, unfitted, "lost_commands", [False, False])).any()
 
 
 @pytest.mark.slow
@@ -225,8 +233,9 @@ def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: Machine
     delay = EffectValues(name="delay", values={"time": np.array([0.011])})
     problem, start = problem_of(pair, log_of(pair, lag, delay, fast=1.0))
     first = fit(problem, start, BASELINE, {}, most=5)
-    assert problem.weigh(first.residual)
-    again = fit(problem, first.point, BASELINE, {}, most=5)
+    weighed = problem.weighed(first.residual)
+    assert weighed is not problem
+    again = fit(weighed, first.point, BASELINE, {}, most=5)
     errors = [abs(f.point.values["delay", "time"][0] - 0.011) for f in (first, again)]
     assert errors[1] < 0.5 * errors[0]
     left = [problem.mean_squares(f.residual, True)[1] for f in (first, again)]
@@ -238,7 +247,7 @@ def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: Machine
 def test_chains_alike_have_equal_weights(pair: MachineModel) -> None:
     problem, start = problem_of(pair, log_of(pair))
     fitted = fit(problem, start, BASELINE, {}, most=5)
-    assert not problem.weigh(fitted.residual)
+    assert problem.weighed(fitted.residual) is problem
     assert problem.weight == pytest.approx([1.0, 1.0], abs=0.2)
 
 
@@ -308,44 +317,38 @@ def test_backlash_begins_near_its_gap(pair: MachineModel) -> None:
     problem, point = problem_of(pair, log)
     fitted = fit(problem, point, BASELINE, {}, most=3)
     motion = PredictedMotion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
-    start = screen(problem, fitted, ["backlash"], motion)[0]
+    start = starting_points(problem, fitted, ["backlash"], motion)[0]
     assert start.joints[0]
     assert start.point.values["backlash", "gap"][0] == pytest.approx(0.03, rel=0.2)
 
 
-def pruned_stages(pair: MachineModel, *hidden: EffectValues) -> tuple[CalibrationState, list[Stage] | None]:
-    """Fit a log with Stribeck friction in both joints, and ask whether that name stays."""
+def what_stays(pair: MachineModel, *hidden: EffectValues) -> Hypothesis:
+    """Fit a log with Stribeck friction in both joints, and return what stays of it."""
     problem, baseline = problem_of(pair, log_of(pair, *hidden))
-    names, both = [*BASELINE, "stribeck"], np.ones(2, dtype=bool)
     bare = fit(problem, baseline, BASELINE, {})
+    root = Hypothesis(problem=problem, fitted=bare, names=BASELINE, joints={})
     start = bare.point.with_effect("stribeck", pair, {"level": 0.02, "speed": 0.2})
-    final = fit(problem, start, names, {"stribeck": both})
-    state = CalibrationState(
-        problem=problem,
-        settings=CalibrateSettings(),
-        progress=lambda text, replays: None,
-        joints={"stribeck": both},
-        names=names,
-        current=final,
-        baseline=problem.mean_squares(bare.residual, True),
-    )
-    return state, prune(state, final, [Stage(added="stribeck", errors=errors_of(problem, final.residual))])
+    final = fit(problem, start, [*BASELINE, "stribeck"], {})
+    both = np.ones(2, dtype=bool)
+    found = evaluate(problem, bare, root.squares, "stribeck", final, both)
+    grown = hypothesis(problem, final, "stribeck", both)
+    return pruned(replace(grown, parent=root, found=found), silent)
 
 
 @pytest.mark.slow
 def test_a_name_whose_numbers_end_as_those_of_none_is_rejected(pair: MachineModel) -> None:
     """What it explained when it was found was that the others had not been fitted to the end."""
-    state, stages = pruned_stages(pair)
-    assert stages is not None
-    assert [s.added for s in stages] == [""]
-    assert "stribeck" not in state.names
-    assert not any(k.key[0] == "stribeck" for k in state.current.free_parameters)
-    assert "in the final fit its parameters are those of a machine without it" in state.rejections[0]
+    made = what_stays(pair)
+    assert [s.added for s in made.stages(())] == ["baseline", ""]
+    assert "stribeck" not in made.names
+    assert not any(k.key[0] == "stribeck" for k in made.fitted.free_parameters)
+    assert "in the final fit its parameters are those of a machine without it" in made.rejections[0]
 
 
 @pytest.mark.slow
 def test_a_name_whose_numbers_are_sure_stays(pair: MachineModel) -> None:
     sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
-    state, stages = pruned_stages(pair, sticky)
-    assert stages is None
-    assert "stribeck" in state.names
+    made = what_stays(pair, sticky)
+    assert made.names[-1] == "stribeck"
+    assert [s.added for s in made.stages(())] == ["baseline", "stribeck"]
+    assert made.rejections == ()

@@ -1,14 +1,13 @@
-"""Where the search for a missing effect begins: starting points of each effect, ranked by one linear step from each.
+"""Where fits of an effect begin: starting points of each, and which of them suits each joint.
 
-Ranking only. A linear step from neutral is blind to effects with a threshold, so those start from a small grid away
-from neutral, and are refitted whatever their rank.
+A linear step from neutral is blind to effects with a threshold, so those start from a small grid away from neutral.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, linear_step
-from mimic.sysid.fit.point import FreeParameter, Point
+from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 
 FINEST_ORDER = 0.5
@@ -38,18 +37,13 @@ class StartingPoint:
 
     name: str
     point: Point
-    """After one linear step."""
-    begin: Point
-    """Before it."""
     joints: BoolArray
     """Joints that may have the effect (J,)."""
-    gain: float
-    """Predicted gain, each block judged without itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PredictedMotion:
-    """What the model does at the incumbent; arrays (T, J)."""
+    """What the model does at a fit; arrays (T, J)."""
 
     t: FloatArray
     q: FloatArray
@@ -88,14 +82,14 @@ def _clipped(point: Point) -> Point:
     return Point(values)
 
 
-def _slow(problem: Problem, incumbent: Fit, joint: int) -> FloatArray:
+def _left(incumbent: Fit, joint: int) -> FloatArray:
     residual = incumbent.residual[:, joint].astype(np.float64)
     return np.where(np.isfinite(residual), residual, 0.0)
 
 
 def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
     """Order whose sine and cosine over position explain most of the residual."""
-    r, q, v = _slow(problem, incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
+    r, q, v = _left(incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
     bounds = CATALOGUE["cogging"].parameter("order")
     span = max(float(np.ptp(q)), 1e-9)
     most = min(2 * np.pi * MOST_PERIODS / span, bounds.high)
@@ -125,7 +119,7 @@ def least_order(q: FloatArray) -> float:
 
 def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
     """Frequency at which the residual is strongest, of those that the motion itself does not have."""
-    r = _slow(problem, incumbent, joint)
+    r = _left(incumbent, joint)
     dt = float(np.median(np.diff(motion.t)))
     size = 8 * len(r)
     spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
@@ -146,80 +140,34 @@ def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
     return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration
 
 
-def screen(problem: Problem, incumbent: Fit, names: Sequence[str], motion: PredictedMotion) -> list[StartingPoint]:
-    """Return the best start of each of the named effects after one linear step, best first.
+def starting_points(
+    problem: Problem, incumbent: Fit, names: Sequence[str], motion: PredictedMotion
+) -> list[StartingPoint]:
+    """Return the best start of each of the named effects: a joint takes the one that suits it best, or none.
 
-    First each start alone, with the numbers of the incumbent free: a joint takes the start that suits it best, or none.
-    Then the numbers of the effect from there.
+    Each start is replayed alone, with the numbers of the incumbent free to make up for it.
     """
     points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
     moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
     replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
-    left = {}
-    for i, residual in replayed.items():
-        if np.isfinite(problem.block_squares(residual)).all():
-            left[i] = _refitted(problem, incumbent, residual)
+    left = {
+        i: _refitted(problem, incumbent, residual)
+        for i, residual in replayed.items()
+        if np.isfinite(problem.block_squares(residual)).all()
+    }
     own = _channel_squares(problem, incumbent.residual)
-    plans = []
+    found = []
     for name in names:
         rows = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
-        everywhere = np.ones(len(problem.machine.joints), dtype=bool)
         if not rows:
             continue
-        if rows[0] not in replayed:
-            plans.append((name, points[rows[0]][1], everywhere))
-        elif CATALOGUE[name].scope == "machine":
-            plans.append((name, points[min(rows, key=lambda i: float(left[i].sum()))][1], everywhere))
-        else:
-            mixed = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
-            plans.append((name, *mixed))
-    bases = problem.residuals([p for _, p, _ in plans])
-    asked = []
-    for name, point, mask in plans:
-        shapes = not _acts(name, point, problem)  # where an effect is has no meaning while it is none
-        parameters = {p.name for p in CATALOGUE[name].parameters if p.shape and shapes}
-        free_parameters = [
-            k for k in problem.free_parameters(point, {name: mask}, [name]) if k.key[1] not in parameters
-        ]
-        asked.append((free_parameters, *problem.difference_points(point, free_parameters)))
-    moved = problem.residuals([p for a in asked for p in a[1]])
-    before = problem.block_squares(incumbent.residual)[problem.blocks.train]
-    found, left_there, at = [], {}, 0
-    for (name, point, mask), base, (free_parameters, differences, groups, sizes) in zip(
-        plans, bases, asked, strict=True
-    ):
-        made = problem.columns(base, moved[at : at + len(differences)], groups, free_parameters, sizes)
-        at += len(differences)
-        everything = (*incumbent.free_parameters, *free_parameters)
-        columns = [*incumbent.columns, *(np.nan_to_num(c) for c in made)]
-        found.append(_predicted(problem, name, point, mask, base, everything, columns, before))
-        left_there[name] = base
-    return _where_less_is_left(problem, incumbent, sorted(found, key=lambda s: -s.gain), left_there)
-
-
-def _where_less_is_left(
-    problem: Problem, incumbent: Fit, starts: list[StartingPoint], at_begin: Mapping[str, FloatArray]
-) -> list[StartingPoint]:
-    """Return the starts, those of effects with a threshold where they began if the step from there leaves more.
-
-    Over such a number the sum of squares is rough, and a derivative says little.
-
-    Args:
-        problem: Log and model.
-        incumbent: Its numbers are free to make up for a change.
-        starts: All.
-        at_begin: Residual of each where it began (T, C).
-    """
-    rough = [s for s in starts if CATALOGUE[s.name].structural]
-    if not rough:
-        return starts
-    made = problem.residuals([s.point for s in rough])
-    worse = set()
-    for start, stepped in zip(rough, made, strict=True):
-        began = _refitted(problem, incumbent, at_begin[start.name]).sum()
-        if not _refitted(problem, incumbent, stepped).sum() < began:  # nor where it blew up
-            worse.add(start.name)
-    return [replace(s, point=s.begin) if s.name in worse else s for s in starts]
+        point, joints = points[rows[0]][1], np.ones(len(problem.machine.joints), dtype=bool)
+        if rows[0] in replayed and CATALOGUE[name].scope == "machine":
+            point = points[min(rows, key=lambda i: float(left[i].sum()))][1]
+        elif rows[0] in replayed:
+            point, joints = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
+        found.append(StartingPoint(name=name, point=point, joints=joints))
+    return found
 
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
@@ -264,27 +212,6 @@ def _acts(name: str, point: Point, problem: Problem) -> bool:
         for p in CATALOGUE[name].parameters
         if not p.shape and not p.fixed
     )
-
-
-def _predicted(
-    problem: Problem,
-    name: str,
-    point: Point,
-    mask: BoolArray,
-    base: FloatArray,
-    free_parameters: tuple[FreeParameter, ...],
-    columns: Sequence[FloatArray],
-    before: FloatArray,
-) -> StartingPoint:
-    """Return the start after one linear step, with the gain that a linear model predicts for the best joint."""
-    step, left = linear_step(problem, point, base, columns, free_parameters, 1e-3)
-    after = problem.block_squares(left)[problem.blocks.train]
-    gain = -np.inf  # where the replay runs away
-    if np.isfinite(before.sum()) and np.isfinite(after.sum()):
-        total = 0.5 * np.log(before.sum() / max(after.sum(), 1e-9))
-        joint = 0.5 * np.log(before.sum(0) / np.maximum(after.sum(0), 1e-9))
-        gain = float(max(total, joint.max() / len(joint)))
-    return StartingPoint(name=name, point=point.moved(free_parameters, step), begin=point, joints=mask, gain=gain)
 
 
 def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:

@@ -1,0 +1,48 @@
+"""When an effect counts as found, and when a joint counts as explained: all in one place, each with its source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Thresholds:
+    """What a calibration decides by.
+
+    Source of "suite": logs of the choosing half of benchmarks/hidden_effects (docs/experiments/calibration.md).
+    """
+
+    z: float = 3.0
+    """Gain over its standard error over blocks. Holm's correction over 25 candidates at 5 %."""
+    gain: float = 0.01
+    """Share by which the error of blocks judged without themselves must fall: less is of no use in a simulation."""
+    improvement: float = 0.35
+    """Error removed at some joint, in noise floors: smaller ones are differences between integrators (suite)."""
+    share: float = 0.15
+    """Share of what noise does not explain, on the joints where an effect acts; less is a wrong name (suite)."""
+    deviations: float = 3.0
+    """How far a number is from none, in standard deviations: as sure as ``z``."""
+    apart: float = 2.0
+    """Standard errors by which a set must be behind the best to be told from it: about 95 %."""
+    negligible: float = 0.1
+    """What an effect removes at a joint, in noise floors, as a share of the joint of its chain where it removes most,
+    and of what is left in its chain; less is a crumb (suite)."""
+    beyond: float = 2.0
+    """Steps by which a number would cross its bound, from which on nothing is named in its chain (suite)."""
+    explained: float = 1.2
+    """Error over noise floor up to which a joint is explained: what third differences know the noise by, twice."""
+    shortlist: int = 8
+    """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
+    the worst was fifth of either (benchmarks/torque_screen)."""
+    finished: int = 4
+    """Effects of each set that are fitted to the end: beyond, none was ever the best (suite)."""
+    beam: int = 2
+    """Sets that are kept of each size; a third never won on the planar arm (benchmarks/planar_arm)."""
+    hopeless: float = 6.0
+    """Standard errors behind the best from which on an effect is not fitted to the end (suite)."""
+    stranger: float = 0.5
+    """Error over the spread of the positions from which on log and model have nothing to do with each other."""
+
+
+RULES = Thresholds()
+"""Those in use."""
