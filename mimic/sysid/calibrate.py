@@ -26,7 +26,7 @@ from mimic.sysid.fit.uncertainty import deviations
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
-from mimic.sysid.screen.regression import asked_for, torques_of
+from mimic.sysid.screen.regression import Torques, torques_of
 from mimic.sysid.selection.encoders import as_read, coarse_encoders, with_encoders
 from mimic.sysid.selection.evidence import stopped
 from mimic.sysid.selection.hypotheses import Hypothesis, Search
@@ -109,7 +109,7 @@ def calibrate(
         before = final = _refined(before, tick)
         stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
-            found, last = Search(settings=settings, tick=tick, asked_for=_shortlist(before.problem)).run(before)
+            found, last = Search(settings=settings, tick=tick, torques=_torques(before.problem)).run(before)
             final = pruned(found, tick)
             stages, residual = final.stages(last), final.fitted.residual
             if (coarse := coarse_encoders(final)).any():
@@ -136,7 +136,7 @@ def calibrate(
         log.q_des if log.q_des is not None else np.zeros_like(log.q),
         problem.blocks.index,
         np.asarray(machine.drives.neighbour),
-        None if final.base is None else problem.in_floors(final.base.residual)[:, :joints],
+        None if final.base is None else final.base.share,
     )
     effects = _effect_set(final, coarse)
     if not log_matches_model:
@@ -167,7 +167,7 @@ def calibrate(
         unexplained=rest,
         sentence=said,
         log_matches_model=log_matches_model,
-        experiments=(*experiments(stages), *of_base(final, scale, machine.unit)),
+        experiments=(*experiments(stages), *of_base(final.base)),
         warnings=(*final.rejections, *(stopped_at(*row, machine) for row in stopped(final.fitted, problem))),
         not_identifiable=weak(final.fitted, problem),
         traces=traces,
@@ -215,8 +215,8 @@ def _refined(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
     return replace(h, problem=problem, fitted=fitted)
 
 
-def _shortlist(problem: Problem) -> Callable[[Sequence[str], Sequence[str]], tuple[str, ...]]:
-    """Return what chooses effects by the torques of the fitted blocks of a log."""
+def _torques(problem: Problem) -> tuple[Torques, ...]:
+    """Return the torques of the fitted blocks of a log."""
     replay = problem.replay
     seen = np.isin(problem.blocks.index, problem.blocks.train)
     logs, rows, sent = [], [], []
@@ -226,8 +226,7 @@ def _shortlist(problem: Problem) -> Callable[[Sequence[str], Sequence[str]], tup
         logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(replay.machine, part.payload)))
         rows.append(seen[part.slice])
         sent.append(replay.sending.of_part(part.slice, part.begin))
-    torques = torques_of(logs, rows, sent)
-    return lambda names, given: asked_for(torques, names, given) if torques else tuple(names)
+    return torques_of(logs, rows, sent)
 
 
 def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 
-import numpy as np
-
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
@@ -15,7 +13,7 @@ from mimic.sysid.fit.point import FreeParameter
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import weak_directions
 from mimic.sysid.result import Errors, Stage, UnexplainedResidual
-from mimic.sysid.selection.hypotheses import Hypothesis
+from mimic.sysid.screen.base import BaseMotion
 
 
 def experiments(stages: list[Stage]) -> tuple[str, ...]:
@@ -27,14 +25,16 @@ def experiments(stages: list[Stage]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(lines))
 
 
-def of_base(h: Hypothesis, noise: FloatArray, unit: str) -> tuple[str, ...]:
-    """Return what a base motion would leave, if one explains the residual; noise floors are (J,)."""
-    if (base := h.base) is None:
+def of_base(base: BaseMotion | None) -> tuple[str, ...]:
+    """Return what a motion of the base would explain, if one is what is left."""
+    if base is None:
         return ()
     at = " and ".join(f"{f:.2f}" for f in base.frequencies)
-    squares = h.problem.mean_squares(base.residual, True)[: len(noise)]
-    left = _number(Errors.total(np.sqrt(squares) * noise), unit)
-    return (f"a base motion at {at} Hz would leave {left}: hold the base more stiffly and log an IMU on it",)
+    most = 100 * float(base.share.max())
+    return (
+        f"a base motion at {at} Hz would explain up to {most:.0f} % of a joint's unexplained torque: hold the base more"
+        " stiffly and log an IMU on it",
+    )
 
 
 def _where(joints: tuple[str, ...], machine: MachineModel) -> str:

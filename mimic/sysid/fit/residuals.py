@@ -110,19 +110,14 @@ class Problem:
         asked = log.q_des if log.q_des is not None else log.force
         return None if asked is None else period(log.t, asked)
 
-    def residuals(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
-        """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up.
-
-        Args:
-            points: Where.
-            pushed: Torques on the joints from outside in each of them, at each physics step (N, steps, J) [N m].
-        """
-        joined = self.uncorrected(points, pushed)
+    def residuals(self, points: Sequence[Point]) -> FloatArray:
+        """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
+        joined = self.uncorrected(points)
         return joined if self.correction is None else joined + self.correction
 
-    def uncorrected(self, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
+    def uncorrected(self, points: Sequence[Point]) -> FloatArray:
         """Return the residuals of these steps as they are, see `residuals`."""
-        return self._whitened(self._replayed(self.replay, points, pushed))
+        return self._whitened(self._replayed(self.replay, points))
 
     def in_fine_steps(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return whitened residuals (T, C), extrapolated to steps of length zero.
@@ -207,13 +202,11 @@ class Problem:
         residual[..., self.blocks.index < 0, :] = np.nan
         return residual
 
-    def _replayed(self, replay: Replay, points: Sequence[Point], pushed: FloatArray | None = None) -> FloatArray:
+    def _replayed(self, replay: Replay, points: Sequence[Point]) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
-        return self._all_replayed([(replay, points)], pushed)[0]
+        return self._all_replayed([(replay, points)])[0]
 
-    def _all_replayed(
-        self, asked: Sequence[tuple[Replay, Sequence[Point]]], pushed: FloatArray | None = None
-    ) -> list[FloatArray]:
+    def _all_replayed(self, asked: Sequence[tuple[Replay, Sequence[Point]]]) -> list[FloatArray]:
         """Return the residuals of points by a replay (N, T, C), of each that is asked, side by side."""
         joints = len(self.machine.joints)
         found, places, jobs = [], [], []
@@ -225,8 +218,7 @@ class Problem:
             for rows in apart.values():
                 values = stack([points[i] for i in rows], self.machine)
                 values = values or {("delay", "time"): np.zeros((len(rows), 1))}
-                own = None if pushed is None else pushed[rows]
-                jobs.append(Job(replay=replay, parameters=values, count=len(rows), pushed=own))
+                jobs.append(Job(replay=replay, parameters=values, count=len(rows)))
                 places.append((joined, rows))
             found.append(joined)
         for (joined, rows), made in zip(places, self.replay.side_by_side(jobs), strict=True):

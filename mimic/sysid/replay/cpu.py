@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import replace
 from typing import Any, Self
 
 import mujoco
@@ -225,24 +224,21 @@ class Replay:
 
     # ------------------------------------------------------------------ running
 
-    def run(
-        self, parameters: Parameters, count: int, targets: Targets | None = None, pushed: FloatArray | None = None
-    ) -> Prediction:
+    def run(self, parameters: Parameters, count: int, targets: Targets | None = None) -> Prediction:
         """Return the predictions of ``count`` parameter sets.
 
         Args:
             parameters: Values (count, J) or (count, 1).
             count: How many.
             targets: Those of each of them (count, ...), instead of the log's.
-            pushed: Torques on the joints from outside, in each of them at each physics step (count, steps, J) [N m].
         """
-        parts = [self._run(*part) for part in self._parts(parameters, count, targets, pushed)]
+        parts = [self._run(*part) for part in self._parts(parameters, count, targets)]
         return self._joined(parts, count)
 
     def _parts(
-        self, parameters: Parameters, count: int, targets: Targets | None, pushed: FloatArray | None
-    ) -> Iterator[tuple[dict[tuple[str, str], FloatArray], Targets, FloatArray | None]]:
-        """Yield parameters, targets and torques from outside of as many parameter sets as are best replayed at once."""
+        self, parameters: Parameters, count: int, targets: Targets | None
+    ) -> Iterator[tuple[dict[tuple[str, str], FloatArray], Targets]]:
+        """Yield parameters and targets of as many parameter sets as are best replayed at once."""
         size = self.sets_per_batch
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
@@ -250,7 +246,7 @@ class Replay:
                 k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
             }
             own = self._grid if targets is None else targets.some(rows)
-            yield values, own, None if pushed is None else pushed[rows]
+            yield values, own
 
     def _joined(self, parts: Sequence[Prediction], count: int) -> Prediction:
         self.replays += count
@@ -262,12 +258,12 @@ class Replay:
 
     def side_by_side(self, jobs: Sequence[Job]) -> list[Prediction]:
         """Return the predictions of several replays on the device of this one, at once where it has room."""
-        return [job.replay.run(job.parameters, job.count, pushed=job.pushed) for job in jobs]
+        return [job.replay.run(job.parameters, job.count) for job in jobs]
 
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square motor torque since the reading before (T, J), for one parameter set."""
         values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
-        made = self._run(values, self._grid, None, square=True).torque_residual
+        made = self._run(values, self._grid, square=True).torque_residual
         self.replays += 1
         assert made is not None
         found = -made[0].astype(np.float64)
@@ -295,7 +291,7 @@ class Replay:
         return max(1, MOST_SIMULATIONS // self.segments)
 
     def _squares(self, parameters: dict[tuple[str, str], FloatArray], rows: BoolArray, noise: FloatArray) -> FloatArray:
-        residual = self._run(parameters, self._grid, None).residual[:, rows] / noise
+        residual = self._run(parameters, self._grid).residual[:, rows] / noise
         return np.sum(np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2, axis=1)
 
     def _model(self) -> mujoco.MjModel:
@@ -318,7 +314,6 @@ class Replay:
         self,
         parameters: dict[tuple[str, str], FloatArray],
         targets: Targets,
-        pushed: FloatArray | None,
         square: bool = False,
     ) -> Prediction:
         """Return predictions; with ``square`` minus the mean square torque instead of a torque residual."""
@@ -368,9 +363,6 @@ class Replay:
             if self._most is not None:
                 law.limit_torque(self._most[np.minimum(now, self.total - 1)])
             inputs = law.step(q, dq, target, (now * self.dt - began)[:, None], force, shares)
-            if pushed is not None:
-                shaken = pushed[own, np.minimum(now, self.total - 1)]
-                inputs = replace(inputs, applied=inputs.applied + shaken)
             fields.write(inputs)
             asked = inputs.tau**2 if square else inputs.tau
             if torque is not None:

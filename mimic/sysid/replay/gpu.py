@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -67,10 +67,6 @@ class _Outside:
     """Which targets each world has (n,)."""
     forces: torch.Tensor | None
     """Put in by all drives (steps, J)."""
-    pushes: torch.Tensor | None
-    """On the joints (N, steps, J)."""
-    push_of: torch.Tensor
-    """Which of them each world has (n,)."""
 
 
 class WorldReplay(Replay):
@@ -204,18 +200,18 @@ class WorldReplay(Replay):
 
     def _running(self, job: Job, lane: int) -> Turns[Prediction]:
         parts = []
-        for parameters, targets, pushed in self._parts(job.parameters, job.count, None, job.pushed):
-            parts.append((yield from self._predicting(parameters, targets, pushed, lane=lane)))
+        for parameters, targets in self._parts(job.parameters, job.count, None):
+            parts.append((yield from self._predicting(parameters, targets, lane=lane)))
         return self._joined(parts, job.count)
 
-    def _run(self, parameters: Values, targets: Targets, pushed: FloatArray | None, square: bool = False) -> Prediction:
-        return _ended(self._predicting(parameters, targets, pushed, square))
+    def _run(self, parameters: Values, targets: Targets, square: bool = False) -> Prediction:
+        return _ended(self._predicting(parameters, targets, square))
 
     def _predicting(
-        self, parameters: Values, targets: Targets, pushed: FloatArray | None, square: bool = False, lane: int = 0
+        self, parameters: Values, targets: Targets, square: bool = False, lane: int = 0
     ) -> Turns[Prediction]:
         sets = _count(parameters)
-        path, torques = yield from self._simulate(parameters, targets, pushed, self.torque or square, lane)
+        path, torques = yield from self._simulate(parameters, targets, self.torque or square, lane)
         made = np.full((sets, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
         torque = np.full_like(made, np.nan) if torques is not None else None
         for begin in range(0, sets, RESIDUALS):
@@ -227,7 +223,7 @@ class WorldReplay(Replay):
 
     def _squares(self, parameters: Values, rows: BoolArray, noise: FloatArray) -> FloatArray:
         sets = _count(parameters)
-        path, _ = _ended(self._simulate(parameters, self._grid, None, False))
+        path, _ = _ended(self._simulate(parameters, self._grid, False))
         weight = self._tensor(rows[self.readings.row])[:, None, None] / self._tensor(noise) ** 2
         found = []
         for begin in range(0, sets, RESIDUALS):
@@ -263,7 +259,7 @@ class WorldReplay(Replay):
         return torch.where((step >= 0)[:, None, None], residual, 0.0)
 
     def _simulate(
-        self, parameters: Values, targets: Targets, pushed: FloatArray | None, torque: bool, lane: int = 0
+        self, parameters: Values, targets: Targets, torque: bool, lane: int = 0
     ) -> Turns[tuple[torch.Tensor, torch.Tensor | None]]:
         """Return positions (steps + 1, N, segments, J) and torques (steps, N, segments, J) of N or more parameter sets.
 
@@ -297,8 +293,6 @@ class WorldReplay(Replay):
             targets=there,
             target_of=self._tensor(np.repeat(index % len(there.held), segments), torch.int64),
             forces=forces,
-            pushes=None if pushed is None else self._tensor(pushed),
-            push_of=self._tensor(np.repeat(index, segments), torch.int64),
         )
         yield from self._go(law, worlds, outside, target_shift(p, self.dt), path, torques)
         shape = (padded, segments, joints)
@@ -336,9 +330,6 @@ class WorldReplay(Replay):
             force = None if outside.forces is None else outside.forces[now.clamp(max=self.total - 1)]
             time = now[:, None].double() * self.dt
             inputs = law.step(worlds.q, worlds.dq, target, time, force, shares)
-            if outside.pushes is not None:
-                pushed = outside.pushes[outside.push_of, now.clamp(max=self.total - 1)]
-                inputs = replace(inputs, applied=inputs.applied + pushed)
             worlds.servo.write(inputs)
             if torques is not None:
                 torques.index_copy_(0, k, inputs.tau[None].to(torques.dtype))

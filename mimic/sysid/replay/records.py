@@ -64,8 +64,6 @@ class Job:
     parameters: Parameters
     """Values (count, J) or (count, 1)."""
     count: int
-    pushed: FloatArray | None = None
-    """Torques on the joints from outside (count, steps, J) [N m]."""
 
 
 def stretch_starts(t: FloatArray) -> FloatArray:

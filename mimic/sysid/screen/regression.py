@@ -27,9 +27,6 @@ DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
 GAUGE = ("gains", "kt_gain")
 """They multiply the torque itself, so that a regression of torques hardly sees them."""
 
-RIVAL = 2.0
-"""Standard errors by which an effect must be behind another to be told from it."""
-
 REFINED = 4
 """Steps towards the best delay from there."""
 
@@ -145,6 +142,10 @@ class Torques:
         self._alone = _Search(self.motions, self._base, self._settings)
         self._columns = columns.candidates(self._alone.left_of_baseline())
 
+    def explained_by(self, column: FloatArray | None) -> FloatArray:
+        """Return the log error (B, J) of what the baseline leaves, less a column (T, J, K) that all joints share."""
+        return self._alone.score(()).blocks if column is None else self._alone.explained_by(column)
+
     def screened(self, effects: Sequence[str] = (), given: Sequence[str] = ()) -> Screen:
         """Rank effects and sets of effects by the torque that they explain.
 
@@ -169,7 +170,7 @@ class Torques:
             baseline=search.score(()),
             singles=tuple(singles),
             sets=tuple(sets),
-            rivals=tuple(s.names[0] for s in singles[1:] if _behind(singles[0], s) < RIVAL),
+            rivals=tuple(s.names[0] for s in singles[1:] if behind(singles[0].blocks, s.blocks) < RULES.apart),
         )
 
 
@@ -311,24 +312,32 @@ class _Search:
             y = self.rows.y[at] / self.spread[self.rows.joint[at]]
             scale = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
             prior = np.concatenate([p[1] for p in parts]) / scale**2 + 1e-7 * len(y)
-            x, block = x / scale, self._block[at]
-            order = np.argsort(block, kind="stable")
-            starts = np.searchsorted(block[order], np.arange(self._blocks + 1))
-            xs, ys = x[order], y[order]
-            gram = np.stack([xs[a:b].T @ xs[a:b] for a, b in pairwise(starts)])
-            moment = np.stack([xs[a:b].T @ ys[a:b] for a, b in pairwise(starts)])
-            whole, total = gram.sum(0) + np.diag(prior), moment.sum(0)
-            out = np.linalg.solve(whole - gram, (total - moment)[..., None])[..., 0]
-            left[at] = (y - np.einsum("rk,rk->r", x, out[block])) * self.spread[self.rows.joint[at]]
+            block = self._block[at]
+            left[at], out, whole = _without_each(x / scale, y, block, self._blocks, prior)
+            left[at] *= self.spread[self.rows.joint[at]]
             left[at] /= self._scaled(chain, columns, out / scale)[block, self.rows.joint[at]]
-            solved.append(np.linalg.solve(whole, total) / scale)
+            solved.append(whole / scale)
+        return solved, left, self._logs(left)
+
+    def _logs(self, left: FloatArray) -> FloatArray:
+        """Return the log of the mean square of each block and joint (B, J) of rows (R,), NaN where it has no rows."""
         cell = self._block * self._joints + self.rows.joint
         size = self._blocks * self._joints
         count = np.bincount(cell, minlength=size)
         squares = np.bincount(cell, (left / self.spread[self.rows.joint]) ** 2, size)
         with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.where(count >= 4, 0.5 * np.log(squares / count), np.nan)
-        return solved, left, logs.reshape(self._blocks, self._joints)
+            return np.where(count >= 4, 0.5 * np.log(squares / count), np.nan).reshape(self._blocks, self._joints)
+
+    def explained_by(self, column: FloatArray) -> FloatArray:
+        """Return the log error (B, J) of what the baseline leaves, less a column (T, J, K) that all joints share.
+
+        Of one log.
+        """
+        own = self.spread[self.rows.joint]
+        x = column[self.rows.keep[0]] / own[:, None]
+        scale = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
+        ridge = np.full(x.shape[1], 1e-7 * len(x))
+        return self._logs(own * _without_each(x / scale, self._left / own, self._block, self._blocks, ridge)[0])
 
     def _scaled(self, chain: int, columns: Sequence[Column], found: FloatArray) -> FloatArray:
         """Return by how much each left-out block multiplies the torque of each joint (B, J)."""
@@ -431,9 +440,27 @@ class _Search:
         return replace(score, gain=_evidence(base.blocks - score.blocks)[0])
 
 
-def _behind(best: Score, other: Score) -> float:
-    """Return how many standard errors one single effect is behind the best, over all joints."""
-    apart = other.blocks - best.blocks
+def _without_each(
+    x: FloatArray, y: FloatArray, block: IntArray, blocks: int, prior: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what a regression of y (R,) on x (R, K) leaves of each block without it, and its coefficients.
+
+    Returns:
+        Residuals (R,), coefficients without each block (B, K), coefficients of all (K,).
+    """
+    order = np.argsort(block, kind="stable")
+    starts = np.searchsorted(block[order], np.arange(blocks + 1))
+    xs, ys = x[order], y[order]
+    gram = np.stack([xs[a:b].T @ xs[a:b] for a, b in pairwise(starts)])
+    moment = np.stack([xs[a:b].T @ ys[a:b] for a, b in pairwise(starts)])
+    whole, total = gram.sum(0) + np.diag(prior), moment.sum(0)
+    out = np.linalg.solve(whole - gram, (total - moment)[..., None])[..., 0]
+    return y - np.einsum("rk,rk->r", x, out[block]), out, np.linalg.solve(whole, total)
+
+
+def behind(best: FloatArray, other: FloatArray) -> float:
+    """Return how many standard errors the log errors (B, J) of an effect are behind others, over all joints."""
+    apart = other - best
     d = np.nanmean(apart[np.isfinite(apart).any(axis=1)], axis=1)
     return float(d.mean() / (d.std(ddof=1) + 1e-12) * np.sqrt(len(d)))
 
@@ -461,13 +488,18 @@ def _evidence(difference: FloatArray) -> tuple[float, float]:
     return best if np.isfinite(best[1]) else (0.0, 0.0)
 
 
-def asked_for(torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the effects that torques ask for, best first, and those that they cannot judge.
+def asked_for(
+    torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = ()
+) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+    """Return the effects that torques ask for, best first, and those that they cannot judge; and how each does.
 
     Args:
-        torques: Of the same logs, as they were measured and as the drives were asked for.
+        torques: Of the same logs, as they were measured and as the drives were asked for; without, none can be judged.
         effects: To choose from.
         given: Effects that are in the model by now.
+
+    Returns:
+        Names, and the log error of each judged effect in each left-out block and joint, of the first torques (B, J).
     """
     found: dict[str, list[Score]] = {}
     for one in torques:
@@ -476,7 +508,8 @@ def asked_for(torques: Sequence[Torques], effects: Sequence[str], given: Sequenc
     by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
     by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
     chosen = [n for n in by_gain if n in by_gain[: RULES.shortlist] or n in by_z[: RULES.shortlist]]
-    return (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
+    names = (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
+    return names, {n: scores[0].blocks for n, scores in found.items()}
 
 
 def torques_of(

@@ -24,6 +24,8 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
 from mimic.sysid.fit.uncertainty import deviations
 from mimic.sysid.result import Stage
+from mimic.sysid.screen.base import BaseMotion, moving_base
+from mimic.sysid.screen.regression import Torques, asked_for
 from mimic.sysid.selection.evidence import (
     TriedEffect,
     cross_validated,
@@ -37,7 +39,6 @@ from mimic.sysid.selection.evidence import (
 )
 from mimic.sysid.selection.jitter import Timing
 from mimic.sysid.selection.late_targets import distinguishable, fit_delay_per_command, late_targets
-from mimic.sysid.selection.moving_base import BaseMotion, behind_forces
 from mimic.sysid.selection.starts import StartingPoint, predicted, starting_points
 from mimic.sysid.thresholds import RULES
 
@@ -155,8 +156,8 @@ class Search:
     settings: CalibrateSettings
     tick: Callable[[str], None]
     """Called with what is being done."""
-    asked_for: Callable[[Sequence[str], Sequence[str]], tuple[str, ...]]
-    """Returns those of some effects that torques ask for, or cannot judge, beside others that are there."""
+    torques: Sequence[Torques]
+    """Of the log, see `mimic.sysid.screen.regression.torques_of`."""
 
     def run(self, baseline: Hypothesis) -> tuple[Hypothesis, tuple[TriedEffect, ...]]:
         """Return the best set, and what was tried last where nothing was added to it."""
@@ -182,7 +183,7 @@ class Search:
 
     def extended(self, parent: Hypothesis) -> tuple[list[Hypothesis], tuple[TriedEffect, ...], BaseMotion | None]:
         """Return the best sets with one effect more, all that were tried, and a motion of the base if that is it."""
-        problem, names = parent.problem, self.candidates(parent)
+        names = self.candidates(parent)
         late = self._late(parent, [n for n in names if CATALOGUE[n].random])
         if late and not late[0].why:  # first, since the rest is then judged without their noise
             settled = self._settled(parent, late[0], late)
@@ -190,7 +191,7 @@ class Search:
                 return [settled], late, None
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
-        wanted = self.asked_for(names, parent.added)
+        wanted, seen = asked_for(self.torques, names, parent.added)
         first = [n for n in names if n in wanted]
         tried: list[TriedEffect] = []
         for some in (first, [n for n in names if n not in first and CATALOGUE[n].structural]):
@@ -198,12 +199,9 @@ class Search:
             if any(not t.why for t in tried):
                 break
         tried.sort(key=lambda t: -t.gain)
-        base = None
-        shaken = next((t for t in tried if t.name == "periodic_force"), None)
-        if shaken is not None:
-            base = behind_forces(problem, parent.fitted, parent.squares, shaken, self.tick)
-            if base is not None:
-                tried = [t if t.why else replace(t, why=base.instead_of(t.squares)) for t in tried]
+        base = self._base(next((t for t in tried if t.name == "periodic_force"), None))
+        if base is not None:
+            tried = [t if t.why else replace(t, why=base.instead_of(seen.get(t.name))) for t in tried]
         tried += late
         sets: list[Hypothesis] = []
         for t in [t for t in tried if not t.why and t not in late]:
@@ -214,6 +212,14 @@ class Search:
             if len(sets) == RULES.beam or settled.explained:
                 break
         return sets, tuple(tried), base
+
+    def _base(self, shaken: TriedEffect | None) -> BaseMotion | None:
+        """Return the motion of the base that explains periodic forces in the joints as well, or None."""
+        if shaken is None or not self.torques or shaken.gain < RULES.gain or shaken.z < RULES.z:
+            return None
+        self.tick("testing for a moving base")
+        cosine, sine, frequency = (shaken.fitted.point.values[shaken.name, p] for p in ("cosine", "sine", "frequency"))
+        return moving_base(self.torques[0], frequency, np.hypot(cosine, sine), shaken.joints)
 
     def candidates(self, parent: Hypothesis) -> list[str]:
         """Return the effects that may be added to a set."""
@@ -411,7 +417,7 @@ def _where_it_is(h: Hypothesis, t: TriedEffect) -> Hypothesis:
     name, joints = t.name, whole_chains(h.problem, t.name, t.joints)
     if (joints == t.allowed).all() and t.timing is None:
         problem, fitted = refine_steps(h.problem, h.fitted)
-        settled = replace(h, problem=problem, fitted=fitted)
+        settled = replace(h, problem=problem, fitted=fitted, joints={**h.joints, name: joints})
     else:
         settled = _on_joints(h, joints)
     if (t.allowed & ~joints).any() and earns_its_keep(h.problem, t.fitted, settled.fitted):

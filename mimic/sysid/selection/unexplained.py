@@ -26,7 +26,7 @@ STEADY_R2 = 0.1
 """Share that one sine wave predicts on blocks that were not used, from which on the rest is periodic."""
 
 OF_THE_BASE = 0.5
-"""Share of what noise does not explain that a motion of the base takes, from which on the rest is called that."""
+"""Share of the squares of a torque that a motion of the base removes, from which on the rest is called that."""
 
 BURST_SHARE, BURST_TIME = 0.5, 0.1
 """So much of the squares in so little of the time are single events."""
@@ -42,7 +42,7 @@ def unexplained_residuals(
     target: FloatArray,
     blocks: IntArray,
     neighbour: IntArray,
-    held: FloatArray | None = None,
+    base: FloatArray | None = None,
 ) -> tuple[UnexplainedResidual, ...]:
     """Classify the residual of each joint.
 
@@ -53,15 +53,13 @@ def unexplained_residuals(
         target: Targets (T, J).
         blocks: Block of each reading, -1 where it does not count (T,).
         neighbour: Index of the joint next to each (J,).
-        held: What a motion of the base leaves of the residual (T, J), where one explains it.
+        base: Share of the torque that is left which a motion of the base removes (J,), where one explains it.
     """
     found = []
     for j, name in enumerate(joints):
         rest = _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
-        if held is not None and rest.verdict != "explained":
-            left = float(np.nanmean(held[:, j].astype(np.float64) ** 2))
-            if rest.ratio**2 - left > OF_THE_BASE * (rest.ratio**2 - 1.0):
-                rest = replace(rest, verdict="moving base", depends_on=("the base",))
+        if base is not None and rest.verdict != "explained" and base[j] > OF_THE_BASE:
+            rest = replace(rest, verdict="moving base", depends_on=("the base",))
         found.append(rest)
     return tuple(found)
 

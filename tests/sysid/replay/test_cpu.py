@@ -90,9 +90,8 @@ def test_a_simulation_that_blows_up_is_not_heard(tmp_path: Path, capfd) -> None:
     t = np.arange(0.0, 3.0, 0.02)
     log = JointLog(joints=machine.joints, t=t, q=np.zeros((len(t), 1)), q_des=0.1 * np.sin(t)[:, None])
     replay = Replay(machine, log, timestep=0.0025, segment=1.0)
-    pushed = np.zeros((2, replay.total, 1))
-    pushed[1] = 1e14
-    residual = replay.run({("delay", "time"): np.zeros((2, 1))}, 2, pushed=pushed).residual[:, replay.counts]
+    moment = {("spring", "stiffness"): np.zeros((2, 1)), ("spring", "moment"): np.array([[0.0], [1e14]])}
+    residual = replay.run(moment, 2).residual[:, replay.counts]
     assert np.isfinite(residual[0]).all()
     assert (residual[1] == 0.0).all()  # MuJoCo begins again at zero, at every step
     assert capfd.readouterr().err == ""

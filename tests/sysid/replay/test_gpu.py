@@ -113,17 +113,6 @@ def test_motors_get_as_warm_in_worlds(arm: MachineModel, log: JointLog) -> None:
 
 
 @pytest.mark.slow
-def test_each_set_may_be_pushed_from_outside(arm: MachineModel, log: JointLog) -> None:
-    made = []
-    for replay in both(arm, log, torque=False):
-        pushed = np.zeros((2, replay.total, 2))
-        pushed[1, 800:, 1] = 0.1
-        made.append(replay.run(stack([baseline(arm)] * 2, arm), 2, pushed=pushed).residual)
-    assert np.nanmax(np.abs(made[0] - made[1])) < SINGLE
-    assert np.nanmax(np.abs(made[0][0] - made[0][1])) > 1e-3
-
-
-@pytest.mark.slow
 def test_each_set_may_have_targets_of_its_own(arm: MachineModel, log: JointLog) -> None:
     made = []
     for replay in both(arm, log, torque=False):
