@@ -26,9 +26,8 @@ from mimic.dynamics.machine import MachineModel, hung_robot, with_gains
 from mimic.io.joint_log import CHANNELS, JointLog, read_log
 from mimic.robot.description import load_description
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.baseline import fit_baseline
+from mimic.sysid.fit.baseline import RANGES, fit_baseline, random_search
 from mimic.sysid.fit.point import Point, stack
-from mimic.sysid.fit.random_search import RANGES, random_search
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.log.noise import noise_floor

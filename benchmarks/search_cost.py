@@ -21,9 +21,9 @@ from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.records import FloatArray
 from mimic.robot.description import load_description
+from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.random_search import random_search
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.log.noise import noise_floor

@@ -15,11 +15,10 @@ from mimic.dynamics.machine import MachineModel, as_logged, loaded
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
-from mimic.sysid.fit.baseline import MOST_STEPS, fit_baseline, fit_sending_times, problem_of, step_of
+from mimic.sysid.fit.baseline import MOST_STEPS, fit_baseline, fit_sending_times, problem_of, random_search, step_of
 from mimic.sysid.fit.by_log import errors_by_log, errors_of, errors_of_unseen
 from mimic.sysid.fit.least_squares import Fit, fit, fit_all, fitting
 from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.random_search import random_search
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import compared
 from mimic.sysid.fit.uncertainty import deviations
@@ -27,11 +26,11 @@ from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
 from mimic.sysid.screen.regression import Torques, torques_of
-from mimic.sysid.selection.encoders import as_read, coarse_encoders, with_encoders
 from mimic.sysid.selection.evidence import stopped
-from mimic.sysid.selection.hypotheses import Hypothesis, Search
+from mimic.sysid.selection.hypotheses import Hypothesis
 from mimic.sysid.selection.jitter import widening
-from mimic.sysid.selection.pruning import pruned
+from mimic.sysid.selection.pruning import as_read, coarse_encoders, pruned, with_encoders
+from mimic.sysid.selection.search import Search
 from mimic.sysid.selection.starts import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
 from mimic.sysid.summary import experiments, no_match, of_base, of_baseline, sentence, stopped_at, weak

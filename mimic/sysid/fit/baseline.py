@@ -1,8 +1,12 @@
-"""The least-squares problem of a log and a model, and the fit of the baseline parameters."""
+"""The least-squares problem of a log and a model, and the fit of the baseline parameters.
+
+Also the paper's way, for comparison: random samples, the one with the least error wins. Source: Li et al. 2024, section
+IV: 8192 samples, friction 0-0.3 N m, damping 0-0.1 N m s/rad; c2_systemid_config.py.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,11 +19,9 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, chain_costs, fit
 from mimic.sysid.fit.point import Key, Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.blocks import make_blocks
-from mimic.sysid.log.missing import valid_samples
-from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.log.blocks import make_blocks, valid_samples
+from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import Pool, enabled, pool
-from mimic.sysid.log.quantisation import coarse_steps
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
 
@@ -39,6 +41,15 @@ BEGINNING, LEAST_BEGINNING, MOST_BEGINNING = 1 / 3, 15.0, 0.5
 """Share of a log that the first steps are fitted to, the least of it [s], and its greatest share, from which on that
 saves nothing.
 """
+
+
+RANGES = {
+    ("coulomb", "level"): (0.0, 0.3),
+    ("viscous", "coefficient"): (0.0, 0.1),
+    ("link_mass", "factor"): (0.8, 1.2),
+    ("delay", "time"): (0.0, 0.03),
+}
+"""Uniform ranges of the samples."""
 
 
 def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: CalibrateSettings) -> Problem:
@@ -146,3 +157,26 @@ def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: M
             start = fit(part, start, names, joints, most=MOST_STEPS).point
             problem.replay.replays += part.replay.replays
     return fit(problem, start, names, joints, most=MOST_STEPS)
+
+
+def random_search(problem: Problem, start: Point, samples: int, seed: int, report: Callable[[str, int], None]) -> Fit:
+    """Return the best of so many samples over the fitted blocks, each joint with numbers of its own."""
+    rng = np.random.default_rng(seed)
+    best, winner = problem.squares([start])[0], start
+    for begin in range(0, samples, problem.replay.sets_per_batch):
+        points = [_drawn(start, rng) for _ in range(min(problem.replay.sets_per_batch, samples - begin))]
+        squares = problem.squares(points)
+        i = int(np.argmin(squares))
+        if squares[i] < best:
+            best, winner = squares[i], points[i]
+        report("random samples", problem.replay.replays)
+    residual = problem.residuals([winner])[0]
+    return Fit(point=winner, free_parameters=(), residual=residual, columns=(), sums=problem.sums(residual, [], []))
+
+
+def _drawn(start: Point, rng: np.random.Generator) -> Point:
+    values = dict(start.values)
+    for key, row in start.values.items():
+        if key in RANGES:
+            values[key] = rng.uniform(*RANGES[key], row.shape)
+    return Point(values)

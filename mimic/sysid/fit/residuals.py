@@ -20,8 +20,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.normal_equations import normal_equations, scales
-from mimic.sysid.fit.point import FreeParameter, Key, Point, stack
+from mimic.sysid.fit.point import FreeParameter, Key, Point, normal_equations, scales, stack
 from mimic.sysid.log.blocks import Blocks, Sums
 from mimic.sysid.log.noise import period
 from mimic.sysid.replay.cpu import Replay

@@ -9,7 +9,7 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log import faults, missing
+from mimic.sysid.log import blocks, faults
 from mimic.sysid.log.faults import FOLLOWS
 from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 from mimic.sysid.log.pool import followed
@@ -71,7 +71,7 @@ def check_log(
         if wrong:
             raise CalibrationError("\n".join(wrong))
         warnings += faults.weak_following(log, found.correlation, found.lag, found.moves)
-    known = missing.valid_samples(log)
+    known = blocks.valid_samples(log)
     noise = noise_floor(log.q, log.rate, known)
     step = np.array([resolution(c) for c in log.q[known].T])
     asked = target if target is not None else log.force
@@ -171,7 +171,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
         warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
         log = log.part(ok)
-    if (spiked := missing.spikes(log)).any():
+    if (spiked := blocks.spikes(log)).any():
         i, j = (int(x[0]) for x in np.nonzero(spiked))
         rows = spiked.any(axis=1)
         warnings.append(
@@ -179,14 +179,14 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             f" such as q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
         )
         log = replace(log, q=np.where(spiked, np.nan, log.q))
-    gone = missing.missing(log)
-    odd = missing.at_odd_times(log, MOST_LOST) & ~gone
+    gone = blocks.missing(log)
+    odd = blocks.at_odd_times(log, MOST_LOST) & ~gone
     if odd.any():
         warnings.append(
             f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
         )
     if (unseen := gone | odd).any():
-        log = missing.filled(log, unseen)
+        log = blocks.filled(log, unseen)
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])

@@ -12,7 +12,7 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.missing import UNREAD
+from mimic.sysid.log.blocks import UNREAD
 from mimic.sysid.timing import SendingTimes, joined, sending_times
 
 BETWEEN = 1.0

@@ -24,8 +24,7 @@ from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.pool import Part, enabled, rows_of, single
-from mimic.sysid.replay.records import Job, Prediction, Readings, stretch_starts
-from mimic.sysid.replay.targets import Targets, acting, on_grid
+from mimic.sysid.replay.records import Job, Prediction, Readings, Targets, acting, on_grid, stretch_starts
 from mimic.sysid.timing import SendingTimes, at_rows
 
 MOST_SIMULATIONS = 1536

@@ -27,8 +27,7 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.pool import Part
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.gpu_batch import STATIC, WorldBatch
-from mimic.sysid.replay.records import Job, Prediction
-from mimic.sysid.replay.targets import Targets, acting
+from mimic.sysid.replay.records import Job, Prediction, Targets, acting
 from mimic.sysid.timing import SendingTimes
 
 T = TypeVar("T")

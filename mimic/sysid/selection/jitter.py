@@ -16,10 +16,10 @@ from scipy import linalg
 
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.least_squares import Fit, prior
-from mimic.sysid.fit.point import Point
+from mimic.sysid.fit.point import Point, stack
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.replay.delays import with_lateness
-from mimic.sysid.selection.delay_models import (
+from mimic.sysid.replay.records import Targets
+from mimic.sysid.selection.late_targets import (
     CERTAIN,
     MODELS,
     Lateness,
@@ -43,6 +43,13 @@ DERIVATIVE_STEP = 0.25
 
 SHARED_Z = 3.0
 """Standard errors by which what the chains share of the lateness of single targets must differ from nothing."""
+
+
+STEP_SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
+"""Parts of a step that are replayed."""
+
+FOLLOWING = 0.25
+"""Time after a target in which it is seen whether a part of the step suits it [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -315,3 +322,40 @@ def _applied(problem: Problem, responses: FloatArray, late: FloatArray, channels
     for rows, targets, of in _spans(problem, len(responses)):
         out[rows] = np.tensordot(late[targets], own[of, rows], 1)
     return out
+
+
+def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -> FloatArray:
+    """Return whitened residuals (N, T, C), 0 where masked, with each target delayed (K,) [s] in each replay."""
+    replay, joints = problem.replay, len(problem.machine.joints)
+    made = replay.run(
+        stack([point] * len(lates), problem.machine), len(lates), Targets.stacked([replay.delayed(x) for x in lates])
+    )
+    parts = [made.residual]
+    if made.torque_residual is not None and problem.channels > joints:
+        parts.append(made.torque_residual)
+    whitened = np.concatenate(parts, -1) / (problem.noise.astype(np.float32) * problem.log_scale)
+    if problem.correction is not None:
+        whitened += problem.correction
+    whitened[:, problem.blocks.index < 0] = 0.0
+    return np.nan_to_num(whitened)
+
+
+def eased(problem: Problem, point: Point, had: FloatArray, late: FloatArray) -> FloatArray:
+    """Return delays (K,) [s] between two sets, each target taking the share that suits the readings after it.
+
+    Args:
+        problem: Log and model.
+        point: Its delay is that of both.
+        had: Lateness before a step.
+        late: After it.
+    """
+    lates = [had + share * (late - had) for share in STEP_SHARES]
+    residual = with_lateness(problem, point, lates)
+    squares = np.cumsum((residual.astype(np.float64) ** 2).sum(-1), axis=1)
+    replay = problem.replay
+    ends = np.searchsorted(replay.log.t, replay.log.t[replay.sent] + FOLLOWING) - 1
+    choice = np.argmin(squares[:, ends] - squares[:, replay.sent], axis=0)
+    mixed = np.stack(lates)[choice, np.arange(len(late))]
+    mixed_squares = float((with_lateness(problem, point, [mixed]).astype(np.float64) ** 2).sum())
+    best = int(np.argmin(squares[:, -1]))
+    return mixed if mixed_squares < squares[best, -1] else lates[best]

@@ -13,9 +13,9 @@ import pytest
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
+from mimic.sysid.log.blocks import valid_samples
 from mimic.sysid.log.checks import check_log, targets_match_log
 from mimic.sysid.log.faults import units
-from mimic.sysid.log.missing import valid_samples
 from mimic.sysid.log.noise import period
 
 JOINTS = ("hip", "knee", "ankle")

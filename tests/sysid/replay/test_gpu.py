@@ -13,15 +13,14 @@ from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
+from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import Point, stack
-from mimic.sysid.fit.random_search import random_search
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import Job
+from mimic.sysid.replay.records import Job, Targets
 from mimic.sysid.replay.simulate import simulate_log
-from mimic.sysid.replay.targets import Targets
 
 torch = pytest.importorskip("torch", reason="worlds need the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="worlds need the extra 'train'")

@@ -5,13 +5,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from mimic.sysid.screen.base import base_torques, shared_frequencies
 
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.result import Calibration
+from mimic.sysid.screen.base import base_torques, shared_frequencies
 
 ARMS = ("a", "b", "c")
 

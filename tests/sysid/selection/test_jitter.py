@@ -16,10 +16,9 @@ from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.delays import eased
 from mimic.sysid.replay.simulate import simulate_log
 from mimic.sysid.result import Calibration
-from mimic.sysid.selection.jitter import timings
+from mimic.sysid.selection.jitter import eased, timings
 
 PAIR = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
