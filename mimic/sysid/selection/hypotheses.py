@@ -97,8 +97,8 @@ class Hypothesis:
         made += [_stage(h, self if h is kept[-1] else h) for h in kept]
         if not kept:
             refused = self.rejections[0] if steps and self.rejections else ""
-            candidates = [t.candidate(root.problem, None) for t in (steps[0].tried if steps else last)]
-            candidates = [c if c.why else replace(c, why=refused or AS_WITHOUT) for c in candidates]
+            tried = steps[0].tried if steps else last
+            candidates = [replace(t.candidate(root.problem, None), why=t.why or refused or AS_WITHOUT) for t in tried]
             errors = errors_of(self.problem, self.fitted.residual)
             made.append(Stage(added="", errors=errors, candidates=tuple(candidates)))
         return made
