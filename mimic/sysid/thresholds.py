@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Thresholds:
     """What a calibration decides by.
 
-    Source of "suite": logs of the choosing half of benchmarks/hidden_effects (docs/experiments/calibration.md).
+    "Suite" is benchmarks/hidden_effects: these were chosen by its logs before one half of them was set apart.
     """
 
     z: float = 3.0
@@ -30,14 +30,14 @@ class Thresholds:
     beyond: float = 2.0
     """Steps by which a number would cross its bound, from which on nothing is named in its chain (suite)."""
     explained: float = 1.2
-    """Error over noise floor up to which a joint is explained: what third differences know the noise by, twice."""
+    """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
     shortlist: int = 8
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
     the worst was fifth of either (benchmarks/torque_screen)."""
     finished: int = 4
-    """Effects of each set that are fitted to the end: beyond, none was ever the best (suite)."""
+    """Effects of each set that are fitted to the end, most of the cost of a search."""
     beam: int = 2
-    """Sets that are kept of each size; a third never won on the planar arm (benchmarks/planar_arm)."""
+    """Sets that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
     hopeless: float = 6.0
     """Standard errors behind the best from which on an effect is not fitted to the end (suite)."""
     stranger: float = 0.5
