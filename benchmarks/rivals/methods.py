@@ -105,8 +105,8 @@ def _problem(case: Case, names: Sequence[str]) -> tuple[Problem, list[tuple[str,
     machine = as_logged(case.machine, together.log.metadata)
     keys = [(n, p.name) for n in names for p in CATALOGUE[n].parameters]
     problem = problem_of(together, machine, SETTINGS)
-    problem.leave_out(~np.isfinite(problem.residuals([Point.of(names, machine)])[0]).all(-1))  # before anything moves
-    return problem, keys
+    before = problem.residuals([Point.of(names, machine)])[0]
+    return problem.without(~np.isfinite(before).all(-1)), keys
 
 
 def problem_rows(case: Case, keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], int]:

@@ -66,7 +66,7 @@ def predict_log(
 
     from mimic.dynamics.effect_set import EffectSet, read_effects
     from mimic.dynamics.machine import as_logged
-    from mimic.sysid.replay.simulate import predict
+    from mimic.sysid.replay.predict import predict
     from mimic.sysid.result import Errors
 
     if not 0 <= threads <= 1024:
