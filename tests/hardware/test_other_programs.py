@@ -65,12 +65,13 @@ def driven(robot, description, steps: int = 5) -> CanRobot:
 
 
 def sent_by_hosts(robot: EmulatedRobot) -> list[CanFrame]:
-    """Record what hosts send from now on."""
+    """Record what hosts send from now on, other than the first, which drives the robot."""
     frames: list[CanFrame] = []
     send = robot.send
 
     def record(host, bus, frame, **more):
-        frames.append(frame)
+        if host.node != "host1":
+            frames.append(frame)
         send(host, bus, frame, **more)
 
     robot.send = record
@@ -104,7 +105,7 @@ def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(rob
     found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
     assert (found[-1].name, found[-1].verdict) == ("other programs", "stop")
     assert "another program commands the motors" in found[-1].text
-    assert {CODEC.decode(frame).__class__ for frame in frames} == {Operation}
+    assert frames == []
     assert {motor.mode for motor in robot.motors} == {Mode.RUN}
     with pytest.raises(PlantError, match="nothing was changed"):
         look_first(motor_bus)
@@ -142,7 +143,7 @@ def test_no_command_speaks_beside_a_program_that_drives(call, robot, description
     except PlantError as reason:
         found = [str(reason)]
     assert any("another program" in text for text in found)
-    assert {CODEC.decode(frame).__class__ for frame in frames} == {Operation}
+    assert frames == []
     plant.close()
 
 
