@@ -69,7 +69,7 @@ FAULTS = (
 )
 """Kinds of faults that the board has; its network counts as bus 0."""
 
-FRAME = (200.0, 10.0, 12.6, 30.0, 12.0)
+FRAME = np.array([200.0, 10.0, 12.6, 30.0, 12.0])
 """Ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The maker's
 ranges of kp, kd and tau; the others are not published."""
 
@@ -255,18 +255,13 @@ class EmulatedBoard:
         q_des, dq_des, kp, kd, tau = self.applied
         if failed:
             kp, kd, tau = np.zeros(12), np.full(12, DAMPING), np.zeros(12)
+        numbers = np.nan_to_num(np.stack([kp, kd, _SIGN * q_des, _SIGN * dq_des, _SIGN * tau], axis=1))
+        framed = np.clip(numbers, -FRAME, FRAME).tolist()
         for place, joint in enumerate(_BODY):
             if joint in dead or joint in failed:
                 self.body.drive(joint, FREE, self.now)
                 continue
-            sign = _SIGN[place]
-            values = (kp[place], kd[place], sign * q_des[place], sign * dq_des[place], sign * tau[place])
-            numbers = (min(max(float(np.nan_to_num(v)), -most), most) for v, most in zip(values, FRAME, strict=True))
-            drive = Drive(
-                *numbers,
-                limit=self._d.torque_max,
-            )
-            self.body.drive(joint, drive, self.now)
+            self.body.drive(joint, Drive(*framed[place], limit=self._d.torque_max), self.now)
 
     @property
     def err_flag(self) -> int:

@@ -173,10 +173,13 @@ class EmulatedBody:
             data.qpos[None, -12:], data.qvel[None, -12:], self._target[None], now, self._force[None]
         )
         self._servo.write(inputs)
-        self.model.dof_frictionloss[-12:] += self._jam
+        jammed = bool(self._jam.any())
+        if jammed:
+            self.model.dof_frictionloss[-12:] += self._jam
         data.qfrc_applied[-12:] = self._applied[0]
         mujoco.mj_step(self.model, data)
-        self.model.dof_frictionloss[-12:] -= self._jam
+        if jammed:
+            self.model.dof_frictionloss[-12:] -= self._jam
         self._law.settle(data.qvel[None, -12:])
         self._tau = np.array(inputs.tau[0])
         heat = np.square(self._tau / self.description.torque_rated)

@@ -8,6 +8,7 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import ProbeSettings
 from mimic.config.sysid import CalibrateSettings
+from mimic.control.safety_limits import limits_for
 from mimic.control.signals import Signals
 from mimic.dynamics.excitation import hung_ranges
 from mimic.dynamics.machine import hung_robot, with_gains
@@ -205,7 +206,7 @@ def test_a_joint_that_is_only_held_is_supervised_as_quickly(fault, description):
     assert fault.split(":")[1][:6] in result.ended.text
     noticed = seen[0] + (len(result.log.t) - 1) / settings.rate_hz - robot.events[-1][0]
     row = 1.0 / settings.rate_hz
-    assert 0.0 < noticed <= (0.06 if "dead" in fault else description.dt) + 2 * row
+    assert 0.0 < noticed <= (limits_for(description).silent_ticks if "dead" in fault else 1) * description.dt + 2 * row
 
 
 @pytest.mark.slow
