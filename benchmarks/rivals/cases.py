@@ -86,11 +86,11 @@ def emps_case(folder: Path) -> Case:
         mjcf=EMPS_MJCF,
         ranges={
             ("coulomb", "level"): (0.0, 60.0),
-            ("viscous", "coefficient"): (0.0, 600.0),
+            ("viscous", "coefficient"): (0.0, 500.0),
             ("link_mass", "factor"): (0.8, 1.2),
             ("armature", "inertia"): (0.0, 20.0),
             ("encoder_offset", "angle"): (-1e-3, 1e-3),
-            ("delay", "time"): (0.0, 0.01),
+            ("delay", "time"): (-0.002, 0.004),  # below 0: the rows show a target later than the drive has it
         },
         unit=("µm", 1e6),
     )
@@ -110,10 +110,10 @@ def servo_case(folder: Path) -> Case:
         ranges={
             ("coulomb", "level"): (0.0, 1.0),
             ("viscous", "coefficient"): (0.0, 1.0),
-            ("link_mass", "factor"): (0.8, 1.2),
+            ("link_mass", "factor"): (0.3, 3.0),
             ("armature", "inertia"): (0.0, 0.1),
             ("encoder_offset", "angle"): (-0.1, 0.1),
-            ("delay", "time"): (0.0, 0.06),
+            ("delay", "time"): (-0.01, 0.06),
         },
     )
 
