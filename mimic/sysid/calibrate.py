@@ -21,7 +21,7 @@ from mimic.sysid.fit.least_squares import Fit, fit, fit_all, fitting
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import compared
-from mimic.sysid.fit.uncertainty import deviations
+from mimic.sysid.fit.uncertainty import correlations, deviations
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
@@ -33,7 +33,7 @@ from mimic.sysid.selection.pruning import as_read, coarse_encoders, pruned, with
 from mimic.sysid.selection.search import Search
 from mimic.sysid.selection.starts import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
-from mimic.sysid.summary import experiments, no_match, of_base, of_baseline, sentence, stopped_at, weak
+from mimic.sysid.summary import experiments, next_logs, no_match, of_base, of_baseline, sentence, stopped_at, weak
 from mimic.sysid.thresholds import RULES
 
 Progress = Callable[[str, int], None]
@@ -153,6 +153,8 @@ def calibrate(
         tau=motion.tau,
         before=first[:, :joints] * scale,
         after=shown[:, :joints] * scale,
+        target=log.q_des,
+        log=None if len(logs) == 1 else np.repeat(np.arange(len(logs)), [p.rows for p in together.parts]),
         torque_before=first[:, joints:] * problem.noise[joints:] if measured else None,
         torque_after=shown[:, joints:] * problem.noise[joints:] if measured else None,
     )
@@ -166,9 +168,10 @@ def calibrate(
         unexplained=rest,
         sentence=said,
         log_matches_model=log_matches_model,
-        experiments=(*experiments(stages), *of_base(final.base)),
+        experiments=(*experiments(stages), *of_base(final.base), *next_logs(rest)) if log_matches_model else (),
         warnings=(*final.rejections, *(stopped_at(*row, machine) for row in stopped(final.fitted, problem))),
         not_identifiable=weak(final.fitted, problem),
+        correlations=correlations(final.fitted, problem),
         traces=traces,
         logs=unseen,
         replays=problem.replay.replays,

@@ -6,11 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from mimic.io.store import plain
-from mimic.records import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray, IntArray
 
 FORMAT = 2
 """Version of the keys of `Calibration.to_json`."""
+
+CORRELATED = 0.7
+"""Correlation of two fitted numbers from which on they are listed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,10 +125,31 @@ class Traces:
     """Residual of the baseline model (T, J)."""
     after: FloatArray
     """Residual of the final model (T, J)."""
+    target: FloatArray | None = None
+    """What the drives were sent (T, J); none where the log has forces."""
+    log: IntArray | None = None
+    """Number of the log of each reading (T,), where there are several."""
     torque_before: FloatArray | None = None
     """Residual of the measured torque under the baseline model (T, J), where it was explained too."""
     torque_after: FloatArray | None = None
     """The same under the final model."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Correlations:
+    """How the errors of the fitted numbers hang together; near 1 or -1 the log hardly tells two apart."""
+
+    names: tuple[str, ...]
+    """Effect, parameter and joint of each number (P,)."""
+    matrix: FloatArray
+    """(P, P), 1 on the diagonal."""
+
+    def pairs(self, least: float = 0.0) -> tuple[tuple[str, str, float], ...]:
+        """Return the pairs whose correlation is at least so large, either way, strongest first."""
+        i, j = np.triu_indices(len(self.names), 1)
+        values = self.matrix[i, j]
+        order = np.argsort(-np.abs(values), kind="stable")
+        return tuple((self.names[i[k]], self.names[j[k]], float(values[k])) for k in order if abs(values[k]) >= least)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,6 +177,8 @@ class Calibration:
     warnings: tuple[str, ...] = ()
     not_identifiable: tuple[str, ...] = ()
     """Directions in the parameters that this log does not determine."""
+    correlations: Correlations | None = None
+    """Of the numbers that were fitted."""
     repeatability: FloatArray | None = None
     """Where the log holds an excitation twice, how much the two differ, over the square root of 2 (J,)."""
     traces: Traces
@@ -207,6 +235,7 @@ class Calibration:
                 "logs": self.logs,
                 "experiments": self.experiments,
                 "not_identifiable": self.not_identifiable,
+                "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
                 "warnings": self.warnings,
                 "replays": self.replays,
                 "seconds": self.seconds,

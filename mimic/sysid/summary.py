@@ -25,6 +25,34 @@ def experiments(stages: list[Stage]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(lines))
 
 
+_NEXT = {
+    "position": "move {joint} slowly over its whole range, in both directions",
+    "velocity": "move {joint} at five constant speeds from 0.05 rad/s to its fastest, in both directions",
+    "torque": "repeat the motion of {joint} with another payload, and log the measured torque",
+    "another joint": "move {joint} while its neighbours hold still, then its neighbours alone",
+    "time": "hold {joint} still for 20 s with the drive on, then off; log an IMU on the base",
+}
+"""What tells more about a residual that depends on this."""
+
+_NEXT_BY_VERDICT = {
+    "periodic": _NEXT["time"],
+    "events": "log when each target was sent (t_send), and film {joint} to see whether something touches or catches",
+    "broadband": "log {joint} at a higher rate, and 10 s of it at rest with the drive off, for the encoder's noise",
+    "state-dependent": "move {joint} alone: slowly over its range, then fast, each twice",
+}
+
+
+def next_logs(rest: tuple[UnexplainedResidual, ...]) -> tuple[str, ...]:
+    """Return what to log to explain what stays unexplained: a line for each kind of motion, with its joints."""
+    wanted: dict[str, list[str]] = {}
+    for r in rest:
+        if r.verdict in ("explained", "moving base"):  # the latter is said by `of_base`
+            continue
+        for what in [_NEXT[d] for d in r.depends_on if d in _NEXT] or [_NEXT_BY_VERDICT[r.verdict]]:
+            wanted.setdefault(what, []).append(r.joint)
+    return tuple(what.format(joint=", ".join(joints)) for what, joints in wanted.items())
+
+
 def of_base(base: BaseMotion | None) -> tuple[str, ...]:
     """Return what a motion of the base would explain, if one is what is left."""
     if base is None:

@@ -1,11 +1,12 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.io.store import save_json
-from mimic.sysid.result import Calibration, Candidate, Errors, Stage, Traces, UnexplainedResidual
+from mimic.sysid.result import Calibration, Candidate, Correlations, Errors, Stage, Traces, UnexplainedResidual
 
 
 def small() -> Calibration:
@@ -50,3 +51,12 @@ def test_all_but_the_traces_comes_out_as_json(tmp_path: Path) -> None:
     assert data["effects"][0]["values"] == {"time": [0.01]}
     assert data["unexplained"][0]["verdict"] == "explained"
     assert "traces" not in data
+
+
+def test_pairs_of_correlated_numbers_come_strongest_first() -> None:
+    matrix = np.array([[1.0, 0.8, 0.1], [0.8, 1.0, -0.95], [0.1, -0.95, 1.0]])
+    found = Correlations(names=("a", "b", "c"), matrix=matrix)
+    assert found.pairs(0.7) == (("b", "c", -0.95), ("a", "b", 0.8))
+    assert len(found.pairs()) == 3
+    assert replace(small(), correlations=found).to_json()["correlations"] == [["b", "c", -0.95], ["a", "b", 0.8]]
+    assert small().to_json()["correlations"] == []

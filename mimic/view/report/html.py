@@ -14,7 +14,9 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
 from mimic.sysid.result import Calibration, Errors
+from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
+from mimic.view.report.motion import by_phase, other_measures, worst_seconds
 from mimic.view.report.plots import Unit, against_state, over_time, spectra, stage_errors, torque_over_time, unit_for
 from mimic.view.report.sections import fixed, pretty, section, table, title_of
 from mimic.view.report.style import STYLE
@@ -48,9 +50,12 @@ def html_report(calibration: Calibration) -> str:
         _effects(calibration),
         _errors(calibration, unit),
         _logs(calibration, unit),
+        by_phase(calibration, unit),
         evidence(calibration),
         _unexplained(calibration),
+        worst_seconds(calibration),
         _baseline(calibration),
+        correlations(calibration),
         _residuals(calibration, unit),
         _footer(calibration),
     ]
@@ -192,7 +197,7 @@ def _errors(c: Calibration, unit: Unit) -> str:
     )
     if c.repeatability is not None:
         lead += " The same excitation occurs twice in this log; no model can explain the difference between the two."
-    return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows))
+    return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows), other_measures(c))
 
 
 def _logs(c: Calibration, unit: Unit) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.sysid.result import Calibration, Candidate, Errors, Stage, Traces, UnexplainedResidual
+from mimic.sysid.result import Calibration, Candidate, Correlations, Errors, Stage, Traces, UnexplainedResidual
 from mimic.view.report.html import html_report, write_report
 
 JOINTS = ("FL_abad", "FL_hip", "FL_knee", "FR_abad", "FR_hip", "FR_knee")
@@ -112,6 +112,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
             tau=4 * np.sin(3 * q) + 0.3 * dq,
             before=before,
             after=after,
+            target=q + 0.02,
         ),
         replays=5321,
         seconds=73.4,
@@ -122,7 +123,7 @@ def made_up(seconds: float = 60.0, unit: str = "rad") -> Calibration:
 class Page(HTMLParser):
     """What stands on a page, and whether every tag is closed."""
 
-    VOID = ("meta", "br", "path", "rect", "circle")
+    VOID = ("meta", "br")
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -203,7 +204,7 @@ def test_values_have_units_and_intervals(page: Page) -> None:
 
 def test_each_joint_has_its_plots(calibration: Calibration, page: Page) -> None:
     n = len(JOINTS)
-    assert page.tags.count("svg") == n + 3 * n + n + 1
+    assert page.tags.count("svg") == n + n + 3 * n + n + 1
     without = page.tags.count("rect")
     nothing_held = replace(calibration.traces, held_out=np.zeros(len(calibration.traces.t), dtype=bool))
     assert Page(html_report(replace(calibration, traces=nothing_held))).tags.count("rect") == 0 < without
@@ -265,3 +266,23 @@ def test_measured_torque_has_plots_of_its_own_where_it_was_explained(calibration
     assert more.tags.count("svg") == page.tags.count("svg") + len(JOINTS)
     assert "Residual of the measured torque" in more.text
     assert "Residual of the measured torque" not in page.text
+
+
+def test_correlated_numbers_are_listed_and_mapped(calibration: Calibration, page: Page) -> None:
+    assert "Correlation of the fitted numbers" not in page.text
+    names = ("coulomb.level of FL_hip", "link_mass.factor of FL_hip", "delay.time")
+    matrix = np.array([[1.0, -0.91, 0.02], [-0.91, 1.0, 0.3], [0.02, 0.3, 1.0]])
+    more = html_report(replace(calibration, correlations=Correlations(names=names, matrix=matrix)))
+    text = Page(more).text
+    assert "−0.91" in text
+    assert "delay.time with link_mass.factor of FL_hip: 0.30" in more
+    assert len(re.findall("<td class=name>coulomb.level of FL_hip</td>", more)) == 1
+    weak = Correlations(names=names, matrix=np.eye(3))
+    assert "No two numbers are correlated" in Page(html_report(replace(calibration, correlations=weak))).text
+
+
+def test_errors_stand_in_degrees_and_as_mean_absolute_error(calibration: Calibration, page: Page) -> None:
+    held = calibration.traces.held_out
+    residual = np.rad2deg(calibration.traces.after[held])
+    for size in (np.sqrt(np.mean(residual**2)), np.mean(np.abs(residual))):
+        assert f"{size:.4f}" in page.text
