@@ -21,6 +21,9 @@ class RetargetSettings:
     """The person's left arm drives the right front leg, as in a mirror."""
     turns: bool = False
     """Follow slow turns of the person; otherwise the heading is constant over the clip."""
+    heading: float | None = None
+    """Where the person faces, if you know better than shoulders and hips tell: 0 faces the camera, positive is turned
+    to the person's left [deg]. With --turns, the middle of the turns."""
     keep_peaks: bool = True
     """Move each target to the nearest turning point within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = 0.98
@@ -33,6 +36,8 @@ class RetargetSettings:
     def __post_init__(self) -> None:
         check_range("rate", self.rate, 0.05, 1.0, "s")
         check_range("reach-quantile", self.reach_quantile, 0.5, 1.0)
+        if self.heading is not None:
+            check_range("heading", self.heading, -180.0, 180.0, "degrees")
         check_range("scale", self.scale, 0.2, 2.0)
         if self.slow_down != "auto":
             check_range("slow-down", self.slow_down, 1.0, SLOWEST)

@@ -79,6 +79,7 @@ class CameraRecord:
             score=np.array([row.score for row in rows]),
             valid=np.array([row.valid for row in rows]),
             size=rows[-1].size,
+            depth_spread=np.array([row.depth_spread for row in rows]),
             swapped=np.array([row.swapped for row in rows]),
         )
 

@@ -35,6 +35,9 @@ class PoseTrack(Record):
     shot: FloatArray = array(optional=True)
     """Number of the uninterrupted part, from 0: after a cut, a fade or a change of person a new one begins. NaN where
     nobody looked."""
+    depth_spread: FloatArray = array("side", optional=True)
+    """Standard deviation of each wrist's depth from its shoulder [m]: how sure the estimate is. NaN where depth was not
+    estimated but taken from the source as it is."""
     warnings: tuple[str, ...] = ()
     """What the user should know about this source."""
 

@@ -67,6 +67,7 @@ class LiveRetarget:
         self._reaches: deque[FloatArray] = deque(maxlen=REMEMBERED)
         self._line: FloatArray | None = None
         self._line_t = 0.0
+        self._first_heading: float | None = None
         self._heading0: float | None = None
         self._follower = Follower()
         self._q = reach.description.poses["upright"][:FRONT].copy()
@@ -108,7 +109,7 @@ class LiveRetarget:
         return max(SHORTEST_ARM, arm_length(rows, known, self._settings.reach_quantile))
 
     def _turned(self, t: float, landmarks: FloatArray, valid: BoolArray) -> float:
-        """Return the heading of the torso [rad], from the slow average of the right -> left line."""
+        """Return the heading of the torso [rad]: of the slow average of the right -> left line, or the one given."""
         if valid[_SHOULDERS].all():
             line = landmarks[_SHOULDERS[0]] - landmarks[_SHOULDERS[1]]
             if valid[_HIPS].all():
@@ -120,7 +121,13 @@ class LiveRetarget:
             self._line_t = t
         if self._line is None:
             return 0.0
-        return float(np.arctan2(self._line[2], self._line[0]))
+        heading = float(np.arctan2(self._line[2], self._line[0]))
+        if self._first_heading is None:
+            self._first_heading = heading
+        if self._settings.heading is None:
+            return heading
+        turned = heading - self._first_heading if self._live.follow or self._settings.turns else 0.0
+        return float(wrap_angle(np.radians(self._settings.heading) + turned))
 
     def _followed(
         self, t: float, heading: float, landmarks: FloatArray, image: FloatArray, valid: BoolArray, aspect: float

@@ -32,7 +32,9 @@ MIN_ARM_SHARE = 0.8
 SHOWN_GAPS = 4
 """At most this many of the times at which it is hidden are named, the longest ones."""
 DEPTH_VISIBLE = "20–65 %"
-"""Share of the motion along the camera axis that BlazePose detects, on rendered and on real videos."""
+"""Share of the motion along the camera axis that BlazePose detects by itself, on rendered and on real videos."""
+DOUBTFUL_DEPTH = 0.12
+"""Depth of a wrist that is less certain than this standard deviation is reported [m]."""
 
 _DEFAULT = RetargetSettings()
 _GRID = 0.05
@@ -97,7 +99,8 @@ def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Flo
 
     It follows from the direction of the right -> left line of shoulders and hips. The median over the clip is within
     9 degrees of the triangulated heading of a real person filmed from four sides, and of the exact heading of a
-    rendered boxer. Each uninterrupted part of the track has a heading of its own.
+    rendered boxer. Each uninterrupted part of the track has a heading of its own. ``settings.heading`` is used instead
+    where it is given; with ``settings.turns`` the median of the part is turned to it.
     """
     line, seen = _left_line(pose)
     heading = np.zeros(len(pose.t))
@@ -109,6 +112,8 @@ def torso_heading(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Flo
         else:
             x, _, z = np.median(line[part][seen[part]], axis=0)
             heading[part] = np.arctan2(z, x)
+        if settings.heading is not None:
+            heading[part] += np.radians(settings.heading) - np.median(heading[part])
     return heading
 
 
@@ -136,8 +141,14 @@ def camera_axis(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> tuple
     return float(x), float(y), float(z)
 
 
-def depth_note(axis: tuple[float, float, float]) -> str:
-    """Return a sentence about the motion that a camera along this axis of the torso barely sees."""
+def depth_note(axis: tuple[float, float, float], spread: FloatArray | None = None) -> str:
+    """Return a sentence about the motion that a camera along this axis of the torso barely sees.
+
+    Args:
+        axis: Direction in which the camera looks, torso axes.
+        spread: Standard deviation of the depth of both wrists where they were seen (N,) [m]; None or empty if it was
+            not estimated.
+    """
     off_forward = np.degrees(np.arctan2(abs(axis[1]), abs(axis[0])))
     if off_forward < 30:
         what, better = "reaching forward and back", "from the side or a three-quarter view"
@@ -146,9 +157,13 @@ def depth_note(axis: tuple[float, float, float]) -> str:
     else:
         what, better = "reaching along the diagonal toward the camera", "from the side that shows the motion best"
     where = "behind" if axis[0] > 0.5 else "in front of" if axis[0] < -0.5 else "beside"
+    camera = f"The camera is {where} the person, {off_forward:.0f}° off the forward axis."
+    if spread is None or not len(spread):
+        return f"{camera} It sees only {DEPTH_VISIBLE} of {what}; if that matters, film {better}."
+    doubtful = float((spread > DOUBTFUL_DEPTH).mean())
     return (
-        f"The camera is {where} the person, {off_forward:.0f}° off the forward axis. It sees only {DEPTH_VISIBLE} of "
-        f"{what}; if that matters, film {better}."
+        f"{camera} The depth of the wrists, so {what}, is estimated to ±{100 * np.sqrt(np.mean(spread**2)):.0f} cm; "
+        f"{doubtful:.0%} of it is doubtful (above ±{100 * DOUBTFUL_DEPTH:.0f} cm). If that matters, film {better}."
     )
 
 
@@ -156,6 +171,7 @@ def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Mappi
     """Return the statistics of a pose for the run folder, as plain data."""
     axis = camera_axis(pose, settings)
     seen = _arm_visible(pose)
+    spread = pose.depth_spread[seen]
     return {
         "frames": len(pose.t),
         "frames_with_person": int(seen.any(axis=1).sum()),
@@ -163,8 +179,15 @@ def pose_report(pose: PoseTrack, settings: RetargetSettings = _DEFAULT) -> Mappi
         "frames_exchanged": int(pose.swapped.sum()),
         "heading_deg": float(np.degrees(np.median(torso_heading(pose, settings)))),
         "camera_axis": list(axis),
-        "unseen": depth_note(axis),
+        "depth_spread_cm": {side: _mean_spread(pose.depth_spread[:, i][seen[:, i]]) for i, side in enumerate(SIDES)},
+        "unseen": depth_note(axis, spread[np.isfinite(spread)]),
     }
+
+
+def _mean_spread(spread: FloatArray) -> float | None:
+    """Return the root mean square of the known standard deviations (N,) [m] in cm, None if none is known."""
+    known = spread[np.isfinite(spread)]
+    return 100.0 * float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def _camera_from_torso(heading: FloatArray | float) -> FloatArray:
@@ -241,7 +264,7 @@ def _turn_warnings(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ..
     """Return a warning if one heading does not fit the clip."""
     if settings.turns or not _left_line(pose)[1].any():
         return ()
-    away = torso_heading(pose, replace(settings, turns=True)) - torso_heading(pose, settings)
+    away = torso_heading(pose, replace(settings, turns=True, heading=None)) - torso_heading(pose, settings)
     share = float((np.abs((away + np.pi) % (2 * np.pi) - np.pi) > MAX_TURN).mean())
     if share < 0.1:
         return ()

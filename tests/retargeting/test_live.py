@@ -62,7 +62,15 @@ def watch(retarget: LiveRetarget, seconds: float, t0: float = 0.0, **options) ->
 # ---------------------------------------------------------------------- rows
 
 
-@pytest.mark.parametrize("settings", [RetargetSettings(), RetargetSettings(mirror=True), RetargetSettings(scale=0.7)])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        RetargetSettings(),
+        RetargetSettings(mirror=True),
+        RetargetSettings(scale=0.7),
+        RetargetSettings(heading=50.0),
+    ],
+)
 @pytest.mark.parametrize("heading", [0.0, 0.6])
 def test_a_pose_that_is_held_gives_the_targets_of_a_clip(settings, heading, reach):
     hands = {"left": (0.5, 0.1, 0.3), "right": (0.2, -0.2, -0.4), "heading": heading}

@@ -194,6 +194,33 @@ def test_the_quantile_decides_how_far_an_arm_length_is():
     assert arm_length(p_SH, np.ones((101, 2), dtype=bool), 0.5) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("settings", [RetargetSettings(heading=20.0), RetargetSettings(heading=20.0, turns=True)])
+def test_a_heading_that_is_given_replaces_the_one_that_is_seen(settings):
+    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
+    wrists = wrist_track(track(*person(-10, left=0.5 * FORWARD)), settings)  # reaches to its right, if it faces 20
+    np.testing.assert_allclose(wrists.p_SH[:, 0], np.tile([c, -s, 0], (90, 1)), atol=1e-9)
+
+
+def test_a_heading_that_is_given_is_the_middle_of_turns():
+    angle = 25 * np.sin(2 * np.pi * np.arange(900) / 900)
+    settings = dataclasses.replace(TURNS, heading=-40.0)
+    seen = torso_heading(track(*person(angle + 5, rows=900)), settings)
+    assert np.degrees(np.median(seen)) == pytest.approx(-40)
+    assert np.degrees(np.ptp(seen)) == pytest.approx(50, abs=4)
+
+
+def test_the_note_says_how_well_depth_is_known_where_it_was_estimated():
+    points, t = person(10)
+    spread = np.where(np.arange(90)[:, None] < 45, 0.05, 0.15) * np.ones(2)
+    report = pose_report(track(points, t, depth_spread=spread))
+    assert report["depth_spread_cm"]["left"] == pytest.approx(100 * np.sqrt((0.05**2 + 0.15**2) / 2))
+    assert "±11 cm" in report["unseen"]
+    assert "50% of it is doubtful" in report["unseen"]
+    without = pose_report(track(points, t))
+    assert without["depth_spread_cm"] == {"left": None, "right": None}
+    assert "It sees only" in without["unseen"]
+
+
 @pytest.mark.parametrize(
     ("heading", "axis", "words"),
     [

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -58,6 +58,8 @@ class CameraFrame:
     """Whether the left and right of the detector were swapped."""
     detector_s: float
     """Time that the detector took [s]."""
+    depth_spread: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    """Standard deviation of the depth of left and right wrist (2,) [m]; NaN if it was not estimated."""
     jpeg: bytes | None = None
     """Preview picture; None in most rows."""
 

@@ -45,6 +45,8 @@ _JUST_USABLE = 0.5
 """Visibility at which a landmark may just be used."""
 _PALEST = 0.25
 """Share of its colour that the least sure wrist keeps."""
+_WELL_KNOWN_DEPTH, _UNKNOWN_DEPTH = 0.04, 0.16
+"""Standard deviation of the depth of a wrist that is sure, and of one about which nothing is known [m]."""
 _HIP_HEIGHT = 0.9
 """Assumed height of the hips if no foot is visible [m]."""
 
@@ -115,9 +117,15 @@ def wrists(pose: PoseTrack, points: FloatArray) -> dict[str, tuple[FloatArray, B
 
 
 def certainty(pose: PoseTrack) -> dict[str, FloatArray]:
-    """Return how sure each side's wrist is (T,), 0 to 1: its visibility, from just usable to fully visible."""
+    """Return how sure each side's wrist is (T,), 0 to 1: the less of its visibility and of what is known of its depth.
+
+    Visibility counts from just usable to fully visible, the spread of the depth from _UNKNOWN_DEPTH to
+    _WELL_KNOWN_DEPTH.
+    """
     columns = {side: pose.names.index(f"{side}_wrist") for side in SIDES if f"{side}_wrist" in pose.names}
-    return {side: np.clip((pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE), 0, 1) for side, i in columns.items()}
+    visible = {side: (pose.score[:, i] - _JUST_USABLE) / (1 - _JUST_USABLE) for side, i in columns.items()}
+    known = (_UNKNOWN_DEPTH - np.nan_to_num(pose.depth_spread)) / (_UNKNOWN_DEPTH - _WELL_KNOWN_DEPTH)
+    return {side: np.clip(np.minimum(own, known[:, SIDES.index(side)]), 0, 1) for side, own in visible.items()}
 
 
 def doubtful(colour: Colour, sure: float) -> Colour:
