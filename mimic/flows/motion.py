@@ -169,6 +169,8 @@ def track_video(
         SourceError: If the file is no video, or shows no person.
         AssetError: If the models of the pose estimator are not here and cannot be downloaded.
     """
+    from mimic.sources.video.decoding import open_video
+    from mimic.sources.video.pose_model import is_here
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
@@ -179,7 +181,10 @@ def track_video(
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
-    fetch_pose_model(settings, reporter)
+    if not is_here(settings.pose_model):
+        with open_video(path):  # nothing is downloaded for a file that is no video
+            pass
+        fetch_pose_model(settings, reporter)
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:

@@ -1,0 +1,31 @@
+"""What is checked first of a video."""
+
+from pathlib import Path
+
+import pytest
+
+import mimic
+from mimic.errors import SourceError
+from mimic.flows.reporter import SilentReporter
+
+
+class Notes(SilentReporter):
+    """Keeps what is said."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.lines.append(text)
+
+
+def test_no_pose_model_is_downloaded_for_a_file_that_is_no_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nothing is here yet
+    broken, notes = tmp_path / "broken.mp4", Notes()
+    broken.write_text("no video")
+    with pytest.raises(SourceError, match="no picture can be read"):
+        mimic.track_video(broken, cache=False, reporter=notes)
+    assert notes.lines == []
