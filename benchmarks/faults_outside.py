@@ -22,7 +22,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.faults_proxies import CAN_PROXIES, MASTERS, STOCK_PROXIES, CanScene, StockScene
+from benchmarks import faults_can, faults_stock
+from benchmarks.faults_scene import Scene, Trouble
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import RunRecorder, salvage
@@ -74,7 +75,8 @@ class FullDisk(RunRecorder):
 
 def kinds_of(robot: str) -> tuple[str, ...]:
     """Return what can go wrong from outside."""
-    return (*(CAN_PROXIES if robot == "can" else STOCK_PROXIES), *MASTERS[robot], *PROCESSES)
+    scenes = faults_can if robot == "can" else faults_stock
+    return (*scenes.PROXIES, *scenes.MASTERS, *PROCESSES)
 
 
 def play(robot: str, seed: int, folder: Path, kind: str | None = None) -> dict[str, Any]:
@@ -89,8 +91,10 @@ def play(robot: str, seed: int, folder: Path, kind: str | None = None) -> dict[s
     lasts = float(rng.choice([0.05, 0.2, 1.0, np.inf]))
     fault = random_fault(seed, start=WITHIN, after_release=True, kinds=(kind,)) if kind in inner else None
     description = load_description()
-    make = CanScene if robot == "can" else StockScene
-    scene = make(description, seed, rng, fault, None if kind in (*inner, *PROCESSES) else kind)
+    between = None if kind in (*inner, *PROCESSES) else kind
+    trouble = Trouble(seed=seed, rng=rng, fault=fault, kind=between)
+    make = faults_can.CanScene if robot == "can" else faults_stock.StockScene
+    scene: Scene = make(description, trouble)
     policy, sitter = load_policy(None, description), load_policy(None, description, task="sit_down")
     recorder = FullDisk(folder, policy.contract.observation_size, {"dt": description.dt})
     signals, supervisor = Signals(), Supervisor(description)
@@ -101,7 +105,7 @@ def play(robot: str, seed: int, folder: Path, kind: str | None = None) -> dict[s
         now = scene.now()
         if state["begin"] == np.inf:
             state["begin"] = now
-            scene.begins(now + start, now + start + lasts)
+            trouble.begin, trouble.end = now + start, now + start + lasts
         if now - state["begin"] > HANG:
             raise TimeoutError
         state["steps"] += 1
@@ -154,8 +158,8 @@ def play(robot: str, seed: int, folder: Path, kind: str | None = None) -> dict[s
         "mode": "" if ended is None else ended.mode.name.lower(),
         "after": float("nan") if ended is None else ended.t - start,
         "driven": scene.driven(),
-        "reachable": scene.reachable(lasts),
-        "undamped": bool(scene.driven()) and scene.reachable(lasts),
+        "reachable": scene.reachable(),
+        "undamped": bool(scene.driven()) and scene.reachable(),
         "hung": hung,
         "traceback": escaped,
         "lost": kept < state["steps"],

@@ -35,11 +35,18 @@ EXTENSIONS = (
     ),
     (
         "bool        hang = false, attach = false;",
-        "bool        hang = false, attach = false;\n    std::string gains;\n    int         delay = 0;",
+        "bool        hang = false, attach = false;\n    std::string gains;\n"
+        "    int         delay = 0, imu_lag = 0, seed = 0;\n"
+        "    double      push = 0, noise[ 4 ] = { 0, 0, 0, 0 };",
     ),
     (
         'else if ( a == "--spi" ) o.spi = v;',
         'else if ( a == "--gains" ) o.gains = v;\n        else if ( a == "--delay" ) o.delay = atoi( v.c_str() );\n'
+        '        else if ( a == "--imu-lag" ) o.imu_lag = atoi( v.c_str() );\n'
+        '        else if ( a == "--seed" ) o.seed = atoi( v.c_str() );\n'
+        '        else if ( a == "--push" ) o.push = atof( v.c_str() );\n'
+        '        else if ( a == "--noise" )\n'
+        '            sscanf( v.c_str(), "%lf,%lf,%lf,%lf", o.noise, o.noise + 1, o.noise + 2, o.noise + 3 );\n'
         '        else if ( a == "--spi" ) o.spi = v;',
     ),
     (
@@ -64,9 +71,43 @@ EXTENSIONS = (
         "    }\n"
         "    long   tick = 0, late = 0;",
     ),
-    ("#include <cstdlib>", "#include <cstdlib>\n#include <deque>"),
+    ("#include <cstdlib>", "#include <cstdlib>\n#include <deque>\n#include <random>"),
+    (
+        "        in.cheater_state.orientation << q[ 0 ], q[ 1 ], q[ 2 ], q[ 3 ];\n",
+        "        in.cheater_state.orientation << q[ 0 ], q[ 1 ], q[ 2 ], q[ 3 ];\n"
+        "        static std::mt19937 draw( o.seed );\n"
+        "        auto around = [ & ]( double half ) {\n"
+        "            return half > 0 ? std::uniform_real_distribution<>( -half, half )( draw ) : 0.0;\n"
+        "        };\n"
+        "        mjtNum turn[ 4 ] = { 1, around( o.noise[ 2 ] ) / 2, around( o.noise[ 2 ] ) / 2,"
+        " around( o.noise[ 2 ] ) / 2 }, seen[ 4 ];\n"
+        "        mju_normalize4( turn );\n"
+        "        mju_mulQuat( seen, q, turn );\n"
+        "        in.vectorNav.quat << seen[ 1 ], seen[ 2 ], seen[ 3 ], seen[ 0 ];\n"
+        "        for ( int k = 0; k < 3; k++ ) in.vectorNav.gyro[ k ] += around( o.noise[ 3 ] );\n"
+        "        static std::deque< std::decay_t< decltype( in.vectorNav ) > > felt;\n"
+        "        felt.push_back( in.vectorNav );\n"
+        "        if ( ( int )felt.size() > o.imu_lag + 1 ) felt.pop_front();\n"
+        "        in.vectorNav = felt.front();\n"
+        "        static double next_push = 5.0;\n"
+        "        if ( o.push > 0 && tick * TICK >= next_push ) {\n"
+        "            double way = around( M_PI ), speed = o.push * ( 1 + around( 1 ) ) / 2;\n"
+        "            d->qvel[ 0 ] += speed * cos( way ), d->qvel[ 1 ] += speed * sin( way );\n"
+        "            next_push += 5.0 + ( 1 + around( 1 ) ) / 8;\n"
+        "        }\n",
+    ),
+    (
+        "qs[ k ][ l ]      = SIGN[ k ] * d->qpos[ qadr[ i ] ];",
+        "qs[ k ][ l ]      = SIGN[ k ] * d->qpos[ qadr[ i ] ] + around( o.noise[ 0 ] );",
+    ),
+    (
+        "vs[ k ][ l ]      = SIGN[ k ] * d->qvel[ vadr[ i ] ];",
+        "vs[ k ][ l ]      = SIGN[ k ] * d->qvel[ vadr[ i ] ] + around( o.noise[ 1 ] );",
+    ),
 )
-"""Additions to the bench: compiled models (.mjb), factors on the gains of each motor, a delay of commands in ticks."""
+"""Additions to the bench: compiled models (.mjb), factors on the gains of each motor, a delay of commands in ticks; a
+push of the trunk up to so many m/s every 5 s; half widths of the noise of joint positions [rad], velocities [rad/s],
+orientation about each axis [rad] and rate of turn [rad/s], drawn each tick; a lag of the IMU in ticks."""
 
 
 REAL_TIME = ("chrt", "-f", "5") if os.geteuid() == 0 else ("nice", "-n", "0")
@@ -131,10 +172,13 @@ def inside_network(arguments: list[str]) -> int | None:
     """Run this command again inside a network of its own; return its exit status, or None if it is there already."""
     if os.environ.get(INSIDE):
         return None
-    folder = require_built()
-    environment = os.environ | {INSIDE: "1", "PYTHONPATH": str(ROOT)}
-    command = [str(folder / "run.sh"), sys.executable, "-m", "benchmarks.stock_firmware", *arguments]
-    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+    return subprocess.run(through_network(arguments), cwd=ROOT, check=False).returncode
+
+
+def through_network(arguments: list[str]) -> list[str]:
+    """Return the command that runs this benchmark with other arguments inside a network of its own."""
+    inside = ["env", f"{INSIDE}=1", f"PYTHONPATH={ROOT}"]
+    return [*inside, str(require_built() / "run.sh"), sys.executable, "-m", "benchmarks.stock_firmware", *arguments]
 
 
 class Bench:

@@ -72,6 +72,7 @@ def emulate(
                 "time": f"{done.seconds:.1f} s",
                 "commands": f"{done.commands}; {done.late_ticks} cycles of 2 ms with one older than 10 ms",
                 "error flag": f"{done.err_flag:#04x} at the end",
+                "motors at the end": _motors(done.driven, done.driven),
                 "time stood still": f"{done.stood_still:.2f} s, because this computer was too slow",
             },
         )
@@ -85,6 +86,14 @@ def emulate(
             "bus load": ", ".join(f"{load:.1%}" for load in served.load),
             "delivered late": f"{served.late} frames by more than 2 ms",
             "time stood still": f"{served.stood_still:.2f} s, because this computer was too slow",
+            "motors at the end": _motors(served.switched_on, served.driven),
         },
     )
     return DONE
+
+
+def _motors(switched_on: tuple[str, ...], driven: tuple[str, ...]) -> str:
+    """Return how the motors were left, in words."""
+    if driven:
+        return f"driven: {', '.join(driven)}"
+    return f"none driven; on: {', '.join(switched_on)}" if switched_on else "none driven"

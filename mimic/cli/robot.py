@@ -124,7 +124,8 @@ def _timing_rows(done: RobotRun) -> dict[str, str]:
 
 def _command_row(done: RobotRun) -> dict[str, str]:
     health = done.saved.run.health
-    late, gap = int(np.count_nonzero(health.err_flag.astype(int) & 1)), 1e3 * float(np.nanmax(health.command_gap))
+    late = int(np.count_nonzero(np.nan_to_num(health.err_flag).astype(int) & 1))
+    gap = 1e3 * float(np.max(np.nan_to_num(health.command_gap), initial=0.0))
     return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
 
 

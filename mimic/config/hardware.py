@@ -18,8 +18,7 @@ class BusSettings:
     wiring: str | None = None
     """Your copy of bus.toml (CAN) or board.toml (stock robot); by default the one that ships with the robot."""
     interface: str | None = None
-    """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default that of the multicast
-    route, if it is on the robot's network."""
+    """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default the multicast route's."""
     zeroed: bool = False
     """Use the zeros as the wiring has them, without checking that mimic set them since power-up."""
     yes: bool = False
@@ -33,7 +32,8 @@ class BusSettings:
     dry_run: bool = False
     """Do everything but switch the motors on: pre-flight, policy, timing and log."""
     tether: bool = False
-    """First steps on a rope: less torque, a slow start, and sitting down at whatever would only be announced."""
+    """First steps on a rope: at most 9 N m, 6 s for the start, and sitting down at whatever would only be announced.
+    Standing up stays a push of 0.4 s: the policy has no slow one."""
     hold: str | None = None
     """Run only while this is held: key (any key of this terminal), or a gamepad's device such as /dev/input/js0."""
 

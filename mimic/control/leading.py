@@ -12,12 +12,20 @@ towards where it is pulled. When the hand lets go, it stops. The policy itself k
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
 
 from mimic.config.leading import LeadingSettings
+from mimic.config.play import RunSettings
+from mimic.control.loop import RunResult, run_policy
+from mimic.control.plant import Plant
+from mimic.control.safety_rules import FALLEN
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
 from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.policy.runtime import Policy
 from mimic.records import Command, FloatArray, RobotState, Tick
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import TOES
@@ -31,6 +39,10 @@ BACKWARD = np.deg2rad(120.0)
 
 STRETCHED = 0.02
 """Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
+
+
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.0)
+"""Times of the phases: it may be led as soon as it stands."""
 
 
 class PullEstimator:
@@ -124,3 +136,40 @@ def turned(vector: FloatArray, angle: float) -> tuple[float, float]:
     """Return a horizontal vector (2,) turned to the left by an angle [rad]."""
     c, s = math.cos(angle), math.sin(angle)
     return float(c * vector[0] - s * vector[1]), float(s * vector[0] + c * vector[1])
+
+
+def lead_robot(
+    plant: Plant,
+    policy: Policy,
+    settings: LeadingSettings,
+    *,
+    seconds: float = math.inf,
+    follow: Callable[[Tick], bool] | None = None,
+) -> RunResult:
+    """Let a simulated robot stand up and be led, until it falls or the time is over.
+
+    Args:
+        plant: The robot; whatever pulls it acts on it by itself.
+        policy: Stands and walks.
+        settings: How the robot answers.
+        seconds: Length of the run [s].
+        follow: Called with every tick; False ends the run.
+
+    Raises:
+        ContractError: If the policy does not fit.
+        PlantError: If the simulation is no longer finite.
+        Exception: Whatever else fails.
+    """
+    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+    leading = HandLeading(plant.description, neutral, settings, seconds=seconds - TIMING.stand_up)
+
+    def see(tick: Tick) -> None:
+        leading.see(tick)
+        if follow is not None and not follow(tick):
+            leading.stop()
+
+    safety = Safety(supervisor=Supervisor(plant.description, rules=(FALLEN,)), ramp=0.0, damp_at_end=False)
+    result = run_policy(plant, policy, leading, TIMING, sink=see, safety=safety)
+    if result.error is not None:
+        raise result.error
+    return result

@@ -73,6 +73,9 @@ FRAME = np.array([200.0, 10.0, 12.6, 30.0, 12.0])
 """Ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The maker's
 ranges of kp, kd and tau; the others are not published."""
 
+LEAST_TORQUE = 0.1
+"""A motor that is told less than this is not driven [N m]."""
+
 _BODY = tuple(LEGS.index(leg) * len(PARTS) + part for leg in ("FR", "FL", "RR", "RL") for part in range(len(PARTS)))
 """Joint of the description at each place of the firmware's order."""
 
@@ -267,6 +270,13 @@ class EmulatedBoard:
     def err_flag(self) -> int:
         """Error bits; 0 before motor mode."""
         return 0 if self._rules is None else self._rules.err_flag
+
+    def driven(self) -> tuple[str, ...]:
+        """Return the joints with stiffness or a torque of a command; soft joint limits do not count."""
+        kp, tau = self.applied.kp, self.applied.tau
+        free = np.ones(12, dtype=bool) if self._rules is None else self._rules.limits == 0
+        moved = (kp > 0.0) | (free & (np.abs(tau) > LEAST_TORQUE))
+        return tuple(JOINTS[_BODY[place]] for place in np.flatnonzero(moved))
 
     @property
     def torques(self) -> FloatArray:

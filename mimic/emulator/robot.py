@@ -196,6 +196,15 @@ class EmulatedRobot:
         self.now = max(self.now, until)
         self.body.advance(self.now)
 
+    def switched_on(self) -> tuple[str, ...]:
+        """Return the joints whose motors are on."""
+        return tuple(name for name, motor in zip(JOINTS, self.motors, strict=True) if motor.mode is Mode.RUN)
+
+    def driven(self) -> tuple[str, ...]:
+        """Return the joints whose motors are on with stiffness or torque, rather than damped."""
+        drives = {name: motor.drive for name, motor in zip(JOINTS, self.motors, strict=True)}
+        return tuple(name for name in self.switched_on() if drives[name].kp > 0.0 or drives[name].tau)
+
     def load(self, bus: int = 0) -> float:
         """Return the share of time that a bus was busy since power-up."""
         return self.buses[bus].bits / self.buses[bus].bitrate / self.now if self.now else 0.0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,20 +10,17 @@ from typing import Any
 import numpy as np
 
 from mimic.config.evaluation import LeadSettings
-from mimic.config.leading import HandSettings, LeadingSettings
+from mimic.config.leading import HandSettings
 from mimic.config.play import Randomisation
-from mimic.control.leading import HandLeading
-from mimic.control.loop import RunResult, run_policy
-from mimic.control.supervisor import Supervisor
-from mimic.control.tick import Safety
-from mimic.evaluation.episode import TRACKING_RULES
-from mimic.evaluation.policy import TIMING, stands_at_end
+from mimic.control.leading import lead_robot
+from mimic.control.loop import RunResult
+from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress, run_all
-from mimic.policy.runtime import Policy, cached_policy
-from mimic.records import SIDES, Tick
+from mimic.policy.runtime import cached_policy
+from mimic.records import SIDES
 from mimic.robot.description import load_description
 from mimic.simulation.hand import Hand
-from mimic.simulation.plant import PhysicsObserver, SimulatedPlant, plant_options
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 STOPS_WITHIN = 1.0
 """A robot that is let go should stand still from here on [s]."""
@@ -35,41 +30,6 @@ FOLLOWS = 0.3
 
 STANDS_STILL = 0.08
 """It has stopped if its mean velocity is at most this [m/s]: stepping in place it may sway and drift."""
-
-
-def lead_robot(
-    plant: SimulatedPlant,
-    policy: Policy,
-    hand: PhysicsObserver,
-    settings: LeadingSettings,
-    *,
-    seconds: float = math.inf,
-    follow: Callable[[Tick], bool] | None = None,
-) -> RunResult:
-    """Let a simulated robot stand up and be led.
-
-    Args:
-        plant: The robot.
-        policy: Stands and walks.
-        hand: Called after each physics step; pulls.
-        settings: How the robot answers.
-        seconds: Length of the run [s].
-        follow: Called with every tick; False ends the run.
-    """
-    plant.watch(hand)
-    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
-    leading = HandLeading(plant.description, neutral, settings, seconds=seconds - TIMING.stand_up)
-
-    def see(tick: Tick) -> None:
-        leading.see(tick)
-        if follow is not None and not follow(tick):
-            leading.stop()
-
-    safety = Safety(supervisor=Supervisor(plant.description, rules=TRACKING_RULES), ramp=0.0, damp_at_end=False)
-    result = run_policy(plant, policy, leading, replace(TIMING, hold=0.0), sink=see, safety=safety)
-    if result.error is not None:
-        raise result.error
-    return result
 
 
 def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[str, Any]:
@@ -106,7 +66,8 @@ def _play(seed: int, settings: LeadSettings, policy_path: str) -> dict[str, Any]
     ranges: Randomisation = replace(settings.randomisation, push=(0.0, 0.0))
     plant = SimulatedPlant(description, ranges=ranges, seed=seed, samples=False, **plant_options(settings.robot))
     pull = Hand(plant.model, hand)
-    result = lead_robot(plant, policy, pull, settings.leading, seconds=hand.end + hand.after)
+    plant.watch(pull)
+    result = lead_robot(plant, policy, settings.leading, seconds=hand.end + hand.after)
     if result.interrupted:
         raise KeyboardInterrupt
     return {"seed": seed, "stands": stands_at_end(result, description)} | lead_figures(result, pull, hand)

@@ -65,6 +65,10 @@ class Served:
     """Frames delivered more than 2 ms late."""
     stood_still: float
     """For how long the emulation stood still because this computer was too slow [s]."""
+    switched_on: tuple[str, ...]
+    """Joints whose motors were on at the end."""
+    driven: tuple[str, ...]
+    """Those of them that had stiffness or torque."""
 
 
 def _address(listen: str) -> tuple[str, int]:
@@ -167,6 +171,8 @@ def serve_robot(
         load=tuple(emulated.load(i) for i in range(len(emulated.buses))),
         late=late + status.late,
         stood_still=stood + status.stood_still,
+        switched_on=emulated.switched_on(),
+        driven=emulated.driven(),
     )
 
 
@@ -193,6 +199,8 @@ class ServedBoard:
     err_flag: int
     stood_still: float
     """For how long the emulation stood still because this computer was too slow [s]."""
+    driven: tuple[str, ...]
+    """Joints that had stiffness or torque at the end."""
 
 
 def serve_board(
@@ -283,6 +291,7 @@ def serve_board(
         late_ticks=status.late_ticks,
         err_flag=status.err_flag,
         stood_still=status.stood_still,
+        driven=board.driven(),
     )
 
 

@@ -65,7 +65,8 @@ def lead(
         NoViewer: If there is no display for the viewer.
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
-    from mimic.evaluation.leading import lead_figures, lead_robot
+    from mimic.control.leading import lead_robot
+    from mimic.evaluation.leading import lead_figures
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
     from mimic.simulation.hand import Hand
@@ -91,7 +92,8 @@ def lead(
             progress(min(done, total), total)
             return True
 
-        result = lead_robot(plant, player, pull, leading, seconds=end, follow=follow)
+        plant.watch(pull)
+        result = lead_robot(plant, player, leading, seconds=end, follow=follow)
     if result.interrupted:
         raise KeyboardInterrupt
     if film is not None:
@@ -109,7 +111,7 @@ def _by_mouse(plant: Any, policy: Any, leading: LeadingSettings) -> Any:
     import mujoco
     import mujoco.viewer
 
-    from mimic.evaluation.leading import lead_robot
+    from mimic.control.leading import lead_robot
     from mimic.robot.model import BASE
     from mimic.view.scene.viewer import display_available
 
@@ -138,4 +140,5 @@ def _by_mouse(plant: Any, policy: Any, leading: LeadingSettings) -> Any:
         return bool(viewer.is_running())
 
     with viewer:
-        return lead_robot(plant, policy, pull, leading, follow=follow)
+        plant.watch(pull)
+        return lead_robot(plant, policy, leading, follow=follow)

@@ -164,7 +164,8 @@ def _watch_can(bus_url: str, bus: BusSettings, seconds: float | None, every: flo
 def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
     """Return what there is to say beside the readings."""
     motor_bus, notes = watcher.motor_bus, []
-    load = ", ".join(f"{name} {share:.0%}" for name, share in zip(motor_bus.link.names, seen.load, strict=True))
+    names = motor_bus.link.names if len(seen.load) > 1 else ("",)
+    load = ", ".join(f"{name} {share:.0%}".strip() for name, share in zip(names, seen.load, strict=True))
     notes.append(f"bus load {load}; {seen.running} motors on")
     if watcher.only_listens:
         notes.append(f"only listening: {watcher.only_listens}")

@@ -5,8 +5,9 @@ import pytest
 
 from mimic.config.evaluation import LeadSettings
 from mimic.config.leading import HandSettings, LeadingSettings
+from mimic.control.leading import lead_robot
 from mimic.errors import ConfigError
-from mimic.evaluation.leading import evaluate_leading, lead_figures, lead_robot
+from mimic.evaluation.leading import evaluate_leading, lead_figures
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy
 from mimic.simulation.hand import Hand
@@ -18,7 +19,8 @@ def lead(description, **changes):
     plant = SimulatedPlant(description, samples=False)
     hand = Hand(plant.model, settings)
     seconds = settings.end + settings.after
-    result = lead_robot(plant, load_policy(None, description), hand, LeadingSettings(), seconds=seconds)
+    plant.watch(hand)
+    result = lead_robot(plant, load_policy(None, description), LeadingSettings(), seconds=seconds)
     return result, hand, lead_figures(result, hand, settings), settings
 
 

@@ -42,9 +42,9 @@ SEND_WITHIN = 0.01
 _LINE_WITHIN = 0.002
 """A line of slcan whose beginning is there is complete within this [s]."""
 
-_TRIES = 3
-"""Handshakes of socketcand that are tried: on a busy bus a frame can come right after an answer, which python-can
-refuses."""
+SHAKE_FOR = 5.0
+"""How long handshakes of socketcand are tried [s]: on a busy bus a frame can come right after an answer, which
+python-can refuses. On a loaded computer three of three tries failed."""
 
 _FULL, _FRAME = 60, 0.00015
 """Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues
@@ -219,7 +219,7 @@ def open_link(bus_url: str, *, bitrate: int = 1_000_000) -> CanLink:
     names = [word.strip() for word in bus_url.split(",")]
     if len(set(names)) < len(names) or "" in names:
         raise ConfigError(f"the buses are {bus_url!r}; expected different ones, such as {FORMS}")
-    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of every message in two segments
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # it logs tracebacks of what is raised here as one sentence
     ports: list[_Port] = []
     try:
         for name in names:
@@ -274,14 +274,17 @@ def _socketcand(name: str) -> _Port:
     _knock(name, host, port)
     options: dict[str, Any] = {"channel": channel, "host": host, "port": port, "tcp_tune": True, "ignore_config": True}
     with _giving_up():
-        for left in reversed(range(_TRIES)):
+        end = time.monotonic() + SHAKE_FOR
+        while True:
             try:
                 bus = can.Bus(interface="socketcand", **options)
                 return _Port(name, bus, getattr(bus, "_SocketCanDaemonBus__socket", None), ready=False)
             except can.CanError as reason:
-                if "< frame" not in str(reason) or not left:
+                if "< frame" not in str(reason):
                     raise
-    raise AssertionError("the last try raises")
+                if time.monotonic() > end:
+                    problem = "frames of the bus come between the answers of its server"
+                    raise BusError(f"{name} cannot be opened: {problem}; is this computer busy?") from None
 
 
 def _slcan(name: str, channel: str, bitrate: int) -> _Port:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -159,6 +160,60 @@ def test_a_server_that_goes_away_is_an_error_and_not_silence(kind, served):
     with contextlib.suppress(BusError):  # a first send after the end may still be taken
         link.send(0, CanFrame(0, b""))
     link.close()
+
+
+def test_a_handshake_into_which_frames_of_a_busy_bus_come_is_tried_again():
+    refused = 6
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            server.accept()[0].close()  # somebody only looks whether anyone listens
+            for number in range(refused + 1):
+                client, _ = server.accept()
+                frame = b"< frame 006 12.830067 0503 >" if number < refused else b""
+                client.sendall(b"< hi >")
+                for _ in ("open", "rawmode"):
+                    if not client.recv(100):
+                        break
+                    client.sendall(b"< ok >" + frame)
+                clients.append(client)
+
+        clients: list[socket.socket] = []
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        link = open_link(f"socketcand://127.0.0.1:{server.getsockname()[1]}/can0")
+        thread.join(PATIENCE)
+        assert len(clients) == refused + 1
+        link.close()
+        for client in clients:
+            client.close()
+
+
+def test_a_connection_that_is_reset_is_one_sentence_and_logs_no_traceback(caplog):
+    """python-can logs the traceback of each error that it raises."""
+    end = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            server.accept()[0].close()  # somebody only looks whether anyone listens
+            client, _ = server.accept()
+            client.sendall(b"< hi >")
+            for _ in ("open", "rawmode"):
+                client.recv(100)
+                client.sendall(b"< ok >")
+            end.wait(PATIENCE)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            client.close()
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        link = open_link(f"socketcand://127.0.0.1:{server.getsockname()[1]}/can0")
+        end.set()
+        thread.join(PATIENCE)
+        with pytest.raises(BusError, match="reset by peer"):
+            link.receive(PATIENCE)
+        link.close()
+    assert [record.message for record in caplog.records] == []
 
 
 @pytest.mark.slow
