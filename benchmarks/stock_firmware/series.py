@@ -215,24 +215,13 @@ def series(out: Path, jobs: int, plan: Mapping[str, int]) -> list[dict[str, Any]
     source = targets(out.parent)
 
     def one(case: str, seed: int) -> dict[str, Any]:
-        done = subprocess.run(
-            through_network(["one", case, str(seed), str(source)]),
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        words, environment = through_network(["one", case, str(seed), str(source)]), os.environ | {SLOTS: places}
+        done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
         lines = done.stdout.strip().splitlines()
         if done.returncode or not lines:
             problem = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-            return {
-                "case": case,
-                "seed": seed,
-                "status": done.returncode,
-                "stood": False,
-                "lies": False,
-                "line": problem,
-            }
+            nothing = {"status": done.returncode, "stood": False, "lies": False}
+            return {"case": case, "seed": seed, **nothing, "line": problem}
         return json.loads(lines[-1])
 
     with tempfile.TemporaryDirectory() as places, ThreadPoolExecutor(2 * jobs) as pool, out.open("a") as file:

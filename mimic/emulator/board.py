@@ -22,7 +22,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
 from mimic.emulator.faults import EmulatedFault
-from mimic.emulator.motor import FREE, Drive
+from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.emulator.motor_mode import DAMPING, MotorCommands, MotorModeRules
 from mimic.errors import ConfigError, FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
@@ -70,11 +70,11 @@ FAULTS = (
 """Kinds of faults that the board has; its network counts as bus 0."""
 
 FRAME = np.array([200.0, 10.0, 12.6, 30.0, 12.0])
-"""Ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The maker's
-ranges of kp, kd and tau; the others are not published."""
+"""Upper ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The
+maker's ranges of kp, kd and tau; the others are not published."""
 
-LEAST_TORQUE = 0.1
-"""A motor that is told less than this is not driven [N m]."""
+FRAME_LOW = FRAME * [0.0, 0.0, -1.0, -1.0, -1.0]
+"""Their lower ends: a frame has no negative gains."""
 
 _BODY = tuple(LEGS.index(leg) * len(PARTS) + part for leg in ("FR", "FL", "RR", "RL") for part in range(len(PARTS)))
 """Joint of the description at each place of the firmware's order."""
@@ -259,7 +259,7 @@ class EmulatedBoard:
         if failed:
             kp, kd, tau = np.zeros(12), np.full(12, DAMPING), np.zeros(12)
         numbers = np.nan_to_num(np.stack([kp, kd, _SIGN * q_des, _SIGN * dq_des, _SIGN * tau], axis=1))
-        framed = np.clip(numbers, -FRAME, FRAME).tolist()
+        framed = np.clip(numbers, FRAME_LOW, FRAME).tolist()
         for place, joint in enumerate(_BODY):
             if joint in dead or joint in failed:
                 self.body.drive(joint, FREE, self.now)

@@ -49,6 +49,9 @@ from mimic.hardware.cybergear.messages import (
     WriteParameter,
 )
 
+LEAST_TORQUE = 0.1
+"""A motor that is told less than this and has no stiffness is not driven [N m]; zero on the wire is not quite zero."""
+
 ROTOR_TURN = 2 * math.pi / 7.75
 """The encoder is on the rotor: at power-up the angle is known only within this [rad]. Gear ratio: manual, 7.75."""
 

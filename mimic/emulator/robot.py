@@ -21,7 +21,7 @@ from mimic.emulator.broken_drives import BrokenDrives
 from mimic.emulator.bus import EmulatedBus, Sent
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.imu import EmulatedMti
-from mimic.emulator.motor import FREE, ROTOR_TURN, Drive, EmulatedMotor, Measured
+from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, EmulatedMotor, Measured
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
 from mimic.hardware.can.link import Received
@@ -203,7 +203,9 @@ class EmulatedRobot:
     def driven(self) -> tuple[str, ...]:
         """Return the joints whose motors are on with stiffness or torque, rather than damped."""
         drives = {name: motor.drive for name, motor in zip(JOINTS, self.motors, strict=True)}
-        return tuple(name for name in self.switched_on() if drives[name].kp > 0.0 or drives[name].tau)
+        return tuple(
+            name for name in self.switched_on() if drives[name].kp > 0.0 or abs(drives[name].tau) > LEAST_TORQUE
+        )
 
     def load(self, bus: int = 0) -> float:
         """Return the share of time that a bus was busy since power-up."""

@@ -419,3 +419,16 @@ def test_the_table_is_printed_beside_the_paper_s_and_written(here, capsys, const
     written = json.loads((here / "table-still.json").read_text())
     assert written["provenance"]["settings"]["episodes"] == 1
     assert set(written["paper"]) == set(written["table"]["the paper's noise"]["contacts"]["columns"])
+
+
+def test_ctrl_c_while_the_program_is_still_loading_is_one_line(monkeypatch, capsys):
+    class Interrupting:
+        @staticmethod
+        def find_spec(name: str, path: object = None, target: object = None) -> None:
+            if name == "mimic.cli.app":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "mimic.cli.app", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupting, *sys.meta_path])
+    assert main(["--help"]) == 3
+    assert capsys.readouterr().err == "mimic: interrupted\n"

@@ -210,3 +210,21 @@ def test_late_and_lost_messages_are_late_and_lost():
 def test_faults_of_motors_on_can_are_refused():
     with pytest.raises(ConfigError, match="stock board has no fault 'power_cycle'; it has motor_dead"):
         Client("power_cycle:FL_hip@1")
+
+
+def test_it_tells_which_joints_are_driven():
+    client = ready()
+    assert client.board.driven() == ()
+    kp = np.zeros(12)
+    kp[0] = 20.0  # the first place is FR_abad
+    client.run(0.02, MOTOR_CTRL.encode(q_des=client.q(), kp_des=kp, kd_des=np.ones(12)))
+    assert client.board.driven() == ("FR_abad",)
+    client.run(0.02, MOTOR_CTRL.encode(q_des=client.q(), kd_des=np.ones(12)))
+    assert client.board.driven() == ()
+
+
+def test_negative_gains_of_a_damaged_message_do_not_reach_the_motors():
+    one, other = ready(), ready()
+    one.run(0.1, MOTOR_CTRL.encode(q_des=one.q() + 0.1, kp_des=[-200.0] * 12, kd_des=[-10.0] * 12))
+    other.run(0.1, MOTOR_CTRL.encode(q_des=other.q() + 0.1))
+    np.testing.assert_array_equal(one.tau(), other.tau())

@@ -600,3 +600,15 @@ def moving_on(made: Bench) -> Iterator[list[str]]:
             values = {"q": 0.01 * tick, "dq": 0.0, "kp": 30.0, "kd": 3.0, "tau": 0.0}
             made.say(Operation(motor=made.id(joint), **values))
         yield [f"{r.t} {r.frame}" for r in made.listen(0.02)]
+
+
+def test_it_tells_which_motors_are_on_and_which_of_them_are_driven(bench):
+    robot = bench()
+    assert robot.robot.switched_on() == robot.robot.driven() == ()
+    for joint in (0, KNEE):
+        robot.enable(joint)
+    robot.operate(0, kd=5.0)
+    assert robot.robot.switched_on() == (JOINTS[0], "FL_knee")
+    assert robot.robot.driven() == ()
+    robot.operate(KNEE, kp=10.0)
+    assert robot.robot.driven() == ("FL_knee",)
