@@ -224,7 +224,7 @@ def test_it_tells_which_joints_are_driven():
 
 
 def test_negative_gains_of_a_damaged_message_do_not_reach_the_motors():
-    one, other = ready(), ready()
-    one.run(0.1, MOTOR_CTRL.encode(q_des=one.q() + 0.1, kp_des=[-200.0] * 12, kd_des=[-10.0] * 12))
-    other.run(0.1, MOTOR_CTRL.encode(q_des=other.q() + 0.1))
-    np.testing.assert_array_equal(one.tau(), other.tau())
+    client = ready()
+    client.run(0.1, MOTOR_CTRL.encode(q_des=client.q() + 0.1, kp_des=[-200.0] * 12, kd_des=[-10.0] * 12))
+    hips_and_knees = np.delete(client.tau(), [0, 3, 6, 9])  # an abad rests against its soft limit
+    np.testing.assert_array_equal(hips_and_knees, 0.0)
