@@ -2,16 +2,20 @@
 
     python benchmarks/real_logs.py ../shared/data/logs OUT
 
-writes OUT/emps.parquet, emps_pulses.parquet, emps.xml, go2.parquet and go2.xml, and prints what the EMPS data say about
-their own controller and how well the published parameters replay in closed loop.
+writes OUT/emps.parquet, emps_pulses.parquet, emps.xml, go2.parquet, its halves go2_first and go2_second.parquet,
+go2.xml, four servo_MOTION.parquet and servo.xml, and prints what the EMPS data say about their own controller and how
+well the published parameters replay in closed loop.
 
 EMPS: a DC motor and a ball screw at 1 kHz. Source: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019.
 Go2: a Unitree Go2 hung up, at 200 Hz. Source: iit-DLSLab/sim2real-robot-identification, BSD-3-Clause.
+STS3250: a pendulum on a hobby servo, four motions of 6 s at about 47 Hz. Source: Rhoban/bam, data_raw_feetech,
+Apache-2.0.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +51,22 @@ EMPS_MJCF = """<mujoco model="emps">
   <actuator>
     <motor name="slide" joint="slide"/>
   </actuator>
+</mujoco>
+"""
+
+
+SERVO_GAINS = {"kp": 67.3, "kd": 2.35}
+"""Of the STS3250 as Rhoban/bam fitted them [N m/rad, N m s/rad]: its register does not say what they are."""
+
+SERVO_MJCF = """<mujoco model="servo">
+  <!-- The pendulum of the STS3250: 1.13 kg at 0.12 m. What the servo gives at most is for the calibration to find. -->
+  <worldbody>
+    <body name="arm" pos="0 0 1">
+      <joint name="j" axis="0 1 0" armature="0.005"/>
+      <inertial pos="0 0 -0.12" mass="1.13" diaginertia="1e-3 1e-3 1e-3"/>
+    </body>
+  </worldbody>
+  <actuator><position joint="j" kp="1" forcerange="-9 9"/></actuator>
 </mujoco>
 """
 
@@ -145,6 +165,29 @@ def go2_log(path: Path) -> JointLog:
     )
 
 
+def servo_logs(folder: Path, kp: float = SERVO_GAINS["kp"]) -> dict[str, JointLog]:
+    """Return the STS3250 logs by motion; the gain of the servo is declared [N m/rad]."""
+    made = {}
+    for path in sorted(folder.glob("*.json")):
+        raw = json.loads(path.read_text(encoding="utf-8"))
+        columns = {k: np.array([float(e[k]) for e in raw["entries"]]) for k in raw["entries"][0]}
+        made[raw["trajectory"]] = JointLog(
+            joints=("j",),
+            t=columns["timestamp"],
+            q=columns["position"][:, None],
+            q_des=columns["goal_position"][:, None],
+            extra={"enabled": columns["torque_enable"]},
+            metadata={**SERVO_GAINS, "kp": kp, "source": "Rhoban/bam, data_raw_feetech"},
+        )
+    return made
+
+
+def halves(log: JointLog) -> tuple[JointLog, JointLog]:
+    """Return the first and the second half of a log as two logs."""
+    middle = len(log.t) // 2
+    return log.part(slice(middle)), log.part(slice(middle, None))
+
+
 def _relative(made: FloatArray, measured: FloatArray) -> float:
     return float(100 * np.linalg.norm(made - measured) / np.linalg.norm(measured))
 
@@ -152,7 +195,7 @@ def _relative(made: FloatArray, measured: FloatArray) -> float:
 def main() -> None:
     """Write the logs and models, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder with emps/ and go2_air_chirp/")
+    parser.add_argument("data", type=Path, help="folder with emps/, go2_air_chirp/ and sts3250/")
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -173,7 +216,13 @@ def main() -> None:
         print("  published, symmetric: position {} %, velocity {} %".format(*CLOSED_LOOP[name]))
         write_log(emps_log(columns, gains), arguments.out / f"{name.removeprefix('DATA_').lower()}.parquet")
     (arguments.out / "emps.xml").write_text(EMPS_MJCF, encoding="utf-8")
-    write_log(go2_log(arguments.data / "go2_air_chirp" / "log.parquet"), arguments.out / "go2.parquet")
+    go2 = go2_log(arguments.data / "go2_air_chirp" / "log.parquet")
+    write_log(go2, arguments.out / "go2.parquet")
+    for name, half in zip(("first", "second"), halves(go2), strict=True):
+        write_log(half, arguments.out / f"go2_{name}.parquet")
+    for motion, log in servo_logs(arguments.data / "sts3250").items():
+        write_log(log, arguments.out / f"servo_{motion}.parquet")
+    (arguments.out / "servo.xml").write_text(SERVO_MJCF, encoding="utf-8")
     shutil.copyfile(arguments.data / "go2_air_chirp" / "go2_hung.xml", arguments.out / "go2.xml")
     print(f"wrote {arguments.out}")
 

@@ -11,7 +11,6 @@ from the catalogue's on purpose: "other" below says how. With ``--real`` the mea
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import tempfile
 import time
@@ -20,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.real_logs import EMPS_MJCF, emps_log, go2_log, identify, read_emps
-from mimic.dynamics.machine import MachineModel, read_machine
+from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, identify, read_emps, servo_logs
+from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
 from mimic.sysid.screen.regression import Screen, screen
@@ -165,40 +164,6 @@ def arm_log(hidden: Mapping[str, float], *, seconds: float = 36.0, seed: int = 0
     return JointLog(joints=("a", "b"), t=rows, q=q, q_des=target[newest], metadata={"kp": KP, "kd": KD})
 
 
-def servo_logs(folder: Path, kp: float) -> list[tuple[JointLog, MachineModel]]:
-    """Return the STS3250 logs, each with a pendulum for a model.
-
-    The register of the servo does not say its gain in N m/rad, which is declared here; damping by back-EMF 2.35
-    N m s/rad (Rhoban/bam), stall torque 5 N m (maker).
-    """
-    made = []
-    for path in sorted(folder.glob("*.json")):
-        raw = json.loads(path.read_text(encoding="utf-8"))
-        columns = {k: np.array([float(e[k]) for e in raw["entries"]]) for k in raw["entries"][0]}
-        log = JointLog(
-            joints=("j",),
-            t=columns["timestamp"],
-            q=columns["position"][:, None],
-            q_des=columns["goal_position"][:, None],
-            extra={"enabled": columns["torque_enable"]},
-            metadata={"kp": kp, "kd": 2.35},
-        )
-        with tempfile.TemporaryDirectory() as out:
-            model = Path(out) / "pendulum.xml"
-            model.write_text(pendulum_mjcf(raw["mass"], raw["length"]), encoding="utf-8")
-            made.append((log, read_machine(model)))
-    return made
-
-
-def pendulum_mjcf(mass: float, length: float) -> str:
-    """Return a mass [kg] at a length [m] from the axis, driven by a servo of 5 N m."""
-    return (
-        '<mujoco><worldbody><body name="arm" pos="0 0 1"><joint name="j" axis="0 1 0" armature="0.005"/><inertial '
-        f'pos="0 0 -{length}" mass="{mass}" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>'
-        '<actuator><position joint="j" kp="1" forcerange="-5 5"/></actuator></mujoco>'
-    )
-
-
 def _line(title: str, made: Screen, seconds: float, names: tuple[str, ...] = ()) -> str:
     top = ", ".join(f"{s.names[0]} {s.gain:.2f} (z {s.z:.1f})" for s in made.singles[:4])
     rank = [next((i + 1 for i, s in enumerate(made.singles) if s.names[0] == n), 0) for n in names]
@@ -207,9 +172,12 @@ def _line(title: str, made: Screen, seconds: float, names: tuple[str, ...] = ())
 
 
 def _real(folder: Path) -> None:
+    with tempfile.TemporaryDirectory() as out:
+        (Path(out) / "servo.xml").write_text(SERVO_MJCF, encoding="utf-8")
+        pendulum = read_machine(Path(out) / "servo.xml")
     for kp in (12.0, 17.6, 25.0, 40.0, 67.3):
         began = time.monotonic()
-        made = screen(servo_logs(folder / "sts3250", kp))
+        made = screen([(log, pendulum) for log in servo_logs(folder / "sts3250", kp).values()])
         print(_line(f"STS3250 pooled, kp {kp:g}", made, time.monotonic() - began, ("load_friction",)), flush=True)
     columns = read_emps(folder / "emps" / "DATA_EMPS.parquet")
     with tempfile.TemporaryDirectory() as out:

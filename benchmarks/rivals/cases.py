@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +12,7 @@ import numpy as np
 from benchmarks.hidden_effects.generator import measured, simulate
 from benchmarks.hidden_effects.scenarios import Scenario, build
 from benchmarks.hidden_effects.suite import hung, legs_mjcf
-from benchmarks.real_logs import EMPS_MJCF, emps_log, identify, read_emps
-from benchmarks.torque_screen import pendulum_mjcf, servo_logs
+from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, identify, read_emps, servo_logs
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
@@ -98,12 +97,12 @@ def emps_case(folder: Path) -> Case:
 
 def servo_case(folder: Path) -> Case:
     """Return three logs of the STS3250 to fit and the one that moves up and down to judge by."""
-    logs: Sequence[JointLog] = [log for log, _ in servo_logs(folder / "sts3250", SERVO_GAIN)]
-    text = pendulum_mjcf(1.13, 0.12)
+    logs = tuple(servo_logs(folder / "sts3250", SERVO_GAIN).values())
+    text = SERVO_MJCF.replace("-9 9", "-5 5")
     return Case(
         title="STS3250, three logs, judged by the fourth",
         hidden=("load_friction",),
-        fitted=tuple(logs[:3]),
+        fitted=logs[:3],
         test=logs[3],
         machine=_compiled(text),
         mjcf=text,

@@ -113,6 +113,9 @@ class Law:
         self.dt, self.xp, self._d, self._p, self._shape = timestep, xp, drives, dict(parameters), shape
         self._has = {name for name, _ in self._p}
         self._zero = drives.kp * 0.0 + xp.zeros_like(drives.kp)[None] + self._full(0.0)
+        self.needed: Any = 0.0
+        """Torque that the links need against gravity and for their motion (N, J) [N m], see `Servo`: the owner of the
+        physics gives it once, and it follows the physics."""
         self.states: dict[str, Any] = {}
         self._fixed()
 
@@ -357,7 +360,7 @@ class Law:
             load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
-        friction, bent = self._friction(q, dq, load)
+        friction, bent = self._friction(q, dq, load, tau)
         applied = self._outside(q, dq, time) - bent
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
         if self.rotor is not None:
@@ -448,8 +451,8 @@ class Law:
         power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
         return 1.0 - self.get("supply_sag", "drop") * power - left
 
-    def _friction(self, q: Any, dq: Any, load: Any) -> tuple[Any, Any]:
-        """Return dry friction at these motor torques, and the torque by which one direction has more.
+    def _friction(self, q: Any, dq: Any, load: Any, tau: Any) -> tuple[Any, Any]:
+        """Return dry friction at these motor torques and sizes of them, and the torque by which one direction has more.
 
         Friction of F + A forward and F - A backward is friction F with a torque -A, at rest too.
         """
@@ -458,6 +461,8 @@ class Law:
             level = level + get("stribeck", "level") * xp.exp(-((dq / get("stribeck", "speed")) ** 2))
         if "load_friction" in self._has:
             level = level + get("load_friction", "ratio") * load
+        if "gear_load_friction" in self._has:
+            level = level + get("gear_load_friction", "ratio") * xp.abs(tau + self.needed)
         if "position_friction" in self._has:
             level = level + (get("position_friction", "slope") + get("position_friction", "curvature") * q) * q
             level = xp.clip(level, 0.0, None)

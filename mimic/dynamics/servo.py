@@ -32,9 +32,13 @@ class Servo:
     For N simulations of J joints: ctrl, applied and friction (N, J), gain and bias (N, J, at least 3), range (N, J, 2).
     """
 
-    def __init__(self, *, ctrl: Any, applied: Any, gain: Any, bias: Any, limits: Any, friction: Any) -> None:
+    def __init__(
+        self, *, ctrl: Any, applied: Any, gain: Any, bias: Any, limits: Any, friction: Any, needed: Any = 0.0
+    ) -> None:
         self._ctrl, self._applied, self._friction = ctrl, applied, friction
         self._gain, self._bias, self._range = gain, bias, limits
+        self.needed = needed
+        """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
 
     @classmethod
     def of_batch(cls, batch: Batch) -> Servo:
@@ -46,6 +50,7 @@ class Servo:
             bias=batch.expand("actuator_biasprm"),
             limits=batch.expand("actuator_forcerange"),
             friction=batch.expand("dof_frictionloss"),
+            needed=batch.bind("qfrc_bias"),
         )
 
     def write(self, inputs: Any) -> None:

@@ -87,7 +87,9 @@ class EmulatedBody:
             bias=model.actuator_biasprm[None],
             limits=model.actuator_forcerange[None],
             friction=model.dof_frictionloss[None, -12:],
+            needed=self.data.qfrc_bias[None, -12:],
         )
+        self._law.needed = self._servo.needed
         self._law.begin(self.data.qpos[None, -12:], self.data.qvel[None, -12:])
         self.held = True
         """Somebody holds trunk and legs where they are."""

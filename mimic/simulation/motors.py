@@ -66,7 +66,9 @@ class LawMotors:
             bias=model.actuator_biasprm[None],
             limits=model.actuator_forcerange[None],
             friction=model.dof_frictionloss[None, 6:],
+            needed=data.qfrc_bias[None, 6:],
         )
+        self._law.needed = self._servo.needed
         shift = target_shift(self._p, h) + (0 if ("delay", "time") in self._p else variation.delay_steps)
         self._shift = np.maximum(np.broadcast_to(shift, (1, 12))[0], 0.0)
         self._rng = np.random.default_rng([seed, 13])

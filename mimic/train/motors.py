@@ -120,7 +120,7 @@ class WorldMotors:
         neighbour = torch.as_tensor(np.asarray(drives.neighbour), device=self._device)
         self._law = Law(Drives(**rows, neighbour=neighbour), p, h, (self._n, 12), torch)
         self._states = dict(self._law.states)
-        self._servo = servo
+        self._servo, self._law.needed = servo, servo.needed
         self.set_share(1.0)
 
     def _tensor(self, values: Any) -> torch.Tensor:

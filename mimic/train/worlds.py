@@ -210,6 +210,7 @@ class Worlds:
             bias=wp.to_torch(m.actuator_biasprm),
             limits=wp.to_torch(m.actuator_forcerange),
             friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
+            needed=wp.to_torch(d.qfrc_bias)[:, 6:],
         )
 
     @property

@@ -58,7 +58,9 @@ class Bench:
             bias=model.actuator_biasprm[None],
             limits=model.actuator_forcerange[None],
             friction=model.dof_frictionloss[None],
+            needed=d.qfrc_bias[None],
         )
+        self.law.needed = self._servo.needed
 
     def run(
         self,
@@ -124,6 +126,15 @@ def test_load_friction_grows_with_the_torque_of_the_motor(bench, torque):
 
 def test_load_friction_leaves_an_idle_motor_alone(bench):
     assert bench({"load_friction": {"ratio": 0.5}}, **FREE).run(0.2, speed=2.0)["dq"][-1] == pytest.approx(2.0)
+
+
+def test_friction_of_a_gear_takes_the_same_share_of_what_the_motor_and_what_a_weight_ask_of_it(bench):
+    loaded = {"gear_load_friction": {"ratio": 0.25}}
+    driven = pull(bench(loaded, **FREE), 2.0, 0.1)
+    assert driven["dq"][-1] == pytest.approx(0.1 * 0.75 * 2.0 / WHOLE, rel=0.02)
+    falls, braked = (bench(e, weight=0.5, **FREE).run(0.05)["dq"][-1] for e in ({}, loaded))
+    assert abs(falls) > 0.2
+    assert braked == pytest.approx(0.75 * falls, rel=0.02)
 
 
 def test_asymmetric_friction_brakes_one_direction_more(bench):
@@ -442,6 +453,7 @@ LARGE = {
     "velocity_lag": {"time": 0.005},
     "stribeck": {"level": 3.0, "speed": 0.005},
     "load_friction": {"ratio": 0.9},
+    "gear_load_friction": {"ratio": 0.9},
     "asymmetric_friction": {"level": 0.5, "coefficient": 0.05},
     "quadratic_drag": {"coefficient": 0.05},
     "coupling": {"coefficient": 0.1},

@@ -38,6 +38,17 @@ FRICTION = (
         source="gear efficiency; Duclos et al., bam, 2025",
     ),
     Effect(
+        name="gear_load_friction",
+        title="load-dependent friction of the gear",
+        equation="tau = -ratio |tau_motor - tau_external| sgn(v), beside dry friction; tau_external: gravity, motion",
+        parameters=(Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25),),
+        by_request=True,
+        signature="friction grows in loaded poses, also where the link pushes the motor that is switched off",
+        experiment="reversals under several loads, and falls with the drive switched off",
+        enters="dof_frictionloss at every step",
+        source="gear meshes carry both torques; Duclos et al., bam, 2025",
+    ),
+    Effect(
         name="asymmetric_friction",
         title="asymmetric friction",
         equation="tau = -level - coefficient |v|, beside dry (at most as much of it, at rest too) and viscous friction",

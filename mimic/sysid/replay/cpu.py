@@ -333,6 +333,8 @@ class Replay:
         batch = self._batch(n)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
+        fields.needed[:] = 0.0
+        law.needed = fields.needed
         begin = np.tile(self._begin, sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
         start_q, start_dq = self._starts(begin)

@@ -283,6 +283,7 @@ class WorldReplay(Replay):
         heat = self._heat_at(p)
         law.reset(q, dq, None if heat is None else self._tensor(heat))
         worlds.begin(self._fields(p), segments, law.unread(q), dq)
+        law.needed = worlds.servo.needed
         path = torch.zeros(self.length + 1, n, joints, device=self._device)
         torques = torch.zeros(self.length, n, joints, device=self._device) if torque else None
         path[0] = law.reading(worlds.q)

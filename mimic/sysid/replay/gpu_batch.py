@@ -47,6 +47,7 @@ class WorldBatch:
                 bias=wp.to_torch(self.model.actuator_biasprm),
                 limits=wp.to_torch(self.model.actuator_forcerange),
                 friction=wp.to_torch(self.model.dof_frictionloss),
+                needed=wp.to_torch(self.data.qfrc_bias),
             )
             self._warmstart = wp.to_torch(self.data.qacc_warmstart)
             self._static = {name: wp.to_torch(getattr(self.model, name)) for name in STATIC}
@@ -64,3 +65,4 @@ class WorldBatch:
         self.q.copy_(q)
         self.dq.copy_(dq)
         self._warmstart.zero_()
+        self.servo.needed.zero_()
