@@ -28,9 +28,6 @@ Parameters = Mapping[tuple[str, str], Any]
 STIFFEST = 2e-4
 """Compliance of a transmission that has backlash only [rad/(N m)]: stiff against any position gain in use."""
 
-DAMPING_RATIO = 0.2
-"""Of the rotor against its transmission; steel gears ring for a few periods."""
-
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
@@ -185,7 +182,7 @@ class Law:
             "there": there,
             "half": half,
             "stiffness": stiffness,
-            "coupling": stiffness * self.dt + 2 * DAMPING_RATIO * xp.sqrt(stiffness * inertia),
+            "coupling": stiffness * self.dt + 2 * self.get("compliance", "damping") * xp.sqrt(stiffness * inertia),
             "inertia": inertia,
         }
 

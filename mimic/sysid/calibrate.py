@@ -108,7 +108,7 @@ def calibrate(
         before = final = _refined(before, tick)
         stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
-            found, last = Search(settings=settings, tick=tick, torques=_torques(before.problem)).run(before)
+            found, last = Search(settings=settings, tick=tick, torques=_torques(before)).run(before)
             final = pruned(found, tick)
             stages, residual = final.stages(last), final.fitted.residual
             if (coarse := coarse_encoders(final)).any():
@@ -217,15 +217,18 @@ def _refined(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
     return replace(h, problem=problem, fitted=fitted)
 
 
-def _torques(problem: Problem) -> tuple[Torques, ...]:
-    """Return the torques of the fitted blocks of a log."""
-    replay = problem.replay
+def _torques(h: Hypothesis) -> tuple[Torques, ...]:
+    """Return the torques of the fitted blocks of a log, of drives as the baseline fit has them."""
+    problem, replay, values = h.problem, h.problem.replay, h.fitted.point.values
+    limits = {k: values["torque_speed", k] for k in ("torque", "flat", "speed") if ("torque_speed", k) in values}
+    machine = replace(replay.machine, drives=replace(replay.machine.drives, **limits))
     seen = np.isin(problem.blocks.index, problem.blocks.train)
     logs, rows, sent = [], [], []
     for part in replay.parts:
-        gains = {k: dict(zip(replay.machine.joints, getattr(part, k), strict=True)) for k in ("kp", "kd")}
+        own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}
+        gains = {k: dict(zip(machine.joints, row, strict=True)) for k, row in own_gains.items()}
         own = replay.log.part(part.slice)
-        logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(replay.machine, part.payload)))
+        logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(machine, part.payload)))
         rows.append(seen[part.slice])
         sent.append(replay.sending.of_part(part.slice, part.begin))
     return torques_of(logs, rows, sent)

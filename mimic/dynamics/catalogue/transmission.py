@@ -5,6 +5,8 @@ from mimic.dynamics.catalogue.kinds import Effect, Parameter
 GAPS = tuple(2.5 * 1.2**k for k in range(19))
 """Starts of a backlash, in differences that matter: a fit finds one only from within a sixth of it."""
 
+DAMPING_RATIO = 0.2
+"""Of the rotor against its transmission, where nothing is known; steel gears ring for a few periods."""
 
 TRANSMISSION = (
     Effect(
@@ -23,7 +25,8 @@ TRANSMISSION = (
     Effect(
         name="compliance",
         title="joint compliance",
-        equation="tau = (theta - q) / compliance between motor angle theta and link; the encoder is on the motor",
+        equation="tau = (theta - q) / compliance + 2 damping sqrt(armature / compliance) d(theta - q)/dt between motor"
+        " angle theta and link; the encoder is on the motor",
         parameters=(
             Parameter(
                 name="compliance",
@@ -34,6 +37,9 @@ TRANSMISSION = (
                 step=0.003,
                 starts=(3.0, 12.0),
                 spread=50,
+            ),
+            Parameter(
+                name="damping", unit="1", neutral=DAMPING_RATIO, low=0.01, high=2.0, step=0.02, shape=True, spread=10
             ),
         ),
         structural=True,

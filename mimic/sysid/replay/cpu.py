@@ -144,9 +144,18 @@ class Replay:
         )
 
     def _cut(self, part: Part, segment: float) -> IntArray:
-        """Return the steps at which the segments of a part begin, and its last."""
-        begin, end = round(part.begin / self.dt), math.floor(part.end / self.dt + 1e-6)
-        return np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
+        """Return the steps at which the segments of a part begin, and its last.
+
+        None begins while a drive is switched off: a joint that swings freely does not forget where it began.
+        """
+        begin, end = round(part.begin / self.dt), min(math.ceil(part.end / self.dt - 1e-6), self.total)
+        cuts = np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
+        off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
+        t = self.log.t - self.log.t[0]
+        rows = [np.searchsorted(t, np.maximum(cuts - back, begin) * self.dt) for back in (self._lead, 0)]
+        free = off[rows[0]] == off[rows[1]]
+        free[[0, -1]] = True
+        return cuts[free]
 
     @property
     def row_gains(self) -> tuple[FloatArray, FloatArray]:
@@ -333,8 +342,6 @@ class Replay:
         batch = self._batch(n)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
-        fields.needed[:] = 0.0
-        law.needed = fields.needed
         begin = np.tile(self._begin, sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
         start_q, start_dq = self._starts(begin)
@@ -369,6 +376,7 @@ class Replay:
             if torque is not None:
                 gone += asked
             batch.step()
+            law.needed = fields.needed  # not before the first step: it is of the run before
             law.settle(dq)
             reading = law.reading(q)
             mine = slice(at[k], at[k + 1])

@@ -114,14 +114,16 @@ def motion_of(
     target = q_read if log.q_des is None else _held(t - delay, sending.at, targets)
     kp, kd = np.asarray(machine.drives.kp), np.asarray(machine.drives.kd)
     force = 0.0 if log.force is None else _held(t, log.t - t0, log.force)
-    most = np.asarray(machine.drives.torque)
+    most, flat, speed = (np.asarray(getattr(machine.drives, name)) for name in ("torque", "flat", "speed"))
+    slope_down = most / (speed - flat)
+    low, high = (-np.clip((speed + dq) * slope_down, 0.0, most), np.clip((speed - dq) * slope_down, 0.0, most))
     on = (_held(t, log.t - t0, enabled(log).astype(float)) > 0.5).astype(float)
     seen = np.ones((len(t), 1), dtype=bool)
     if rows is not None:
         seen = np.interp(t, log.t - t0, rows.astype(float))[:, None] > 0.99
 
     def asked(u: FloatArray) -> FloatArray:
-        return on * np.clip(kp * (u - q_read) - kd * dq + force, -most, most)
+        return on * np.clip(kp * (u - q_read) - kd * dq + force, low, high)
 
     if log.tau is not None:
         tau, later = on * _at(t, log.t - t0, log.tau), np.zeros_like(q)

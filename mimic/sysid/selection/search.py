@@ -16,7 +16,7 @@ from mimic.records import BoolArray
 from mimic.sysid.fit.least_squares import Fit, fit_all, fitting
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refined
+from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
 from mimic.sysid.screen.base import BaseMotion, moving_base
 from mimic.sysid.screen.regression import Torques, asked_for
 from mimic.sysid.selection.evidence import (
@@ -107,6 +107,8 @@ class Search:
             settled = self._settled(parent, t, tried)
             if settled is None:
                 continue
+            if settled.names == parent.names:
+                return self.extended(settled)
             sets.append(settled)
             if len(sets) == RULES.beam or settled.explained:
                 break
@@ -186,7 +188,10 @@ class Search:
         return tried
 
     def _settled(self, parent: Hypothesis, t: TriedEffect, tried: Sequence[TriedEffect]) -> Hypothesis | None:
-        """Return a set with an effect fitted to the end on the joints that have it, or None where it does not last."""
+        """Return a set with an effect fitted to the end on the joints that have it, or None where it does not last.
+
+        The set without it comes back where trying it has led to numbers that explain more.
+        """
         h = replace(parent, parent=parent, found=t, tried=tuple(tried), names=(*parent.names, t.name))
         if t.timing is None:
             problem = corrected(h.problem, t.fitted.point).weighed(t.fitted.residual)
@@ -197,7 +202,10 @@ class Search:
         if not CATALOGUE[t.name].read_off:
             channels = h.joints[t.name][h.problem.channel_joint]
             left, had = (cross_validated(x.problem, x.fitted)[channels].sum() for x in (h, parent))
-            if not left < had or as_good_without(h, t.name) is not None:
+            if (bare := as_good_without(h, t.name)) is not None:
+                problem, bare = refine_steps(h.problem, bare)
+                return replace(parent, problem=problem, fitted=bare) if _explains_more(problem, bare, parent) else None
+            if not left < had:
                 return None
         return h
 
@@ -213,6 +221,14 @@ class Search:
             intervals={**h.intervals, timing.name: timing.interval},
             unsure={**h.unsure, ("delay", "time"): timing.unsure},
         )
+
+
+def _explains_more(problem: Problem, fitted: Fit, than: Hypothesis) -> bool:
+    """Return whether a fit of the same numbers as a set's leaves less."""
+    left, had = (
+        np.sqrt(p.mean_squares(f.residual, False).sum()) for p, f in ((problem, fitted), (than.problem, than.fitted))
+    )
+    return bool(left < (1.0 - RULES.gain) * had)
 
 
 def _distinct(sets: Sequence[Hypothesis]) -> Iterator[Hypothesis]:

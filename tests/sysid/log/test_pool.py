@@ -84,6 +84,24 @@ def test_a_drive_that_is_switched_off_lets_its_joint_fall(pendulum: MachineModel
     assert np.nanmax(np.abs(without.replay.run(none, 1).residual)) > 0.5
 
 
+def test_the_last_reading_of_a_log_before_others_is_replayed_in_any_step(pendulum: MachineModel) -> None:
+    """A row that fine steps lack and coarse ones have would make every fit look as if it had blown up.
+
+    The drive is off from 2 s on, so that in fine steps no piece is longer than the rest of the first log.
+    """
+    whole = swung(pendulum, kp=20.0, kd=0.8)
+    first = whole.part(slice(1000))
+    t = np.append(first.t[:-1], first.t[-1] + 0.0011)
+    first = replace(first, t=t, extra={"enabled": (t < 2.0).astype(float)})
+    problem = problem_of(
+        pool([first, whole], pendulum, 0.0025), pendulum, CalibrateSettings(threads=1, timestep=0.0025)
+    )
+    start = Point.of(BASELINE, pendulum)
+    counted = np.isfinite(problem.residuals([start])[0]).all(axis=1)
+    assert counted[len(t) - 1]
+    assert np.isfinite(problem.in_fine_steps(start, 2, 1.0)[counted]).all()
+
+
 def test_a_lower_supply_moves_the_torque_speed_line(pendulum: MachineModel) -> None:
     fast = replace(pendulum, drives=replace(pendulum.drives, torque=np.ones(1), flat=np.ones(1), speed=np.full(1, 4.0)))
     t = np.arange(0.0, 6.0, 0.02)

@@ -1,6 +1,7 @@
 """What a replay reads off the simulation, and where its segments begin."""
 
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -44,6 +45,23 @@ def test_readings_between_two_steps_are_predicted_at_their_own_time(
     replay = Replay(pendulum, swing, timestep=timestep, segment=2.0, threads=1)
     residual = replay.run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
     assert np.nanmax(np.abs(residual)) < 5e-4
+
+
+def test_a_joint_that_swings_freely_is_followed_from_before_it_was_let_go(pendulum: MachineModel) -> None:
+    """Begun at noisy readings on its way, the swing would be off by far more than the readings are."""
+    t = np.arange(0.0, 8.0, 0.02)
+    held = LogSettings(noise=0.0, resolution=0.0, timestep=0.0005, rate_hz=200.0)
+    log = simulate_log(pendulum, t, np.where(t > 2.0, 1.0, 0.0)[:, None], EffectSet(), held)
+    on = (log.t - log.t[0] < 4.0).astype(float)
+    none = {("delay", "time"): np.zeros((1, 1))}
+    let_go = replace(log, extra={**log.extra, "enabled": on})
+    free = Replay(pendulum, let_go, timestep=0.0025, segment=100.0, threads=1).run(none, 1).residual[0]
+    swing = replace(let_go, q=let_go.q - np.nan_to_num(free))
+    assert np.ptp(swing.q[on == 0.0]) > 0.5
+    noisy = replace(swing, q=swing.q + 0.01 * np.random.default_rng(0).standard_normal(swing.q.shape))
+    cut = Replay(pendulum, noisy, timestep=0.0025, segment=1.0, threads=1).run(none, 1).residual[0]
+    left = np.nan_to_num(cut)[on == 0.0] - (noisy.q - swing.q)[on == 0.0]
+    assert np.abs(left).max() < 0.02
 
 
 @pytest.mark.slow
