@@ -194,7 +194,7 @@ def _relative(made: FloatArray, measured: FloatArray) -> float:
 
 def main() -> None:
     """Write the logs and models, and print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, help="folder with emps/, go2_air_chirp/ and sts3250/")
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()

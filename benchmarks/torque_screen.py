@@ -195,7 +195,7 @@ def _real(folder: Path) -> None:
 
 def main() -> None:
     """Print one line for each log, and how often what was hidden is first, among the first three, and claimed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=36.0)
     parser.add_argument("--real", type=Path, default=None)

@@ -68,8 +68,8 @@ VALUES: dict[str, dict[str, float]] = {
     "encoder_eccentricity": {"cosine": 0.02, "sine": -0.03},
     "target_filter": {"time": 0.01},
 }
-ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands"}
-"""Of a stand, or drawn by generators that are not the same."""
+ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction"}
+"""Of a stand, drawn by generators that are not the same, or by what the links needed in the physics step before."""
 
 
 def one(name: str, *, exact: bool = True, **values: float) -> EffectValues:
