@@ -28,6 +28,8 @@ class PoseSettings:
     """Who is followed where a video shows several people: by place in its first picture, or a number from the left."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
+    depth: bool = True
+    """Estimate the depth of the arms from their motion in the picture; otherwise it is as the detector says."""
     pose_model: Path | None = None
     """Another BlazePose model (.task), or the wheel of mediapipe 0.10.14, which carries the default one; by default it
     is downloaded at the first use."""

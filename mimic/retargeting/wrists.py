@@ -33,8 +33,8 @@ SHOWN_GAPS = 4
 """At most this many of the times at which it is hidden are named, the longest ones."""
 DEPTH_VISIBLE = "20–65 %"
 """Share of the motion along the camera axis that BlazePose detects by itself, on rendered and on real videos."""
-DOUBTFUL_DEPTH = 0.12
-"""Depth of a wrist that is less certain than this standard deviation is reported [m]."""
+DOUBTFUL_DEPTH = 0.14
+"""A standard deviation of a wrist's depth above this counts as doubtful: there the error was 18 cm and more [m]."""
 
 _DEFAULT = RetargetSettings()
 _GRID = 0.05

@@ -251,7 +251,9 @@ def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connect
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
 
-    sides, last_preview = LiveSides(), -np.inf
+    from mimic.sources.video.depth import LiveDepth
+
+    sides, depth, last_preview = LiveSides(), LiveDepth(), -np.inf
     while (item := latest.take()) is not None:
         t, bgr, skipped = item
         started = time.monotonic()
@@ -264,6 +266,9 @@ def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connect
                 swap_sides(a[None], np.ones(1, dtype=np.bool_))[0] for a in (landmarks, image, score)
             )
         person = bool(person_rows(score[None], pose.min_visibility)[0])
+        size, spread = (bgr.shape[1], bgr.shape[0]), np.full(2, np.nan)
+        if person and pose.depth:
+            landmarks, spread = depth.see(t, landmarks, image, size)
         jpeg = None
         if previews and t - last_preview >= PREVIEW_INTERVAL:
             small = cv2.resize(bgr, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * bgr.shape[0] / bgr.shape[1])))
@@ -274,10 +279,11 @@ def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connect
             image=image,
             score=score,
             valid=(score >= pose.min_visibility) & person,
-            size=(bgr.shape[1], bgr.shape[0]),
+            size=size,
             skipped=skipped,
             swapped=bool(swapped),
             detector_s=time.monotonic() - started,
+            depth_spread=spread,
             jpeg=jpeg,
         )
         try:

@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 5
+ALGORITHM = 6
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -66,7 +66,8 @@ def track_video(
 ) -> PoseTrack:
     """Return the landmarks of the person in a video, one row for every decoded frame.
 
-    Swapped sides are corrected over the whole clip, and noise is smoothed without lag. The warnings of the track list
+    Swapped sides are corrected over the whole clip, noise is smoothed without lag, and the depth of the arms is
+    estimated from their motion in the picture. The warnings of the track list
     what makes the motion doubtful: cuts, jumps, missing frames, frequent swaps of left and right.
 
     Args:
@@ -79,7 +80,8 @@ def track_video(
         AssetError: If there is no model to detect with.
     """
     detections = _detect(Path(path), settings, progress)
-    from mimic.sources.video.smoothing import smooth  # SciPy takes a second: the detector need not wait for it
+    from mimic.sources.video.depth import with_depth  # SciPy takes a second: the detector need not wait for it
+    from mimic.sources.video.smoothing import smooth
 
     person = _person_share(detections, settings)
     t = detections.t
@@ -108,10 +110,15 @@ def track_video(
     ]
     for warning in warnings:
         log.info("%s: %s", detections.name, warning)
+    landmarks, image = (smooth(t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
+    spread = None
+    if settings.depth:
+        landmarks, spread = with_depth(t, landmarks, image, detections.size, shots)
     return PoseTrack(
         t=t,
-        landmarks=smooth(t, landmarks, shots, settings.cutoff_hz),
-        image=smooth(t, image, shots, settings.cutoff_hz),
+        landmarks=landmarks,
+        image=image,
+        depth_spread=spread,
         score=score,
         valid=valid,
         size=detections.size,

@@ -1,0 +1,159 @@
+import numpy as np
+
+from mimic.records import LANDMARKS
+from mimic.sources.video.depth import LiveDepth, placed, with_depth
+from mimic.sources.video.left_right import other_side
+
+SIZE = (640, 480)
+NO_SHOTS = np.zeros(0, dtype=np.int64)
+
+
+def someone(seconds: float = 3.0, *, behind: bool = False, rate: float = 30.0, seed: int = 1):
+    """Times and a row per frame of someone who faces the camera and moves both arms; the detector sees all of it."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    points = {
+        "nose": (0, -0.7, -0.1), "left_ear": (0.07, -0.7, 0), "right_ear": (-0.07, -0.7, 0),
+        "left_shoulder": (0.18, -0.5, 0), "right_shoulder": (-0.18, -0.5, 0),
+        "left_hip": (0.1, 0, 0), "right_hip": (-0.1, 0, 0),
+    }  # fmt: skip
+    landmarks = np.zeros((len(t), 33, 3))
+    for name, place in points.items():
+        landmarks[:, LANDMARKS.index(name)] = place
+    for side, sign in (("left", 1), ("right", -1)):
+        a, b = rng.uniform(0, 2 * np.pi, 2)
+        swing, lift = 0.5 * np.sin(3 * t + a), -0.6 + 0.8 * np.sin(2 * t + b)
+        way = np.stack(
+            [sign * np.cos(lift) * np.sin(swing + 0.5), -np.sin(lift), -np.cos(lift) * np.cos(swing)], axis=1
+        )
+        shoulder = landmarks[:, LANDMARKS.index(f"{side}_shoulder")]
+        landmarks[:, LANDMARKS.index(f"{side}_elbow")] = shoulder + 0.28 * way
+        for part, reach in (("wrist", 0.53), ("index", 0.62), ("pinky", 0.61), ("thumb", 0.58)):
+            landmarks[:, LANDMARKS.index(f"{side}_{part}")] = shoulder + reach * way
+    if behind:
+        landmarks = landmarks * (-1.0, 1.0, -1.0)
+    return t, landmarks, seen_from(landmarks, 1.5)
+
+
+def seen_from(landmarks: np.ndarray, lens: float) -> np.ndarray:
+    """Where a camera with a focal length of `lens` times the longer side sees the points, 4 m away."""
+    pixels = lens * max(SIZE) * landmarks[..., :2] / (4.0 + landmarks[..., 2:])
+    return 0.5 + pixels / SIZE
+
+
+def arms(landmarks: np.ndarray) -> np.ndarray:
+    """Shoulder -> elbow, wrist of both sides."""
+    ids = [[LANDMARKS.index(f"{s}_{p}") for p in ("shoulder", "elbow", "wrist")] for s in ("left", "right")]
+    return np.stack([landmarks[:, i[1:]] - landmarks[:, i[:1]] for i in ids], axis=1)
+
+
+def test_the_right_depth_puts_the_arms_where_they_are_in_a_picture_with_perspective():
+    _, landmarks, image = someone()
+    flat = landmarks.copy()
+    moving = [i for i, name in enumerate(LANDMARKS) if name.split("_")[-1] in ("elbow", "wrist")]
+    flat[:, moving, 2] = 0.0
+    scale = np.full(len(image), 4.0 / (1.5 * max(SIZE)))
+    found = placed(flat, image, SIZE, scale, arms(landmarks)[..., 2])
+    np.testing.assert_allclose(arms(found), arms(landmarks), atol=1e-9)
+
+
+def flattened(landmarks: np.ndarray) -> np.ndarray:
+    """Landmarks as of a detector that sees nothing of how deep the arms are: always a little before the body."""
+    said = landmarks.copy()
+    for side in ("left", "right"):
+        shoulder, elbow, wrist = (LANDMARKS.index(f"{side}_{p}") for p in ("shoulder", "elbow", "wrist"))
+        said[:, elbow, 2], said[:, wrist, 2] = said[:, shoulder, 2] - 0.10, said[:, shoulder, 2] - 0.25
+    return said
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_depth_is_found_from_the_picture_and_the_spread_is_of_the_size_of_the_error():
+    t, landmarks, image = someone(8.0)
+    said = flattened(landmarks)
+    found, spread = with_depth(t, said, image, SIZE, NO_SHOTS)
+    before, after = (arms(v)[:, :, 1] - arms(landmarks)[:, :, 1] for v in (said, found))
+    assert rms(after[..., 2]) < 0.9 * rms(before[..., 2])
+    for side in range(2):
+        assert np.corrcoef(arms(found)[:, side, 1, 2], arms(landmarks)[:, side, 1, 2])[0, 1] > 0.6
+    assert 0.5 * rms(after[..., 2]) < rms(spread) < 2 * rms(after[..., 2])
+
+
+def test_an_arm_across_the_picture_is_less_sure_than_one_that_points_at_the_camera():
+    t, landmarks, image = someone(8.0)
+    _, spread = with_depth(t, flattened(landmarks), image, SIZE, NO_SHOTS)
+    way = arms(landmarks)[:, :, 1]
+    across = np.hypot(way[..., 0], way[..., 1]) / np.linalg.norm(way, axis=-1)
+    assert spread[across > 0.9].mean() > 1.2 * spread[across < 0.5].mean()  # a short bone says more than a long one
+
+
+def test_hands_move_with_their_wrist():
+    t, landmarks, image = someone()
+    found, _ = with_depth(t, landmarks, image, SIZE, NO_SHOTS)
+    for side in ("left", "right"):
+        wrist, index = LANDMARKS.index(f"{side}_wrist"), LANDMARKS.index(f"{side}_index")
+        np.testing.assert_allclose(found[:, index] - found[:, wrist], landmarks[:, index] - landmarks[:, wrist])
+
+
+def test_a_person_in_a_mirror_gets_the_mirrored_arms():
+    t, landmarks, image = someone()
+    found, spread = with_depth(t, landmarks, image, SIZE, NO_SHOTS)
+    swap = other_side()
+    mirrored, other = with_depth(
+        t, landmarks[:, swap] * (-1, 1, 1), (image * (-1, 1) + (1, 0))[:, swap], SIZE, NO_SHOTS
+    )
+    np.testing.assert_allclose(mirrored[:, swap] * (-1, 1, 1), found, atol=1e-6)
+    np.testing.assert_allclose(other[:, ::-1], spread, atol=1e-6)
+
+
+def test_only_arms_change_and_rows_without_a_person_stay_empty():
+    t, landmarks, image = someone()
+    landmarks[40:60], image[40:60] = np.nan, np.nan
+    found, spread = with_depth(t, landmarks, image, SIZE, NO_SHOTS)
+    assert np.isnan(found[40:60]).all()
+    assert np.isnan(spread[40:60]).all()
+    rest = [
+        i
+        for i, name in enumerate(LANDMARKS)
+        if name.split("_")[-1] not in ("elbow", "wrist", "pinky", "index", "thumb")
+    ]
+    np.testing.assert_array_equal(found[:, rest], landmarks[:, rest])
+    assert (spread[:40] > 0).all()
+
+
+def test_a_view_from_behind_is_left_as_it_is():
+    t, landmarks, image = someone(behind=True)
+    found, spread = with_depth(t, landmarks, image, SIZE, NO_SHOTS)
+    np.testing.assert_array_equal(found, landmarks)
+    assert np.isnan(spread).all()
+
+
+def test_a_shot_does_not_know_of_the_next():
+    t, landmarks, image = someone()
+    cut = len(t) // 2
+    both, _ = with_depth(t, landmarks, image, SIZE, np.array([cut]))
+    first, _ = with_depth(t[:cut], landmarks[:cut], image[:cut], SIZE, NO_SHOTS)
+    np.testing.assert_allclose(both[:cut], first)
+
+
+def test_a_camera_gets_about_the_same_arms_as_a_clip():
+    t, landmarks, image = someone(6.0)
+    clip, _ = with_depth(t, landmarks, image, SIZE, NO_SHOTS)
+    live = LiveDepth()
+    rows = [live.see(*row, SIZE) for row in zip(t, landmarks, image, strict=True)]
+    found, spread = (np.array(column) for column in zip(*rows, strict=True))
+    apart = arms(found)[60:, :, 1] - arms(clip)[60:, :, 1]
+    assert np.sqrt((apart**2).sum(axis=-1).mean()) < 0.12
+    assert np.isfinite(spread).all()
+
+
+def test_a_camera_forgets_who_was_there_before_a_pause():
+    t, landmarks, image = someone(2.0)
+    fresh, used = LiveDepth(), LiveDepth()
+    _, other, other_image = someone(2.0, seed=5)
+    for row in zip(t, other, other_image, strict=True):
+        used.see(*row, SIZE)
+    one = used.see(60.0, landmarks[0], image[0], SIZE)[0]
+    np.testing.assert_allclose(fresh.see(0.0, landmarks[0], image[0], SIZE)[0], one, atol=0.05)
