@@ -50,6 +50,8 @@ SCALE_S = 0.5
 """Standard deviation of the Gaussian over the scale of the picture [s]."""
 HEADING_S = 0.44
 """Standard deviation of the Gaussian over the heading [s]: it has a gain of 0.71 at 0.3 Hz."""
+SHORTEST_GAP_S = 1e-3
+"""Two frames of a camera are taken to be at least this far apart [s]."""
 FORGET_S = 1.0
 """A camera starts anew after a gap of this length, and averages scale and heading with this time constant [s]."""
 REMEMBERED = 900
@@ -221,7 +223,7 @@ class _Arm:
     ) -> FloatArray:
         """Return the same (3,) for the next frame, from the past only."""
         self._take(bones)
-        frames = min(passed, FORGET_S) * RATE_HZ
+        frames = np.clip(passed, SHORTEST_GAP_S, FORGET_S) * RATE_HZ
         step_u, step_f = (_steps(nodes, frames) for nodes in (self._zu, self._zf))
         seen = self._likelihood(world, flat, away, line)[0] ** min(frames, 3.0)
         self._belief = seen * (step_u.T @ self._belief @ step_f)

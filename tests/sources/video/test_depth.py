@@ -157,3 +157,10 @@ def test_a_camera_forgets_who_was_there_before_a_pause():
         used.see(*row, SIZE)
     one = used.see(60.0, landmarks[0], image[0], SIZE)[0]
     np.testing.assert_allclose(fresh.see(0.0, landmarks[0], image[0], SIZE)[0], one, atol=0.05)
+
+
+def test_two_frames_of_a_camera_at_the_same_time_do_no_harm():
+    t, landmarks, image = someone(1.0)
+    live = LiveDepth()
+    rows = [live.see(t[k // 2], landmarks[k], image[k], SIZE) for k in range(30)]
+    assert all(np.isfinite(arms).all() and np.isfinite(spread).all() for arms, spread in rows)
