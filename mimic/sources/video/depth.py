@@ -82,7 +82,7 @@ def with_depth(
     """
     result, spread = np.array(landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
     for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), shots):
-        grid = np.arange(t[rows[0]], t[rows[-1]] + 1e-9, 1.0 / RATE_HZ)
+        grid = np.arange(float(t[rows[0]]), float(t[rows[-1]]) + 1e-9, 1.0 / RATE_HZ)
         if len(grid) < SHORTEST or from_behind(landmarks[rows]):
             continue
         world, flat = (_resampled(t[rows], grid, values[rows]) for values in (landmarks, image))

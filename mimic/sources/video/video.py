@@ -111,7 +111,7 @@ def track_video(
     for warning in warnings:
         log.info("%s: %s", detections.name, warning)
     landmarks, image = (smooth(t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
-    spread = None
+    spread = np.full((len(t), 2), np.nan)
     if settings.depth:
         landmarks, spread = with_depth(t, landmarks, image, detections.size, shots)
     return PoseTrack(
