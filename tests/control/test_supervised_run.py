@@ -326,8 +326,12 @@ def test_a_closed_terminal_makes_it_sit_down(supervised):
             signal.raise_signal(signal.SIGHUP)
         return health
 
-    with signals.caught():
-        result, _, supervisor = supervised(signals=signals, health=close, endless=True)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
+    try:
+        with signals.caught():
+            result, _, supervisor = supervised(signals=signals, health=close, endless=True)
+    finally:
+        signal.signal(signal.SIGHUP, before)
     assert "SIGHUP" in supervisor.decisive.text
     assert phases(result.log).count("sit_down") == LAST
 
