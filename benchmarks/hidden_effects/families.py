@@ -142,7 +142,7 @@ def hidden_effect(
         angle = float(draw(0.0, 2 * np.pi, 0.8)[0])
         values = {"roll": s[:1] * np.cos(angle), "pitch": s[:1] * np.sin(angle)}
     else:
-        (parameter,) = (p.name for p in effect(name).parameters)
+        parameter = next(p.name for p in effect(name).parameters if not p.shape)
         values = {parameter: s}
     return EffectValues(name=name, joints=() if machine_wide else joints, values=values, source="benchmark")
 
