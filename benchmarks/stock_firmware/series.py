@@ -108,6 +108,9 @@ def play_one(folder: Path, work: Path, source: Path, seed: int, case: str = "pla
     said, _ = process.communicate(timeout=TIMEOUT)
     rows = bench.rows()
     up = uprightness(rows)
+    if not (out / "log.parquet").is_file():  # it was refused before it began
+        refused = {"status": process.returncode or 2, "stood": False, "lies": bool(abs(up[-1]) < 0.2)}
+        return {"case": case, "seed": seed, **refused, "line": _last_line(said)}
     log, health = store.load(out / "log.parquet", RunLog), store.load(out / "health.parquet", HealthLog)
     metrics = store.load_json(out / "metrics.json")
     tracked = np.isin(log.phase, (2, 3, 4))
