@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fault_campaign import incomplete, targets
+from benchmarks.faults_scene import print_failures
 from benchmarks.lcm_proxy import KINDS as LCM_KINDS
 from benchmarks.lcm_proxy import LcmProxy, wiring_through
 from benchmarks.tcp_proxy import KINDS as TCP_KINDS
@@ -377,9 +378,7 @@ def table(rows: list[dict[str, Any]]) -> None:
     for robot in sorted({row["robot"] for row in rows}):
         mine = [row for row in rows if row["robot"] == robot]
         print(f"{robot}: {len(mine)} runs")
-        for name in ("undamped", "hung", "traceback", "lost", "silent"):
-            bad = [(row["seed"], row["fault"], row[name]) for row in mine if row[name]]
-            print(f"  {name:10s} {len(bad)}", bad[:10])
+        print_failures(mine)
         print("  driven, beyond reach:", [(r["seed"], r["fault"]) for r in mine if r["driven"] and not r["undamped"]])
         for kind in dict.fromkeys(row["fault"] for row in mine):
             print(f"  {kind:18s}", dict(Counter(row["rule"] or "–" for row in mine if row["fault"] == kind)))

@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks import faults_can, faults_stock
-from benchmarks.faults_scene import Scene, Trouble
+from benchmarks.faults_scene import Scene, Trouble, print_failures
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import RunRecorder, salvage
@@ -186,9 +186,7 @@ def table(rows: list[dict[str, Any]]) -> None:
     for robot in sorted({row["robot"] for row in rows}):
         mine = [row for row in rows if row["robot"] == robot]
         print(f"{robot}: {len(mine)} runs, {sum(row['outside'] for row in mine)} with a fault from outside")
-        for name in ("undamped", "hung", "traceback", "lost", "silent"):
-            bad = [(row["seed"], row["fault"], row[name]) for row in mine if row[name]]
-            print(f"  {name:10s} {len(bad)}", bad[:10])
+        print_failures(mine)
         beyond = [row["fault"].split("=")[0].split(":")[0] for row in mine if row["driven"] and not row["reachable"]]
         print("  driven, and beyond reach:", dict(Counter(beyond)))
         print("  rules:", dict(Counter(row["rule"] for row in mine)))

@@ -1,10 +1,12 @@
 """What the scenes of the fault campaign have in common: the trouble that was drawn, and what is asked of a scene.
 
-Used by benchmarks/faults_outside.py, with benchmarks/faults_can.py and benchmarks/faults_stock.py.
+Used by benchmarks/faults_outside.py, with benchmarks/faults_can.py and benchmarks/faults_stock.py; its list of failures
+also by benchmarks/faults_in_processes.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -80,3 +82,10 @@ class Scene(Protocol):
     def told(self) -> bool:
         """Return whether the last line says that motors were left on."""
         ...
+
+
+def print_failures(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print how many runs failed in each way, and the first of them."""
+    for name in ("undamped", "hung", "traceback", "lost", "silent"):
+        bad = [(row["seed"], row["fault"], row[name]) for row in rows if row[name]]
+        print(f"  {name:10s} {len(bad)}", bad[:10])

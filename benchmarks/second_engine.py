@@ -3,10 +3,10 @@
     python -m benchmarks.second_engine --robots 40 --out second_engine.json
 
 Drake reads the robot's MJCF with its own parser; bodies, joints, solver (SAP) and contacts (compliant points) are its
-own. The law of the motors is written here once more from the numbers of the robot description: gains, torque limit,
-voltage, dry friction, delay. Control loop, policy and rules are the product's. Robots are randomised as in the paper's
-Table II, except for the restitution, which Drake's contacts do not have; no part of the robot touches another. Each
-episode is also played in MuJoCo.
+own. The law of the motors is written here once more from the numbers of the robot description: gains, limits of torque
+and speed, dry friction, delay. Control loop, policy and rules are the product's. Robots are randomised as in the
+paper's Table II, except for the restitution, which Drake's contacts do not have; no part of the robot touches another.
+Each episode is also played in MuJoCo.
 
 Needs Drake, which mimic does not: pip install drake.
 """
@@ -170,7 +170,7 @@ class DrakePlant:
         )
 
     def _torque(self, target: FloatArray, q: FloatArray, v: FloatArray, command: JointCommand) -> FloatArray:
-        """Return the torques of the motors (12,): a position servo whose voltage and torque are limited [N m]."""
+        """Return the torques of the motors (12,): a position servo whose torque and speed are limited [N m]."""
         d = self._d
         tau = self.variation.kp * command.kp * (target - q) - self.variation.kd * command.kd * v
         slope = d.torque_max / (d.speed_max - d.speed_flat)  # less torque the faster it drives

@@ -169,8 +169,6 @@ def track_video(
         SourceError: If the file is no video, or shows no person.
         AssetError: If the models of the pose estimator are not here and cannot be downloaded.
     """
-    from mimic.sources.video.decoding import open_video
-    from mimic.sources.video.pose_model import is_here
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
@@ -181,10 +179,7 @@ def track_video(
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
-    if not is_here(settings.pose_model):
-        with open_video(path):  # nothing is downloaded for a file that is no video
-            pass
-        fetch_pose_model(settings, reporter)
+    fetch_pose_model(settings, reporter, video=path)
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:
@@ -335,16 +330,26 @@ def _holds_playable_record(path: Path) -> bool:
         return False
 
 
-def fetch_pose_model(settings: PoseSettings, reporter: Reporter) -> None:
+def fetch_pose_model(settings: PoseSettings, reporter: Reporter, *, video: Path | None = None) -> None:
     """Download the models of the pose estimator where they are not on this computer yet.
 
+    Args:
+        settings: May name another model.
+        reporter: Receives progress.
+        video: What they are for; nothing is downloaded where it cannot be read.
+
     Raises:
+        SourceError: If the file is no video.
         AssetError: If that is not possible, or another model was given and is none.
     """
+    from mimic.sources.video.decoding import open_video
     from mimic.sources.video.pose_model import is_here, pose_model
 
     if is_here(settings.pose_model):
         return
+    if video is not None:
+        with open_video(video):
+            pass
     reporter.note("pose model   not on this computer yet: downloading mediapipe's wheel that carries it (once, 36 MB)")
     with reporter.progress("MB") as progress:
         path = pose_model(settings.pose_model, progress=progress)

@@ -159,8 +159,7 @@ def _left(rest: tuple[UnexplainedResidual, ...]) -> str:
 
 def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
     """Return that a parameter stopped at its bound, and where."""
-    where = "" if free.joint < 0 else f" of {machine.joints[free.joint]}"
-    return f"{free.key[0]}.{free.key[1]}{where} stopped at its bound {bound:g}: the model is wrong there in another way"
+    return f"{free.called(machine.joints)} stopped at its bound {bound:g}: the model is wrong there in another way"
 
 
 def weak(final: Fit, problem: Problem) -> tuple[str, ...]:

@@ -50,9 +50,7 @@ from mimic.sysid.result import Calibration, Errors, Stage, Traces, UnexplainedRe
 
 DESCRIPTION = load_description()
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
-WHOLE = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
-MOTION = Excitation(t=WHOLE.t[:200], q_des=WHOLE.q_des[-200:], sections=())
-"""Four seconds of it: every machine here is simulated in steps of 0.1 ms."""
+MOTION = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
 SMOOTH = Machine(friction=np.zeros(12), damping=np.full(12, 0.05), mass=np.ones(12), delay=0.01)
 PLAIN = Machine.drawn(np.random.default_rng(0))
 
@@ -191,7 +189,7 @@ def test_every_effect_of_the_catalogue_acts_and_a_size_of_nothing_does_not(name)
         truth = simulate(replace(PLAIN, hidden=EffectSet((one,))), MOTION, 0)
         return float(np.sqrt(((truth.q - rest().q) ** 2).mean(0)).max())
 
-    assert moved(FAMILIES[name].cap) > 0.5 * FLOOR  # what grows over minutes is small after four seconds
+    assert moved(FAMILIES[name].cap) > FLOOR
     if name not in ("torque_speed", "compliance", "backlash"):  # their least value is another machine
         assert moved(0.0) < 1e-9
 

@@ -39,6 +39,10 @@ class FreeParameter:
         p = CATALOGUE[self.key[0]].parameter(self.key[1])
         return p.low, p.high
 
+    def called(self, joints: Sequence[str]) -> str:
+        """Return its name for a person: effect, parameter, and of which of the joints."""
+        return ".".join(self.key) + ("" if self.joint < 0 else f" of {joints[self.joint]}")
+
 
 @dataclass(frozen=True, eq=False)
 class Point:

@@ -28,7 +28,7 @@ def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:
 
 def of_white_noise(fitted: Fit, problem: Problem) -> FloatArray:
     """Return the standard deviation of each free parameter (P,) for a white residual."""
-    hessian = fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.free_parameters))
+    hessian = _information(fitted, problem)
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0))
 
 
@@ -36,17 +36,18 @@ def correlations(fitted: Fit, problem: Problem) -> Correlations | None:
     """Return how the errors of the free parameters hang together for a white residual; none if nothing is free."""
     if not fitted.free_parameters:
         return None
-    hessian = fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.free_parameters))
-    scale = np.array([k.step for k in fitted.free_parameters])
+    hessian, scale = _information(fitted, problem), np.array([k.step for k in fitted.free_parameters])
     covariance = np.linalg.pinv(hessian * scale[:, None] * scale[None], hermitian=True)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     matrix = np.clip(covariance / spread[:, None] / spread[None], -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
-    names = tuple(
-        f"{k.key[0]}.{k.key[1]}" + ("" if k.joint < 0 else f" of {problem.machine.joints[k.joint]}")
-        for k in fitted.free_parameters
-    )
+    names = tuple(k.called(problem.machine.joints) for k in fitted.free_parameters)
     return Correlations(names=names, matrix=matrix)
+
+
+def _information(fitted: Fit, problem: Problem) -> FloatArray:
+    """Return what data and prior say of the free parameters (P, P)."""
+    return fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.free_parameters))
 
 
 def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> list[dict[Key, list[int]]]:
