@@ -15,7 +15,7 @@ from mimic.hardware.stock.messages import (
     TYPES,
 )
 from mimic.hardware.stock.wiring import PARTS, BoardWiring
-from mimic.records import JOINTS, LEGS
+from mimic.records import JOINTS, LEGS, FloatArray
 
 NEVER = -np.inf
 
@@ -75,7 +75,10 @@ class Readings:
         self._offset_t = 0.0
 
     def take(self, channel: str, data: bytes, t: float) -> None:
-        """Take a message that arrived at time t [s]; one that cannot be read is counted."""
+        """Take a message that arrived at time t [s].
+
+        One that cannot be read, or has numbers outside of the wiring's ranges, is left out and counted.
+        """
         report = self.report
         try:
             message = TYPES[channel].decode(data)
@@ -90,8 +93,15 @@ class Readings:
         elif channel == STATE_ESTIMATOR.channel:
             self._imu(message, t)
         elif channel == MOTOR_CTRL_STATE.channel:
-            report["err_flag"], report["err_came"] = int(message["err_flag"]) & 0xFFFF, t
-            report["gap"] = 1e-3 * float(message["ctrl_topic_interval"])
+            self._commands(message, t)
+
+    def _commands(self, message: Any, t: float) -> None:
+        report, interval = self.report, float(message["ctrl_topic_interval"])
+        if not np.isfinite(interval):
+            report["malformed"] += 1
+            return
+        report["err_flag"], report["err_came"] = int(message["err_flag"]) & 0xFFFF, t
+        report["gap"] = 1e-3 * interval
 
     def _motors(self, message: Any, t: float) -> None:
         wiring, report = self._wiring, self.report
@@ -100,12 +110,15 @@ class Readings:
             return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(len(JOINTS))
 
         q, dq, tau = wiring.angles(by_leg("q")), wiring.joints(by_leg("qd")), wiring.joints(by_leg("tau"))
-        if not np.isfinite(np.concatenate([q, dq, tau])).all():
+        temperature = wiring.temperature_unit * by_leg("tmp").astype(np.float64)[wiring.index]
+        coldest, warmest = wiring.readings.temperature
+        possible = self._possible(q, dq) and np.all(np.abs(tau) <= wiring.readings.torque)
+        if not (possible and temperature.min() >= coldest and temperature.max() <= warmest):
             report["malformed"] += 1
             return
         report["q"], report["dq"], report["tau"] = q, dq, tau
         report["flags"] = message["flags"].astype(np.int64)[wiring.index] & 0xFFFFFFFF
-        report["temperature"] = wiring.temperature_unit * by_leg("tmp").astype(np.float64)[wiring.index]
+        report["temperature"] = temperature
         report["motors_came"] = report["joints_came"] = t
         report["motors_count"] += 1
 
@@ -115,8 +128,15 @@ class Readings:
         if report["motors_came"] > NEVER:
             return
         q, dq = wiring.angles(message["q"]), wiring.joints(message["qd"])
-        if np.isfinite(np.concatenate([q, dq])).all():
-            report["q"], report["dq"], report["joints_came"] = q, dq, t
+        if not self._possible(q, dq):
+            report["malformed"] += 1
+            return
+        report["q"], report["dq"], report["joints_came"] = q, dq, t
+
+    def _possible(self, q: FloatArray, dq: FloatArray) -> bool:
+        """Return whether joints can have these angles (12,) [rad] and velocities (12,) [rad/s]; false for NaN."""
+        ranges = self._wiring.readings
+        return bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity))
 
     def _imu(self, message: Any, t: float) -> None:
         report, stamp = self.report, 1e-9 * float(message["timestamp"])
@@ -125,7 +145,7 @@ class Readings:
         quat = message["quat"].astype(np.float64)[self._wiring.quat]
         omega = message["omegaBody"].astype(np.float64)
         length = float(np.linalg.norm(quat))
-        if not (np.isfinite(omega).all() and abs(length - 1.0) < 0.05):
+        if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
             report["malformed"] += 1
             return
         self._stamp = stamp

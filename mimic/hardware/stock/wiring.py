@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,22 @@ BOARDS = ("cyberdog2",)
 """Names of boards that --robot takes."""
 
 PARTS = ("abad", "hip", "knee")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingRanges:
+    """Ranges outside of which a reading is that of a damaged message; from minus to plus where there is one number."""
+
+    angle: float
+    """[rad]"""
+    velocity: float
+    """[rad/s]"""
+    torque: float
+    """[N m]"""
+    turn_rate: float
+    """Of the base about each axis [rad/s]."""
+    temperature: tuple[float, float]
+    """Lowest and highest [degC]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +70,7 @@ class BoardWiring:
     """Largest distance of a desired position from the measured one that the firmware lets pass (12,) [rad]."""
     cut_margin: float
     """Distance that mimic keeps from it [rad]."""
+    readings: ReadingRanges
 
     def joints(self, wire: Any) -> FloatArray:
         """Return values in joint order and sign (12,), without the offset, of values of a message (12,)."""
@@ -110,7 +127,7 @@ def _wiring(path: Path, raw: Mapping[str, Any]) -> BoardWiring:
     legs = raw.get("legs")
     if not isinstance(legs, list) or sorted(map(str, legs)) != sorted(LEGS):
         raise ConfigError(f"legs is {legs!r}; expected {', '.join(LEGS)} in the order of the messages")
-    sign, offset = _three(raw, "sign"), _three(raw, "offset")
+    sign, offset = _numbers(raw, "sign"), _numbers(raw, "offset")
     if any(value not in (-1.0, 1.0) for value in sign):
         raise ConfigError(f"sign is {sign}; expected 1 or -1 for {', '.join(PARTS)}")
     order = raw.get("quat")
@@ -118,7 +135,7 @@ def _wiring(path: Path, raw: Mapping[str, Any]) -> BoardWiring:
         raise ConfigError(f"quat is {order!r}; expected the order of its numbers, such as 'wxyz'")
     limits = table(raw, "limits", "the file")
     high = {name: number(limits, name, "[limits]") for name in ("kp", "kd", "velocity", "torque", "cut_margin")}
-    cut = _three(limits, "cut")
+    cut = _numbers(limits, "cut")
     if min(cut) <= high["cut_margin"] or high["cut_margin"] < 0.0:
         raise ConfigError(f"cut_margin of [limits] is {high['cut_margin']:g} rad; expected less than each cut: {cut}")
     for name in ("kp", "kd", "velocity", "torque"):
@@ -142,13 +159,27 @@ def _wiring(path: Path, raw: Mapping[str, Any]) -> BoardWiring:
         torque_max=high["torque"],
         cut=np.tile(cut, len(LEGS)),
         cut_margin=high["cut_margin"],
+        readings=_readings(raw),
     )
 
 
-def _three(raw: Mapping[str, Any], name: str) -> list[float]:
+def _readings(raw: Mapping[str, Any]) -> ReadingRanges:
+    given = table(raw, "readings", "the file")
+    most = {name: number(given, name, "[readings]") for name in ("angle", "velocity", "torque", "turn_rate")}
+    for name, value in most.items():
+        if value <= 0.0:
+            raise ConfigError(f"{name} of [readings] is {value:g}; expected more than 0")
+    low, high = _numbers(given, "temperature", ("lowest", "highest"))
+    if low >= high:
+        raise ConfigError(f"temperature of [readings] is {[low, high]}; expected the lowest, then the highest")
+    return ReadingRanges(**most, temperature=(low, high))
+
+
+def _numbers(raw: Mapping[str, Any], name: str, places: Sequence[str] = PARTS) -> list[float]:
+    """Return a list of numbers, one for each place."""
     values = raw.get(name)
-    if not isinstance(values, list) or len(values) != len(PARTS):
-        raise ConfigError(f"{name} is {values!r}; expected three numbers, for {', '.join(PARTS)}")
+    if not isinstance(values, list) or len(values) != len(places):
+        raise ConfigError(f"{name} is {values!r}; expected {len(places)} numbers, for {', '.join(places)}")
     return [number({name: value}, name, "the file") for value in values]
 
 

@@ -52,6 +52,10 @@ def test_angles_and_gains_survive_the_wire():
         ('address = "239.255.76.67"', 'address = "192.168.44.1"', "expected a multicast group"),
         ('"192.168.44.100/24"', '"robot"', "host is 'robot'"),
         ("[limits]", "[limit]", "lacks the table limits"),
+        ("[readings]", "[reading]", "lacks the table readings"),
+        ("torque = 24.0", "torque = 0.0", "torque of \\[readings\\] is 0; expected more than 0"),
+        ("[-40.0, 200.0]", "[200.0, -40.0]", "expected the lowest, then the highest"),
+        ("[-40.0, 200.0]", "200.0", "temperature is 200.0; expected 2 numbers, for lowest, highest"),
     ],
 )
 def test_a_file_that_cannot_be_right_is_refused_in_one_line(changed, before, after, expected):
