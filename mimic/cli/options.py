@@ -8,7 +8,14 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 from mimic.config.emulator import EmulateSettings
-from mimic.config.hardware import BusSettings, ProbeSettings
+from mimic.config.hardware import (
+    BusSettings,
+    CheckSettings,
+    DriveSettings,
+    LookSettings,
+    ProbeSettings,
+    WiringSettings,
+)
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -35,6 +42,10 @@ Stored = Annotated[MocapSettings | None, _group("Recorded motion (.npz, .trc, .b
 Language = Annotated[LanguageSettings | None, _group("Sentences (--text)", 7)]
 Live = Annotated[LiveSettings | None, _group("Camera (--camera)", 8)]
 Bus = Annotated[BusSettings | None, _group("Real robot (--robot)", 9)]
+Drive = Annotated[DriveSettings | None, _group("Robot", 3)]
+Check = Annotated[CheckSettings | None, _group("Robot", 3)]
+Look = Annotated[LookSettings | None, _group("Robot", 3)]
+WiringFile = Annotated[WiringSettings | None, _group("Robot", 3)]
 Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
 Learn = Annotated[LearnSettings | None, _group("Learning", 3)]
 Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]

@@ -13,7 +13,7 @@ import numpy as np
 from mimic.cli import options as o
 from mimic.cli.console import ConsoleReporter, console, matrix, note, number, table, warn
 from mimic.cli.exit_status import BUG, DONE, STOPPED, USER_ERROR
-from mimic.config.hardware import BusSettings
+from mimic.config.hardware import DriveSettings
 from mimic.flows.operator import Operator
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ def _show_event(event: Event) -> None:
         os.dup2(nowhere, sys.stderr.fileno())
 
 
-def _operator(bus: BusSettings | None) -> Operator:
+def _operator(settings: DriveSettings | None) -> Operator:
     """Return the person at this terminal; with --yes everything is confirmed at once."""
 
     def confirm(what: str) -> None:
-        if bus is None or not bus.yes:
+        if settings is None or not settings.yes:
             console.input(f"{what} Press Enter to begin, Ctrl-C to leave. ")
 
     return Operator(show_findings=_show_findings, confirm=confirm, say=note, show_event=_show_event)
@@ -133,7 +133,7 @@ def _load_row(load: Sequence[float], expected: Sequence[float]) -> str:
     return ", ".join(f"{a:.1%} (estimated {b:.1%})" for a, b in zip(load, expected, strict=True))
 
 
-def scan(bus_url: str, /, *, bus: o.Bus = None) -> int:
+def scan(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
     """Find motors and IMU on the buses; nothing moves.
 
     Parameters
@@ -165,7 +165,14 @@ def scan(bus_url: str, /, *, bus: o.Bus = None) -> int:
     return DONE
 
 
-def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus = None) -> int:
+def zero(
+    bus_url: str,
+    /,
+    *,
+    again: Annotated[bool, o.Flag] = False,
+    yes: Annotated[bool, o.Flag] = False,
+    bus: o.WiringFile = None,
+) -> int:
     """Set the zeros of a robot that lies on its folded legs; needed after every power-up. Nothing moves.
 
     Parameters
@@ -174,6 +181,8 @@ def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus 
         Buses, such as can0; see mimic --help.
     again
         Forget what was known of this robot: the pose it lies in now is exactly the lying pose.
+    yes
+        Start without waiting for Enter; for rehearsals.
     """
     from mimic.flows.commissioning import zero_robot
     from mimic.records import JOINTS
@@ -182,7 +191,7 @@ def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus 
         "Lay the robot on its four feet, belly level, legs folded: upper legs 80 deg back, knees bent by 135 deg, hips"
     )
     note("straight. Each joint must be within 20 deg of that, left and right alike. Its motors stay off.")
-    done = zero_robot(bus_url, bus, again=again, operator=_operator(bus))
+    done = zero_robot(bus_url, bus, again=again, operator=_operator(DriveSettings(yes=yes)))
     off = np.rad2deg(done.off)
     matrix("Zeros", {name: {"degrees from lying": f"{off[j]:+.1f}"} for j, name in enumerate(JOINTS)})
     for text in done.warnings:
@@ -196,7 +205,7 @@ def zero(bus_url: str, /, *, again: Annotated[bool, o.Flag] = False, bus: o.Bus 
     return DONE
 
 
-def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Bus = None) -> int:
+def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.WiringFile = None) -> int:
     """Find out by hand which motor moves which joint, and how the IMU sits, and write the wiring file.
 
     Nothing moves by itself: the motors stay off. Hang the robot up so that its legs can be moved, and put it down for
@@ -220,7 +229,7 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Bu
     return DONE
 
 
-def damp(bus_url: str, /, *, bus: o.Bus = None) -> int:
+def damp(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
     Parameters
@@ -238,7 +247,7 @@ def damp(bus_url: str, /, *, bus: o.Bus = None) -> int:
     return DONE
 
 
-def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Bus = None) -> int:
+def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Check = None) -> int:
     """Run the pre-flight check alone; nothing moves.
 
     Parameters
@@ -263,7 +272,7 @@ def watch(
     every: float = 0.5,
     view: Annotated[bool, o.Flag] = False,
     scene: Path | None = None,
-    bus: o.Bus = None,
+    bus: o.Look = None,
 ) -> int:
     """Show joints, orientation, temperatures and errors of a robot while it is moved by hand; nothing moves.
 
@@ -329,7 +338,7 @@ def probe(
     out: o.RequiredOut = Path("probe.parquet"),
     motion: Path | None = None,
     probe: o.Probe = None,
-    bus: o.Bus = None,
+    bus: o.Drive = None,
 ) -> int:
     """Move the joints of a robot that hangs with its feet free, and write the log that mimic calibrate reads.
 

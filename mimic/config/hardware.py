@@ -12,25 +12,54 @@ TETHER_TORQUE, TETHER_RAMP = 9.0, 6.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BusSettings:
-    """How the robot on its buses is driven."""
+class WiringSettings:
+    """What any command needs to know of a robot."""
 
     wiring: str | None = None
     """Your copy of bus.toml (CAN) or board.toml (stock robot); by default the one that ships with the robot."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LookSettings(WiringSettings):
+    """How a robot is looked at."""
+
     interface: str | None = None
     """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default the multicast route's."""
     zeroed: bool = False
-    """Use the zeros as the wiring has them, without checking that mimic set them since power-up."""
+    """CAN: use the zeros as the wiring has them, without checking that mimic set them since power-up."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CheckSettings(LookSettings):
+    """What the pre-flight checks."""
+
+    watchdog: bool = True
+    """CAN: start the watchdog process, which damps the robot when this one no longer can."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DriveSettings(CheckSettings):
+    """How the motors of a robot are driven."""
+
     yes: bool = False
     """Start without waiting for Enter; for rehearsals."""
-    watchdog: bool = True
-    """Start the watchdog process, which damps the robot when this one no longer can."""
     torque_limit: float | None = None
-    """Largest torque of each motor [N m]; written to the motors and read back. By default their peak torque."""
+    """CAN: largest torque of each motor [N m]; written to the motors and read back. By default their peak torque."""
+
+    @property
+    def torque(self) -> float | None:
+        """Largest torque of each motor [N m]; None for their peak torque."""
+        return self.torque_limit
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BusSettings(DriveSettings):
+    """How a robot is driven by a policy."""
+
     ramp: float = 2.0
     """Time in which the gains rise and the joints move into the lying pose [s]."""
     dry_run: bool = False
-    """Do everything but switch the motors on: pre-flight, policy, timing and log."""
+    """CAN: do everything but switch the motors on: pre-flight, policy, timing and log."""
     tether: bool = False
     """First steps on a rope: at most 9 N m, 6 s for the start, and sitting down at whatever would only be announced.
     Standing up stays a push of 0.4 s: the policy has no slow one."""

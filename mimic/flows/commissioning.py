@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mimic.config.hardware import BusSettings, ProbeSettings
+from mimic.config.hardware import CheckSettings, DriveSettings, ProbeSettings, WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -29,7 +29,7 @@ def _only_on_can(bus_url: str, command: str, instead: str) -> None:
         raise ConfigError(f"mimic robot {command} is for motors on CAN; {bus_url} is a stock robot: {instead}")
 
 
-def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusScan], Wiring, list[str]]:
+def scan_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[list[BusScan], Wiring, list[str]]:
     """Find motors and IMU on the buses; nothing moves.
 
     Returns:
@@ -44,7 +44,7 @@ def scan_robot(bus_url: str, bus: BusSettings | None = None) -> tuple[list[BusSc
     from mimic.hardware.scan import scan, wiring_problems
     from mimic.hardware.session import open_session
 
-    with open_session(bus_url, bus or BusSettings()) as robot:
+    with open_session(bus_url, bus or WiringSettings(), zeros=False) as robot:
         driven = others(robot.motor_bus())
         if driven:
             raise PlantError(f"nothing was asked. {driven}")
@@ -66,7 +66,7 @@ class Zeroed:
 
 
 def zero_robot(
-    bus_url: str, bus: BusSettings | None = None, *, again: bool = False, operator: Operator | None = None
+    bus_url: str, bus: WiringSettings | None = None, *, again: bool = False, operator: Operator | None = None
 ) -> Zeroed:
     """Set the zeros of a robot that lies on its folded legs; its motors stay off.
 
@@ -90,7 +90,7 @@ def zero_robot(
 
     description = load_description()
     (operator or Operator()).confirm("Keep your hands off it from here on.")
-    with open_session(bus_url, bus or BusSettings()) as robot:
+    with open_session(bus_url, bus or WiringSettings(), zeros=True) as robot:
         known, motor_bus = None if again else robot.homing, robot.motor_bus()
         look_first(motor_bus)
         refuse(at_rest(motor_bus, description), "no zero was set")
@@ -100,7 +100,7 @@ def zero_robot(
     return Zeroed(file=path, off=q - description.poses["lie"], warnings=uneven(q), first=known is None)
 
 
-def damp_robot(bus_url: str, bus: BusSettings | None = None) -> str:
+def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> str:
     """Damp all motors until the robot rests and switch them off, whoever commanded them before.
 
     Returns:
@@ -115,13 +115,13 @@ def damp_robot(bus_url: str, bus: BusSettings | None = None) -> str:
     from mimic.robot.description import load_description
 
     description = load_description()
-    with open_unlocked(bus_url, bus or BusSettings()) as robot, undisturbed():
+    with open_unlocked(bus_url, bus or WiringSettings(), zeros=False) as robot, undisturbed():
         motor_bus = robot.motor_bus()
         damp(motor_bus, description, lambda: None)
         return shutdown_report(switch_off(motor_bus, description, lambda: None))
 
 
-def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool = False) -> list[Check]:
+def check_robot(bus_url: str, bus: CheckSettings | None = None, *, suspended: bool = False) -> list[Check]:
     """Return what the pre-flight check finds; nothing moves, and to a stock robot nothing is sent.
 
     Raises:
@@ -134,11 +134,11 @@ def check_robot(bus_url: str, bus: BusSettings | None = None, *, suspended: bool
     from mimic.hardware.stock.wiring import BOARDS
     from mimic.robot.description import load_description
 
-    bus, description = bus or BusSettings(), load_description()
+    bus, description = bus or CheckSettings(), load_description()
     if bus_url in BOARDS:
         with open_board(bus, description) as (link, _, network):
             return board_preflight(link, description, network, suspended=suspended)
-    with open_session(bus_url, bus) as robot:
+    with open_session(bus_url, bus, zeros=not bus.zeroed) as robot:
         motor_bus = robot.motor_bus()
         rate = 1.0 / description.dt
         options = {"homing": robot.homing, "trust_zeros": bus.zeroed, "suspended": suspended}
@@ -153,7 +153,7 @@ def probe_robot(
     *,
     motion: Path | None = None,
     settings: ProbeSettings | None = None,
-    bus: BusSettings | None = None,
+    bus: DriveSettings | None = None,
     operator: Operator | None = None,
     reporter: Reporter | None = None,
 ) -> tuple[ProbeResult, Path, str]:
@@ -185,7 +185,7 @@ def probe_robot(
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
-    settings, bus = settings or ProbeSettings(), bus or BusSettings()
+    settings, bus = settings or ProbeSettings(), bus or DriveSettings()
     operator, reporter = operator or Operator(), reporter or SilentReporter()
     store.check_writable(out.parent)
     description, signals = load_description(), Signals()

@@ -167,6 +167,7 @@ def play_on_robot(
                 rate_hz=rate_hz,
                 report=operator.show_findings,
                 go=lambda: _confirm(operator, what, hold),
+                dry_run=bus.dry_run,
             )
         )
         safety = Safety(

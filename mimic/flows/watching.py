@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mimic.config.hardware import BusSettings
+from mimic.config.hardware import LookSettings
 from mimic.errors import BusError, PlantError
 from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
@@ -54,7 +54,7 @@ Show = Callable[[Watched], None]
 
 def watch_robot(
     bus_url: str,
-    bus: BusSettings | None = None,
+    bus: LookSettings | None = None,
     *,
     seconds: float | None = None,
     every: float = 0.5,
@@ -79,7 +79,7 @@ def watch_robot(
     """
     from mimic.hardware.stock.wiring import BOARDS
 
-    bus = bus or BusSettings()
+    bus = bus or LookSettings()
     with _shown_in(scene, show) as show_all:
         if bus_url in BOARDS:
             _watch_board(bus, seconds, every, show_all)
@@ -108,7 +108,7 @@ def _shown_in(scene: bool | Path, show: Show) -> Iterator[Show]:
 
 
 @contextmanager
-def open_for_watching(bus_url: str, bus: BusSettings) -> Iterator[tuple[BusSession, bool]]:
+def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSession, bool]]:
     """Open buses to look at a robot, also beside another program.
 
     Yields:
@@ -123,10 +123,10 @@ def open_for_watching(bus_url: str, bus: BusSettings) -> Iterator[tuple[BusSessi
             alone = True
         except BusError:
             alone = False
-        yield stack.enter_context(open_unlocked(bus_url, bus)), alone
+        yield stack.enter_context(open_unlocked(bus_url, bus, zeros=not bus.zeroed)), alone
 
 
-def _watch_can(bus_url: str, bus: BusSettings, seconds: float | None, every: float, show: Show) -> None:
+def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what motors and IMU on CAN say."""
     from mimic.hardware.homing import zero_problems
     from mimic.hardware.motor_bus import MotorBus
@@ -188,7 +188,7 @@ def _board_notes(err_flag: int | None, last: Any) -> list[str]:
     return notes
 
 
-def _watch_board(bus: BusSettings, seconds: float | None, every: float, show: Show) -> None:
+def _watch_board(bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what a stock robot says; nothing is sent."""
     from mimic.hardware.stock.messages import MOTOR_ERRORS
     from mimic.hardware.stock.readings import NO_ERR_FLAG

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mimic.config.hardware import BusSettings
+from mimic.config.hardware import WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.io import store
 from mimic.records import JOINTS
@@ -31,7 +31,7 @@ class Wired:
 def wire_robot(
     bus_url: str,
     out: Path,
-    bus: BusSettings | None = None,
+    bus: WiringSettings | None = None,
     *,
     say: Callable[[str], None] = lambda text: None,
 ) -> Wired:
@@ -60,9 +60,9 @@ def wire_robot(
     if out.exists():
         raise ConfigError(f"{out} exists; name another file with --out, or remove it")
     store.check_writable(out.parent)
-    bus = bus or BusSettings()
+    bus = bus or WiringSettings()
     given = wiring_of(bus_url, bus)
-    with open_session(bus_url, bus) as robot:
+    with open_session(bus_url, bus, zeros=False) as robot:
         look_first(robot.motor_bus())
         check = WireCheck(robot.link, given, scan(robot.link, given))
         places, signs = check.joints(say)

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mimic.config.hardware import BusSettings
+from mimic.config.hardware import CheckSettings, DriveSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
@@ -51,36 +51,39 @@ class BusSession:
         return MotorBus(self.link, self.wiring)
 
 
-def wiring_of(bus_url: str, settings: BusSettings) -> Wiring:
+def wiring_of(bus_url: str, settings: WiringSettings) -> Wiring:
     """Return the wiring of the robot on these buses, several separated by commas."""
     path = None if settings.wiring is None else Path(settings.wiring)
     return load_wiring(path, buses=len(bus_url.split(",")))
 
 
 @contextmanager
-def open_session(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
+def open_session(bus_url: str, settings: WiringSettings, *, zeros: bool) -> Iterator[BusSession]:
     """Open buses, and close them at the end; meanwhile no other program of mimic may use them.
 
     Args:
         bus_url: The buses; see `mimic.hardware.can.python_can`.
-        settings: Wiring and zeros.
+        settings: Wiring.
+        zeros: Whether to read the zeros of this power-up; without them angles are as the wiring has them.
 
     Raises:
         ConfigError, AssetError, BusError: If that is not possible.
     """
-    with bus_lock(bus_url), open_unlocked(bus_url, settings) as robot:
+    with bus_lock(bus_url), open_unlocked(bus_url, settings, zeros=zeros) as robot:
         yield robot
 
 
 @contextmanager
-def open_unlocked(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
+def open_unlocked(bus_url: str, settings: WiringSettings, *, zeros: bool) -> Iterator[BusSession]:
     """Open buses that another program of mimic may be using; for who holds their lock, who only listens, or who damps.
+
+    Args as of `open_session`.
 
     Raises:
         ConfigError, AssetError, BusError: If that is not possible.
     """
     wiring = wiring_of(bus_url, settings)
-    homing = None if settings.zeroed else read_homing(homing_file(wiring))
+    homing = read_homing(homing_file(wiring)) if zeros else None
     link = open_buses(bus_url, wiring)
     try:
         yield BusSession(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
@@ -88,7 +91,7 @@ def open_unlocked(bus_url: str, settings: BusSettings) -> Iterator[BusSession]:
         link.close()
 
 
-def check_watchdog(checks: list[Check], bus_url: str, settings: BusSettings) -> Check:
+def check_watchdog(checks: list[Check], bus_url: str, settings: CheckSettings) -> Check:
     """Check that something damps the robot when this process cannot.
 
     Args:
@@ -118,13 +121,14 @@ def check_watchdog(checks: list[Check], bus_url: str, settings: BusSettings) -> 
 @contextmanager
 def robot_session(
     bus_url: str,
-    settings: BusSettings,
+    settings: DriveSettings,
     description: RobotDescription,
     *,
     rate_hz: float | FloatArray,
     report: Report,
     go: Callable[[], None],
     suspended: bool = False,
+    dry_run: bool = False,
 ) -> Iterator[CanRobot | StockRobot]:
     """Give a robot that passed its pre-flight. At the end it is damped and off, and its watchdog has ended.
 
@@ -136,6 +140,7 @@ def robot_session(
         report: Receives the results of the pre-flight, also if they forbid moving.
         go: Returns when the user wants the robot to move; may raise.
         suspended: The robot hangs in the air instead of lying on the floor.
+        dry_run: The motors stay off.
 
     Raises:
         ConfigError: If the torque limit is not one of this robot.
@@ -145,18 +150,18 @@ def robot_session(
     if settings.torque_limit is not None:
         check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
     if bus_url in BOARDS:
-        if settings.dry_run:
+        if dry_run:
             raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
         with board_session(settings, description, report=report, go=go, suspended=suspended) as board:
             yield board
         return
     wiring = wiring_of(bus_url, settings)
-    wanted = settings.watchdog and allows_second_socket(bus_url) and not settings.dry_run
+    wanted = settings.watchdog and allows_second_socket(bus_url) and not dry_run
     with bus_lock(bus_url) as lock, ExitStack() as stack:
         watchdog = WatchdogProcess(bus_url, wiring.path, keep=lock) if wanted else None
         if watchdog is not None:
             stack.callback(watchdog.close)
-        with open_unlocked(bus_url, settings) as robot:
+        with open_unlocked(bus_url, settings, zeros=not settings.zeroed) as robot:
 
             def checked() -> list[Check]:
                 motor_bus = robot.motor_bus()
@@ -171,13 +176,13 @@ def robot_session(
                 )
 
             checks = checked()
-            if not settings.dry_run:
+            if not dry_run:
                 checks.append(check_watchdog(checks, bus_url, settings))
             report(checks)
             refuse(checks)
             go()
             refuse(checked())  # power may have blinked meanwhile, or the robot was moved
-            kind = DryRobot if settings.dry_run else CanRobot
+            kind = DryRobot if dry_run else CanRobot
             plant = kind(robot.link, robot.wiring, description, torque_limit=settings.torque, watchdog=watchdog)
             try:
                 yield plant

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,25 @@ def test_every_help_has_groups_and_examples_and_no_markup(command, capsys):
     assert "Examples:" in shown
     for marker in ("``", ":class:", "--empty-", ":mod:"):
         assert marker not in shown
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ("scan", {"wiring"}),
+        ("wire", {"wiring", "out"}),
+        ("damp", {"wiring"}),
+        ("zero", {"wiring", "again", "yes"}),
+        ("check", {"wiring", "interface", "zeroed", "watchdog", "suspended"}),
+        ("watch", {"wiring", "interface", "zeroed", "seconds", "every", "view", "scene"}),
+    ],
+)
+def test_a_robot_command_offers_only_what_it_uses(command, expected, capsys):
+    assert main(["robot", command, "--help"]) == 0
+    offered = set(re.findall(r"^│ --(?!no-)([a-z-]+)", capsys.readouterr().out, re.MULTILINE))
+    assert offered == expected
+    assert main(["robot", command, "can0", "--ramp", "3"]) == 2
+    assert "--ramp" in capsys.readouterr().err
 
 
 def test_a_mistyped_command_is_no_file(capsys):

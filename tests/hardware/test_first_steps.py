@@ -40,7 +40,7 @@ def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
 
 
 def ready(description, settings: BusSettings):
-    options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None}
+    options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None, "dry_run": settings.dry_run}
     return session.robot_session("can0", settings, description, **options)
 
 
@@ -88,10 +88,10 @@ def test_a_dry_run_refuses_a_command_that_is_no_number(robot, description):
 
 
 def test_a_stock_robot_has_no_dry_run(description):
-    options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None}
+    options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None, "dry_run": True}
     with (
         pytest.raises(ConfigError, match="--dry-run is for motors on CAN"),
-        session.robot_session("cyberdog2", BusSettings(dry_run=True), description, **options),
+        session.robot_session("cyberdog2", BusSettings(), description, **options),
     ):
         pass
 

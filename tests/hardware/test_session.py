@@ -80,7 +80,7 @@ def test_what_happens_while_the_person_is_asked_is_found_before_anything_moves(
 ):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     settings = BusSettings(yes=True, watchdog=False)
-    with session.open_session("can0", settings) as opened:
+    with session.open_session("can0", settings, zeros=True) as opened:
         homing, _ = home(opened.motor_bus(), description, None)
         homing.save(session.homing_file(opened.wiring))
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mimic.config.hardware import BusSettings
+from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.errors import PlantError
 from mimic.hardware.preflight import Check, refuse
 from mimic.hardware.stock.lcm_bus import check_network
@@ -17,13 +17,15 @@ from mimic.hardware.stock.wiring import BoardWiring, load_board
 from mimic.robot.description import RobotDescription
 
 
-def board_wiring(settings: BusSettings, board: str = "cyberdog2") -> BoardWiring:
+def board_wiring(settings: WiringSettings, board: str = "cyberdog2") -> BoardWiring:
     """Return the wiring of a board: the file of the settings, or the shipped one."""
     return load_board(None if settings.wiring is None else Path(settings.wiring), board)
 
 
 @contextmanager
-def open_board(settings: BusSettings, description: RobotDescription) -> Iterator[tuple[BoardProcess, BoardWiring, str]]:
+def open_board(
+    settings: LookSettings, description: RobotDescription
+) -> Iterator[tuple[BoardProcess, BoardWiring, str]]:
     """Open the connection to a board, and end it afterwards; nothing is sent by itself.
 
     Yields:
@@ -43,7 +45,7 @@ def open_board(settings: BusSettings, description: RobotDescription) -> Iterator
 
 @contextmanager
 def board_session(
-    settings: BusSettings,
+    settings: DriveSettings,
     description: RobotDescription,
     *,
     report: Callable[[list[Check]], None],
