@@ -39,6 +39,7 @@ def get_ready(description, then: Callable[[CanRobot], None]) -> None:
     settings = BusSettings(zeroed=True, yes=True, watchdog=False)
     options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None}
     with session.robot_session("can0", settings, description, **options) as plant:
+        assert isinstance(plant, CanRobot)
         then(plant)
 
 
