@@ -17,6 +17,7 @@ from mimic.emulator.board import EmulatedBoard
 from mimic.emulator.board_link import EmulatedBoardLink
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.plant import StockRobot
+from mimic.hardware.stock.sender import OBEYS_ANOTHER, UNREACHED
 from mimic.hardware.stock.wiring import load_board
 from mimic.robot.description import RobotDescription
 
@@ -118,7 +119,8 @@ class StockScene:
         return list(self.board.driven())
 
     def reachable(self) -> bool:
-        return True
+        """Return whether no other program still commands the robot, whose firmware obeys whoever sends."""
+        return not (self.trouble.kind == "master_commands" and self.trouble.active(self.now()))
 
     def told(self) -> bool:
-        return True
+        return self.plant.ending in (OBEYS_ANOTHER, UNREACHED)

@@ -107,7 +107,7 @@ class Sender:
         """How the robot was left, as a sentence without a full stop; once DONE."""
         self._command: JointCommand | None = None
         self._from: FloatArray = np.zeros(len(JOINTS))
-        self._commanded = self._ordered = NEVER
+        self._commanded = self._ordered = self._foreign = NEVER
         self._since = self._rested = 0.0
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
@@ -159,6 +159,7 @@ class Sender:
             self.readings.take(channel, data, t)
         elif data not in self._own_set:
             self.readings.report["foreign"] += 1
+            self._foreign = t
 
     def message(self, t: float) -> bytes | None:
         """Return the message to send at time t [s], or None."""
@@ -167,7 +168,7 @@ class Sender:
         if self.state == State.DAMP:
             self._settle(t)
         elif self.state == State.ENDING and t - self._since > ZERO_TIME:
-            self.state = State.DONE
+            self._end(t, "the robot was damped until it rested, and its motors are without torque")
         if self.state in (State.LISTEN, State.DONE):
             return None
         data = self._encode(t)
@@ -234,17 +235,23 @@ class Sender:
             self._rested = t
         if t - self._rested >= self._limits.rest_seconds:
             self.state, self._since = State.ENDING, t
-            self.ending = "the robot was damped until it rested, and its motors are without torque"
         elif t - self._since >= self._limits.damp_seconds:
-            self.state = State.DONE
-            if answers and not int(report["err_flag"]) & TIMED_OUT:
-                self.ending = (
-                    f"the robot was damped for {self._limits.damp_seconds:g} s and still moves; its firmware damps it "
-                    "for another 2.5 s: hold it"
-                )
-            else:
-                self.ending = UNREACHED
+            still = (
+                f"the robot was damped for {self._limits.damp_seconds:g} s and still moves; its firmware damps it for "
+                "another 2.5 s: hold it"
+            )
+            self._end(t, still if answers and not int(report["err_flag"]) & TIMED_OUT else UNREACHED)
 
+    def _end(self, t: float, ending: str) -> None:
+        self.state = State.DONE
+        self.ending = OBEYS_ANOTHER if t - self._foreign < OBEYED else ending
+
+
+OBEYED = 0.5
+"""For how long the firmware follows a command [s]."""
+
+OBEYS_ANOTHER = "another program still commands the robot, which obeys it: hold the robot, and end that program"
+"""How a robot is left to which another program still sends."""
 
 UNREACHED = (
     "the robot does not answer: its firmware damps it by itself, from 0.5 s after the last message that reached it on; "

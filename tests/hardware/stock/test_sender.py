@@ -150,6 +150,20 @@ def test_a_robot_that_does_not_answer_is_damped_as_long_as_it_takes_and_that_is_
     assert "does not answer" in sender.ending
 
 
+def test_beside_another_program_that_goes_on_it_does_not_say_that_the_motors_are_without_torque():
+    sender, _ = driving(LIE, LIE)
+    other, _ = driving(LIE, LIE + 0.1)
+    sender.order(Order(state=State.DAMP), 0.0)
+    t = 0.0
+    while sender.state != State.DONE and t < 10.0:
+        sender.heard("spi_data", reading(LIE), t)
+        sender.heard("motor_ctrl", other.message(0.0), t)  # holds the robot still
+        sender.message(t)
+        t += PERIOD
+    assert sender.state == State.DONE
+    assert sender.ending == "another program still commands the robot, which obeys it: hold the robot, and end that program"
+
+
 def test_without_a_command_there_is_nothing_to_damp():
     sender = Sender(BOARD, D)
     sender.order(Order(state=State.ZERO), 0.0)
