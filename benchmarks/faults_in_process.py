@@ -47,7 +47,7 @@ PROGRAM = (
 
 KINDS_OF_FAULT = (*CAN_KINDS, *PROGRAM)
 
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.5)
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.5)
 
 RAMP, TRACK = 1.0, 3.0
 """[s]"""

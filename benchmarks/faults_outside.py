@@ -41,7 +41,7 @@ from mimic.robot.description import load_description
 PROCESSES = ("host_killed", "host_stopped", "disk_full", "terminal_closed", "many_ctrl_c")
 """What happens to this program."""
 
-TIMING = RunSettings(stand_up=1.0, blend=0.4, hold=0.2, sit_down=2.0)
+TIMING = RunSettings(stand_up=1.0, blend=0.4, hold_last=0.2, sit_down=2.0)
 
 RAMP, TRACK = 0.6, 1.5
 """[s]"""

@@ -99,7 +99,7 @@ def seconds_to_rest(description, tracker: str) -> float:
     neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
     plant = SimulatedPlant(description, ranges=NOMINAL)
     track = CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=neutral)
-    run_policy(plant, policy, track, RunSettings(hold=0.0))
+    run_policy(plant, policy, track, RunSettings(hold_last=0.0))
     state, moved = plant._state(), 0.0
     for tick in range(500):
         state = plant.step(damping_command(state.q, KD_MOST)).state

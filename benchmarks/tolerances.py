@@ -34,7 +34,7 @@ from mimic.metrics import uprightness
 from mimic.policy.runtime import load_policy
 from mimic.robot.description import load_description
 
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.1)
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.1)
 
 AFTER = 1.5
 """How long it goes on after the fault has passed [s]."""

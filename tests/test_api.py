@@ -57,7 +57,7 @@ def test_an_own_array_of_toe_positions_is_played_and_saved(tmp_path):
     t = robot.dt * np.arange(50)
     sway = 0.04 * np.sin(2 * np.pi * t)[:, None, None] * np.array([0.0, 0.0, 1.0])
     track = CommandTrack(t=t, v=np.zeros((50, 2)), heading=np.zeros(50), p_BE=neutral + sway)
-    run = mimic.play(track, policy=policy, settings=RunSettings(hold=0.0))
+    run = mimic.play(track, policy=policy, settings=RunSettings(hold_last=0.0))
     assert run.result.fell_at is None
     assert run.metrics["standing_share"] > 0.9
     saved = run.save(tmp_path / "run")

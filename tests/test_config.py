@@ -20,7 +20,7 @@ from mimic.errors import ConfigError, MimicError
         (lambda: RetargetSettings(rate=float("nan")), "rate is nan s"),
         (lambda: RetargetSettings(scale=0.0), "scale is 0; it must be from 0.2 to 2"),
         (lambda: RunSettings(stand_up=0.1), "stand-up is 0.1 s"),
-        (lambda: RunSettings(hold=-1.0), "hold is -1 s"),
+        (lambda: RunSettings(hold_last=-1.0), "hold-last is -1 s"),
         (lambda: PoseSettings(min_visibility=1.5), "min-visibility is 1.5"),
         (lambda: EvaluateSettings(episodes=0), "episodes is 0"),
         (lambda: EvaluateSettings(seconds=1.0), "seconds is 1 s"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -261,7 +262,12 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
 
     findings = check_robot(bus_url, bus, suspended=suspended)
     _show_findings(findings)
-    return USER_ERROR if any(f.verdict == "stop" for f in findings) else DONE
+    against = [f.name for f in findings if f.verdict == "stop"]
+    if against:
+        warn(f"it must not move yet: {', '.join(against)}")
+        return USER_ERROR
+    note("done         nothing stands against moving it")
+    return DONE
 
 
 def watch(
@@ -291,15 +297,16 @@ def watch(
     """
     from rich.live import Live
 
-    from mimic.flows.watching import watch_robot
+    from mimic.flows.watching import Show, watch_robot
 
-    if console.is_terminal:
-        with Live(console=console, auto_refresh=False) as live:
+    with ExitStack() as stack:
+        stack.enter_context(suppress(KeyboardInterrupt))  # the ordinary end
+        show: Show = lambda seen: console.print(_watched(seen))  # noqa: E731
+        if console.is_terminal:
+            live = stack.enter_context(Live(console=console, auto_refresh=False))
             show = lambda seen: live.update(_watched(seen), refresh=True)  # noqa: E731
-            watch_robot(bus_url, bus, seconds=seconds, every=every, show=show, scene=scene or view)
-    else:
-        show = lambda seen: console.print(_watched(seen))  # noqa: E731
         watch_robot(bus_url, bus, seconds=seconds, every=every, show=show, scene=scene or view)
+    note("done         nothing was moved")
     return DONE
 
 
@@ -310,10 +317,10 @@ def _watched(seen: Watched) -> Table:
     from mimic.records import JOINTS
 
     rates = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in seen.rates.items())
-    roll, pitch, yaw = np.rad2deg(seen.rpy)
+    roll, pitch, yaw = (number(float(angle), "{:+.1f}") for angle in np.rad2deg(seen.rpy))
     shown = Table(
         title=f"{seen.t:.1f} s: {rates}",
-        caption=f"roll {roll:+.1f}, pitch {pitch:+.1f}, yaw {yaw:+.1f} deg; {'; '.join(seen.notes)}",
+        caption=f"roll {roll}, pitch {pitch}, yaw {yaw} deg; {'; '.join(seen.notes)}",
         title_justify="left",
         caption_justify="left",
     )

@@ -28,7 +28,7 @@ class RunSettings:
     """Time from lying to the first target [s]; the policy stands up in about one."""
     blend: float = 0.5
     """Time in which the desired toes move from the measured toes to the first target [s]."""
-    hold: float = 1.0
+    hold_last: float = 1.0
     """Time the last target is held before the end [s]."""
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half of it."""
@@ -39,7 +39,7 @@ class RunSettings:
     def __post_init__(self) -> None:
         check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
         check_range("blend", self.blend, 0.1, 5.0, "s")
-        check_range("hold", self.hold, 0.0, 30.0, "s")
+        check_range("hold-last", self.hold_last, 0.0, 30.0, "s")
         check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
         if self.early is not None:
             check_range("early", self.early, 0.0, 0.5, "s")

@@ -45,7 +45,7 @@ class _Timing:
 
     def __init__(self, settings: RunSettings, dt: float, neutral: FloatArray) -> None:
         self.stand, self.blend, self.hold = (
-            round(seconds / dt) for seconds in (settings.stand_up, settings.blend, settings.hold)
+            round(seconds / dt) for seconds in (settings.stand_up, settings.blend, settings.hold_last)
         )
         self._neutral = neutral
         self._begin: FloatArray | None = None

@@ -41,7 +41,7 @@ STRETCHED = 0.02
 """Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
 
 
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.0)
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
 """Times of the phases: it may be led as soon as it stands."""
 
 

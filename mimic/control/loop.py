@@ -146,7 +146,7 @@ def _motion(
     """Return the motion to play, and the control ticks that are known of it."""
     dt, neutral = contract.dt, np.array(contract.neutral_toes).reshape(2, 3)
     if not isinstance(track, CommandTrack):
-        known = round((settings.stand_up + settings.blend + settings.hold) / dt)
+        known = round((settings.stand_up + settings.blend + settings.hold_last) / dt)
         return LiveMotion(track, settings, dt, neutral), known
     if not len(track.t):
         raise ContractError("there are no commands to play; expected at least one row")

@@ -41,7 +41,7 @@ TOE_EPISODES = 10
 COMMAND_EPISODES = 4
 """Nominal episodes of each walking speed and each turn."""
 
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold=0.0)
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
 """One second to stand up, as in the paper, then half a second to the first goal."""
 
 

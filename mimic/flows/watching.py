@@ -181,8 +181,15 @@ def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
     return notes
 
 
-def _board_notes(err_flag: int | None, last: Any) -> list[str]:
-    notes = ["not in motor mode" if err_flag is None else f"error flag {err_flag:#04x}"]
+def _board_notes(last: Any, *, heard: bool) -> list[str]:
+    from mimic.hardware.stock.readings import NO_ERR_FLAG
+
+    err_flag = int(last["err_flag"])
+    notes = ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
+    if not heard:
+        notes = ["no message comes from the robot"]
+    if last["malformed"]:
+        notes.append(f"{int(last['malformed'])} messages made no sense")
     if last["foreign"]:
         notes.append(f"{int(last['foreign'])} commands of other programs")
     return notes
@@ -191,7 +198,6 @@ def _board_notes(err_flag: int | None, last: Any) -> list[str]:
 def _watch_board(bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what a stock robot says; nothing is sent."""
     from mimic.hardware.stock.messages import MOTOR_ERRORS
-    from mimic.hardware.stock.readings import NO_ERR_FLAG
     from mimic.hardware.stock.session import open_board
     from mimic.robot.description import load_description
 
@@ -219,6 +225,6 @@ def _watch_board(bus: LookSettings, seconds: float | None, every: float, show: S
                     quat_WB=np.array(last["quat_WB"]) if heard else np.full(4, np.nan),
                     omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
                     rates={name: float(last[key] - first[key]) / span for name, key in counts.items()},
-                    notes=_board_notes(None if last["err_flag"] == NO_ERR_FLAG else int(last["err_flag"]), last),
+                    notes=_board_notes(last, heard=heard),
                 )
             )

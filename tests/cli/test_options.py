@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mimic.cli import main
-from mimic.cli.app import COMMANDS, GROUPS
+from mimic.cli.app import COMMANDS, GROUPS, app
 
 
 @pytest.fixture
@@ -66,6 +66,22 @@ def test_a_robot_command_offers_only_what_it_uses(command, expected, capsys):
     assert offered == expected
     assert main(["robot", command, "can0", "--ramp", "3"]) == 2
     assert "--ramp" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["--robot", "can0"], *([name] for name in COMMANDS)], ids=" ".join)
+def test_no_option_of_a_command_means_two_things(command, capsys):
+    assert main([]) == 0  # the command without a name is there from then on
+    found = app if command[0].startswith("-") else app[command[0]]
+    options = [name for one in found.assemble_argument_collection() if not one.children for name in one.names]
+    assert len(options) == len(set(options))
+
+
+def test_holding_a_button_is_asked_for_on_the_command_line(monkeypatch):
+    asked = []
+    monkeypatch.setattr("mimic.flows.robot.play_on_robot", lambda *_, bus, **__: asked.append(bus) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["--robot", "can0", "--hold", "/dev/input/js0"])
+    assert asked[0].hold == "/dev/input/js0"
 
 
 def test_a_mistyped_command_is_no_file(capsys):

@@ -12,7 +12,7 @@ from mimic.control.dropouts import fill_dropouts
 from mimic.records import RunLog
 from mimic.simulation.plant import SimulatedPlant
 
-SHORT = RunSettings(stand_up=1.0, blend=0.1, hold=0.0)
+SHORT = RunSettings(stand_up=1.0, blend=0.1, hold_last=0.0)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from mimic.config.play import RunSettings
 from mimic.records import PHASES, Command
 
-SHORT = RunSettings(stand_up=1.0, blend=0.1, hold=0.1)
+SHORT = RunSettings(stand_up=1.0, blend=0.1, hold_last=0.1)
 
 
 class ScriptedCommands:

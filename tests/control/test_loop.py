@@ -10,7 +10,7 @@ from mimic.errors import ContractError, PlantError
 from mimic.metrics import target_toes
 from mimic.records import PHASES, RunLog
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1)
 STAND, BLEND, HOLD = 50, 10, 5
 """Ticks of each phase of SHORT."""
 
@@ -86,7 +86,7 @@ def test_at_the_end_it_stands_still_with_the_last_toes(play, memory_plant, fixed
 def test_desired_toes_go_from_the_measured_ones_to_the_first_target_without_a_jump(
     play, memory_plant, fixed_policy, track
 ):
-    settings = RunSettings(stand_up=1.0, blend=0.5, hold=0.1)
+    settings = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.1)
     log = play(memory_plant(), fixed_policy(answer=lambda call: np.full(12, -0.4)), track(20), settings).log
     first = names(log).index("blend")
     from_here, to_there = log.p_BE[first], log.p_BE_des[names(log).index("track")]

@@ -12,7 +12,7 @@ from mimic.errors import ContractError, SourceError
 from mimic.metrics import run_metrics
 from mimic.records import PHASES, RunLog
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 BEFORE, LAST = 50 + 10 + 20 + 5, 75
 """Ticks until the sitting down, and of it, with a track of 20."""
 

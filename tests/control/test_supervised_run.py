@@ -18,7 +18,7 @@ from mimic.control.supervisor import SafetyMode
 from mimic.errors import PlantError
 from mimic.records import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 RAMP, BEFORE, LAST = 20, 50 + 10 + 20 + 5, 75
 """Ticks of the ramp, of the run, and of sitting down, with a track of 20."""
 

@@ -58,7 +58,7 @@ def test_it_plays_as_mimic_does(player, policy, description):
     n = len(toes)
     track = CommandTrack(t=description.dt * np.arange(n), v=np.zeros((n, 2)), heading=np.zeros(n), p_BE=toes)
     plant = SimulatedPlant(description, samples=False)
-    log = run_policy(plant, load_policy(policy, description), track, RunSettings(hold=0.0)).log
+    log = run_policy(plant, load_policy(policy, description), track, RunSettings(hold_last=0.0)).log
     assert len(q) == len(log.t)
     for ours, theirs in ((log.q, q), (log.quat_WB, quat), (log.q_des, q_des)):
         assert np.abs(ours - theirs).max() < 1e-5

@@ -21,7 +21,7 @@ STANDING = {
     "left_hip": (0.0, 0.1, 0.9),
     "right_hip": (0.0, -0.1, 0.9),
 }
-QUICK = RunSettings(hold=0.0, stand_up=1.0, blend=0.1)
+QUICK = RunSettings(hold_last=0.0, stand_up=1.0, blend=0.1)
 
 
 @pytest.fixture
@@ -61,5 +61,5 @@ def test_a_file_that_cannot_be_read_is_a_row_and_leaves_nothing(job, tmp_path):
 
 
 def test_another_setting_is_another_key(job):
-    other = settings_key(InputSettings(), replace(QUICK, hold=1.0), EffectsSettings())
+    other = settings_key(InputSettings(), replace(QUICK, hold_last=1.0), EffectsSettings())
     assert key_of(job.source, other) != job.key

@@ -30,7 +30,7 @@ def run(tmp_path_factory) -> Path:
     """A short run in simulation, without its scene."""
     folder = tmp_path_factory.mktemp("runs") / "wave"
     motion = motion_from_text("raise the left hand")
-    played = play(motion, settings=RunSettings(hold=0.0))
+    played = play(motion, settings=RunSettings(hold_last=0.0))
     made_by = store.provenance(command="test")
     save_logs(played, folder, made_by)
     save_motion(motion, folder, made_by)

@@ -71,7 +71,7 @@ def test_every_file_names_version_settings_and_inputs(played, targets):
     for head in heads:
         assert head["version"] == __version__
         assert head["inputs"] == inputs
-        assert head["settings"]["run"] == store.plain(RunSettings(seed=4, hold=0.5))
+        assert head["settings"]["run"] == store.plain(RunSettings(seed=4, hold_last=0.5))
         assert set(head["settings"]) == {"language", "pose", "retarget", "robot", "run", "stored"}
 
 
@@ -79,7 +79,7 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_400_hz(played, t
     _, run = played
     log, joints = store.load(run / "log.parquet", RunLog), store.load(run / "joints.parquet", JointSamples)
     wanted = store.load(targets, TargetTrack)
-    settings = RunSettings(hold=0.5)
+    settings = RunSettings(hold_last=0.5)
     besides = settings.stand_up + settings.blend + settings.hold + settings.sit_down
     assert len(log.t) == len(wanted.t) + round((besides + TOE_LAG) / 0.02)
     assert np.allclose(np.diff(log.t), 0.02)

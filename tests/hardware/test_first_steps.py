@@ -26,7 +26,7 @@ from mimic.hardware.plant import idle_command
 from mimic.hardware.wiring import load_wiring
 from mimic.policy.runtime import load_policy
 
-SHORT = RunSettings(stand_up=1.0, blend=0.2, hold=0.1, sit_down=1.5)
+SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 
 
 @pytest.fixture

@@ -189,7 +189,7 @@ def test_the_shipped_policy_stands_up_and_stays_up(description):
         heading=np.zeros(ticks),
         p_BE=np.tile(neutral, (ticks, 1, 1)),
     )
-    settings = RunSettings(stand_up=1.5, blend=0.5, hold=0.1)
+    settings = RunSettings(stand_up=1.5, blend=0.5, hold_last=0.1)
     runs = [run_policy(SimulatedPlant(description), policy, still, settings) for _ in range(2)]
     log = runs[0].log
     assert runs[0].fell_at is None

@@ -1,0 +1,36 @@
+"""What the commands for a real robot print at their end."""
+
+from __future__ import annotations
+
+import pytest
+
+from mimic.cli import main
+from mimic.hardware.preflight import Check
+
+
+def last_line(capsys) -> str:
+    return capsys.readouterr().out.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "status", "expected"),
+    [
+        ("ok", 0, "done         nothing stands against moving it"),
+        ("note", 0, "done         nothing stands against moving it"),
+        ("stop", 2, "note: it must not move yet: pose"),
+    ],
+)
+def test_a_check_ends_with_a_line_that_decides(verdict, status, expected, monkeypatch, capsys):
+    found = [Check(name="network", verdict="ok", text="fine"), Check(name="pose", verdict=verdict, text="it lies")]
+    monkeypatch.setattr("mimic.flows.commissioning.check_robot", lambda *_, **__: found)
+    assert main(["robot", "check", "cyberdog2"]) == status
+    assert last_line(capsys) == expected
+
+
+def test_ctrl_c_is_the_ordinary_end_of_watching(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimic.flows.watching.watch_robot", interrupted)
+    assert main(["robot", "watch", "cyberdog2"]) == 0
+    assert last_line(capsys) == "done         nothing was moved"
