@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -199,9 +200,17 @@ def _events(run: Path) -> list[dict[str, Any]]:
     return [event for event in events if event.get("mode") in ("sit_down", "damp")]
 
 
-def passed(row: Mapping[str, Any]) -> bool:
-    """Return whether a robot lay, stood up, boxed, sat down and ended damped."""
-    return row.get("status") == 0 and bool(row["stood"] and row["lies"])
+def ended(row: Mapping[str, Any]) -> str:
+    """Return how a robot ended: passed, refused, fell or failed.
+
+    It passed if it lay, stood up, boxed, sat down and ended damped; it was refused if a check before or after Enter
+    kept it from being moved; and it fell if it did not stand, or did not lie at the end.
+    """
+    if row.get("status") == 0 and row["stood"] and row["lies"]:
+        return "passed"
+    if "ticks" in row:
+        return "failed" if row["stood"] and row["lies"] else "fell"
+    return "refused" if any(words in row["line"] for words in ("nothing was moved", "was not moved")) else "failed"
 
 
 def series(out: Path, jobs: int, plan: Mapping[str, int]) -> list[dict[str, Any]]:
@@ -246,24 +255,27 @@ def series(out: Path, jobs: int, plan: Mapping[str, int]) -> list[dict[str, Any]
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the series as a table in Markdown."""
-    lines = [
-        "| series | ended as they should | toe error | … in simulation | most apart | 0x01 ticks a run | other ends |"
-    ]
-    lines.append("|---|---|---|---|---|---|---|")
+    """Return the series as a table in Markdown; a robot that was refused is one of its series."""
+    headings = ("series", "robots", "passed", "refused before moving", "fell", "other ends")
+    headings += ("toe error", "… in simulation", "most apart", "0x01 ticks a run")
+    lines = [f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
     for case in dict.fromkeys(str(row["case"]) for row in rows):
         mine = [row for row in rows if row["case"] == case]
-        good = [row for row in mine if passed(row)]
+        good = [row for row in mine if ended(row) == "passed"]
         here, there = ([float(row[name]) for row in good] for name in ("toe_error_cm", "toe_error_simulated_cm"))
         apart = max((abs(a - b) for a, b in zip(here, there, strict=True)), default=float("nan"))
         late = np.mean([row["ticks_with_0x01"] for row in good]) if good else float("nan")
-        rest = [str(row.get("rule") or row["line"])[:60] for row in mine if not passed(row)]
-        ends = ", ".join(f"{rest.count(end)} {end}" for end in dict.fromkeys(rest)) or "none"
-        lines.append(
-            f"| {case} | {len(good)} of {len(mine)} | {np.mean(here or [np.nan]):.1f} ({_range(here)}) cm | "
-            f"{np.mean(there or [np.nan]):.1f} ({_range(there)}) cm | {apart:.1f} cm | {late:.1f} | {ends} |"
-        )
+        cells = [case, str(len(mine)), str(len(good)), *(_count(mine, kind) for kind in ("refused", "fell", "failed"))]
+        cells += [f"{np.mean(values or [np.nan]):.1f} ({_range(values)}) cm" for values in (here, there)]
+        lines.append(f"| {' | '.join([*cells, f'{apart:.1f} cm', f'{late:.1f}'])} |")
     return "\n".join(lines)
+
+
+def _count(rows: Sequence[Mapping[str, Any]], kind: str) -> str:
+    """Return how many ended like that, and why."""
+    mine = [row for row in rows if ended(row) == kind]
+    reasons = Counter(str(row.get("rule") or row["line"])[:60] for row in mine)
+    return f"{len(mine)}: {', '.join(f'{n} {text}' for text, n in reasons.items())}" if mine else "0"
 
 
 def _range(values: Sequence[float]) -> str:
