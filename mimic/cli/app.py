@@ -244,8 +244,8 @@ def run(arguments: list[str]) -> int:
             raise
         where = f"{error.filename}: " if error.filename else ""
         return _failed(f"{where}{error.strerror}; free some space, change the rights or name another place")
-    except KeyboardInterrupt:
-        _failed("interrupted")
+    except KeyboardInterrupt as reason:
+        _failed("; ".join(["interrupted", *map(str, reason.args)]))
         return STOPPED
     return result if isinstance(result, int) else DONE
 

@@ -46,7 +46,11 @@ def _operator(settings: DriveSettings | None) -> Operator:
 
     def confirm(what: str) -> None:
         if settings is None or not settings.yes:
-            console.input(f"{what} Press Enter to begin, Ctrl-C to leave. ")
+            try:
+                console.input(f"{what} Press Enter to begin, Ctrl-C to leave. ")
+            except (EOFError, KeyboardInterrupt):
+                console.print()  # what is said next has a line of its own
+                raise
 
     return Operator(show_findings=_show_findings, confirm=confirm, say=note, show_event=_show_event)
 

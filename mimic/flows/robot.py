@@ -150,7 +150,7 @@ def play_on_robot(
     what = _announcement(None if standing else name, bus)
     commands: CommandTrack | LiveCommands = motion.commands
     record: CameraRecord | None = None
-    with ExitStack() as stack:
+    with ExitStack() as until_saved, ExitStack() as stack:
         if camera is not None:  # opened before anything moves
             zero = bus.start_ramp + run.stand_up
             commands, record = stack.enter_context(
@@ -174,27 +174,32 @@ def play_on_robot(
             supervisor=supervisor, signals=signals, recorder=recorder, ramp=bus.start_ramp, endless=standing
         )
         signals.hold = None if hold is None else hold.held
-        with signals.caught(), _shown(supervisor, operator.show_event), undisturbed():
+        until_saved.enter_context(signals.caught())
+        with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
         if isinstance(plant, CanRobot):
             load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
-    inputs = {**done.inputs, **({} if file is None else {"source": file})}
-    made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
-    more: dict[str, Any] = {"ending": plant.ending}
-    try:
-        if record is not None:
-            more["live"] = save_camera_record(record, folder, made_by)
-            done = with_pose(done, record, run)
-        else:
-            done = replace(done, motion=None if standing else motion)
-        saved = save_run(done, folder, made_by, reporter, more=more)
-    except OSError as reason:
-        raise AssetError(
-            f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
-            f"run: mimic log salvage {folder}"
-        ) from None
-    recorder.discard()
+        stack.close()
+        inputs = {**done.inputs, **({} if file is None else {"source": file})}
+        made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
+        more: dict[str, Any] = {"ending": plant.ending}
+        signals.read()
+        try:
+            if record is not None:
+                more["live"] = save_camera_record(record, folder, made_by)
+                done = with_pose(done, record, run)
+            else:
+                done = replace(done, motion=None if standing else motion)
+            saved = save_run(done, folder, made_by, reporter, more=more)
+        except OSError as reason:
+            raise AssetError(
+                f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
+                f"run: mimic log salvage {folder}"
+            ) from None
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{plant.ending}; to save the run: mimic log salvage {folder}") from None
+        recorder.discard()
     ended = RobotRun(
         saved=saved,
         bus_url=bus_url,

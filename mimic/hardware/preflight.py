@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -58,6 +60,15 @@ class Check:
     name: str
     verdict: Literal["ok", "note", "stop"]
     text: str
+
+
+@contextmanager
+def before_moving() -> Iterator[None]:
+    """Let Ctrl-C say that nothing was moved."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("nothing was moved") from None
 
 
 def preflight(

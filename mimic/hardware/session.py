@@ -17,7 +17,7 @@ from mimic.hardware.dry_run import DryRobot
 from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import CanRobot
-from mimic.hardware.preflight import Check, preflight, refuse
+from mimic.hardware.preflight import Check, before_moving, preflight, refuse
 from mimic.hardware.stock.plant import StockRobot
 from mimic.hardware.stock.session import board_session
 from mimic.hardware.stock.wiring import BOARDS
@@ -175,13 +175,14 @@ def robot_session(
                     suspended=suspended,
                 )
 
-            checks = checked()
-            if not dry_run:
-                checks.append(check_watchdog(checks, bus_url, settings))
-            report(checks)
-            refuse(checks)
-            go()
-            refuse(checked())  # power may have blinked meanwhile, or the robot was moved
+            with before_moving():
+                checks = checked()
+                if not dry_run:
+                    checks.append(check_watchdog(checks, bus_url, settings))
+                report(checks)
+                refuse(checks)
+                go()
+                refuse(checked())  # power may have blinked meanwhile, or the robot was moved
             kind = DryRobot if dry_run else CanRobot
             plant = kind(robot.link, robot.wiring, description, torque_limit=settings.torque, watchdog=watchdog)
             try:

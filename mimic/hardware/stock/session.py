@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.errors import PlantError
-from mimic.hardware.preflight import Check, refuse
+from mimic.hardware.preflight import Check, before_moving, refuse
 from mimic.hardware.stock.lcm_bus import check_network
 from mimic.hardware.stock.plant import StockRobot
 from mimic.hardware.stock.preflight import board_preflight
@@ -66,10 +66,11 @@ def board_session(
         ConfigError, AssetError, BusError, MissingExtra: If the network cannot be used.
     """
     with open_board(settings, description) as (link, wiring, network):
-        checks = board_preflight(link, description, network, suspended=suspended)
-        report(checks)
-        refuse(checks)
-        go()
+        with before_moving():
+            checks = board_preflight(link, description, network, suspended=suspended)
+            report(checks)
+            refuse(checks)
+            go()
         plant = StockRobot(link, wiring, description, torque_limit=settings.torque_limit, suspended=suspended)
         try:
             yield plant
