@@ -243,12 +243,8 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
     known: dict[str, Any] = {"lasts": lasts, "helper": helper, "at": time.monotonic()}
     proxied = TCP_KINDS if scene.kind == "can" else LCM_KINDS
     if kind in proxied:
-        scene.proxy.share, lag = float(rng.uniform(0.05, 0.6)), float(rng.uniform(0.002, 0.08))
-        if isinstance(scene.proxy, LcmProxy):
-            scene.proxy.disturb(kind, scene.proxy.share, lag, lasts=lasts)
-        else:
-            scene.proxy.lag = lag
-            scene.proxy.disturb(kind, lasts)
+        share, lag = float(rng.uniform(0.05, 0.6)), float(rng.uniform(0.002, 0.08))
+        scene.proxy.disturb(kind, share, lag, lasts)
         return known
     pause = known["lasts"] = float(rng.choice([0.05, 0.3, 2.0]))
     match kind:

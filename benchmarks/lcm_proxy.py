@@ -10,15 +10,12 @@ import heapq
 import select
 import socket
 import struct
-import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 
-import numpy as np
-
-from mimic.control.priority import LOOP, real_time
+from benchmarks.proxy import Proxy
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.wiring import BoardWiring, load_board
 
@@ -42,21 +39,12 @@ def wiring_through(path: Path) -> Path:
     return path
 
 
-class LcmProxy:
-    """The relay, in a thread of its own; for a with statement."""
+class LcmProxy(Proxy):
+    """The relay; what it does is one of KINDS, or nothing."""
 
     def __init__(self, seed: int = 0) -> None:
-        self._rng = np.random.default_rng([seed, 53])
+        super().__init__(seed, 53)
         self._board: BoardWiring = load_board()
-        self.kind = ""
-        """What it does while it is active; one of KINDS, or nothing."""
-        self.share, self.lag = 1.0, 0.0
-        """Share of the messages that are hit; longest delay [s]."""
-        self.begin = self.end = float("inf")
-        """When it is active, on the monotonic clock [s]."""
-        self.count = 0
-        """Messages that went through."""
-        self._over = threading.Event()
         self._held: list[tuple[float, int, tuple[str, int], bytes]] = []
         self._last: dict[tuple[str, int], float] = {}
         self._old: deque[tuple[tuple[str, int], bytes]] = deque(maxlen=400)
@@ -72,23 +60,9 @@ class LcmProxy:
             _listening(b.address, b.state_port): (GROUP, STATE_PORT),
             _listening(GROUP, PORT): (b.address, b.port),
         }
-        self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def __enter__(self) -> LcmProxy:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
-        self._over.set()
-        self._thread.join()
-        for one in (*self._ways, self._out):
-            one.close()
-
-    def disturb(self, kind: str, share: float = 1.0, lag: float = 0.0, after: float = 0.0, lasts: float = 1e9) -> None:
-        """Begin after a while [s], for some time [s]."""
-        self.kind, self.share, self.lag = kind, share, lag
-        begin = time.monotonic() + after
-        self.end, self.begin = begin + lasts, begin
+    def sockets(self) -> Iterable[socket.socket]:
+        return *self._ways, self._out
 
     def inject(self, data: bytes) -> None:
         """Send a command to the board as another program would."""
@@ -100,21 +74,18 @@ class LcmProxy:
             packet = _HEADER.pack(b"LC02", self._number) + name + data
             other.sendto(packet, (self._board.address, self._board.port))
 
-    def _run(self) -> None:
-        with real_time(LOOP):
-            while not self._over.is_set():
-                wait = 0.02 if not self._held else max(min(self._held[0][0] - time.monotonic(), 0.02), 0.0)
-                ready, _, _ = select.select(list(self._ways), [], [], wait)
-                for one in ready:
-                    packet, sender = one.recvfrom(65536)
-                    if sender != self._own:
-                        self._through(packet, self._ways[one])
-                while self._held and self._held[0][0] <= time.monotonic():
-                    _, _, to, packet = heapq.heappop(self._held)
-                    self._send(packet, to)
+    def relay(self) -> None:
+        wait = 0.02 if not self._held else max(min(self._held[0][0] - time.monotonic(), 0.02), 0.0)
+        ready, _, _ = select.select(list(self._ways), [], [], wait)
+        for one in ready:
+            packet, sender = one.recvfrom(65536)
+            if sender != self._own:
+                self._through(packet, self._ways[one])
+        while self._held and self._held[0][0] <= time.monotonic():
+            _, _, to, packet = heapq.heappop(self._held)
+            self._send(packet, to)
 
     def _send(self, packet: bytes, to: tuple[str, int]) -> None:
-        self.count += 1
         try:
             self._out.sendto(packet, to)
         except OSError:
@@ -126,30 +97,26 @@ class LcmProxy:
         to_board = to[0] == self._board.address
         if to_board and channel != MOTOR_CTRL.channel:
             return
-        if not self.begin <= now < self.end:
+        if not self.active():
             self._pass(packet, to, now)
             return
         if self.kind == "jitter":
-            due = max(now + self.lag * float(self._rng.random()), self._last.get(to, 0.0))
+            due = max(now + self.lag * float(self.rng.random()), self._last.get(to, 0.0))
             self._last[to] = due
             self._pass(packet, to, due)
             return
-        hit = self._rng.random() < self.share
+        hit = self.hit()
         if self.kind == "cuts" or (self.kind == "drops" and hit):
             return
         if self.kind == "delays" and hit:
-            self._pass(packet, to, now + self.lag * float(self._rng.random()))
+            self._pass(packet, to, now + self.lag * float(self.rng.random()))
             return
         self._old.append((to, packet))
         if self.kind == "repeats" and hit:
-            where, old = self._old[int(self._rng.integers(len(self._old)))]
+            where, old = self._old[int(self.rng.integers(len(self._old)))]
             self._send(old, where)
         if hit and (self.kind == "corrupts" or (self.kind == "forges" and not to_board)):
-            damaged = bytearray(packet)
-            first = begins + 8 if self.kind == "forges" else 0
-            for _ in range(int(self._rng.integers(1, 4))):
-                damaged[int(self._rng.integers(first, len(damaged)))] = int(self._rng.integers(256))
-            packet = bytes(damaged)
+            packet = self.damaged(packet, begins + 8 if self.kind == "forges" else 0)
         self._pass(packet, to, now)
 
     def _pass(self, packet: bytes, to: tuple[str, int], due: float) -> None:

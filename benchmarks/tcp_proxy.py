@@ -10,15 +10,12 @@ import re
 import select
 import socket
 import struct
-import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from types import TracebackType
 
-import numpy as np
-
-from mimic.control.priority import LOOP, real_time
+from benchmarks.proxy import Proxy
 
 KINDS = ("delays", "drops", "corrupts", "repeats", "forges", "garbage", "stalls", "half_closes", "resets", "refuses")
 """What it does: lets some messages wait, loses some, changes letters in some, sends old ones in their place, writes a
@@ -41,66 +38,44 @@ class _Way:
     old: deque[bytes] = field(default_factory=lambda: deque(maxlen=200))
 
 
-class TcpProxy:
-    """Stands before a server, in a thread of its own; for a with statement."""
+class TcpProxy(Proxy):
+    """Stands before a server; what it does is one of KINDS, or nothing."""
 
     def __init__(self, port: int, seed: int = 0) -> None:
         """Take the port of the server on this computer."""
-        self._rng = np.random.default_rng([seed, 59])
+        super().__init__(seed, 59)
         self._port = port
-        self.kind = ""
-        """What it does while it is active; one of KINDS, or nothing."""
-        self.share, self.lag = 0.3, 0.02
-        """Share of the messages that are hit; longest delay [s]."""
-        self.begin = self.end = float("inf")
-        """When it is active, on the monotonic clock [s]."""
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listening.getsockname()[1])
         self._ways: dict[socket.socket, _Way] = {}
         self._held: list[tuple[float, int, _Way, bytes]] = []
         self._count = 0
         self._broken = False
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def __enter__(self) -> TcpProxy:
-        self._thread.start()
-        return self
+    def sockets(self) -> Iterable[socket.socket]:
+        return self._listening, *self._ways
 
-    def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
-        self._over.set()
-        self._thread.join()
-        for one in (self._listening, *self._ways):
-            one.close()
+    def disturb(self, kind: str, share: float = 1.0, lag: float = 0.0, lasts: float = 1e9) -> None:
+        self._broken = False
+        super().disturb(kind, share, lag, lasts)
 
-    def disturb(self, kind: str, lasts: float = 1e9) -> None:
-        """Begin now, for some time [s]."""
-        self.kind, self._broken = kind, False
-        begin = time.monotonic()
-        self.end, self.begin = begin + lasts, begin
-
-    def _active(self) -> bool:
-        return self.begin <= time.monotonic() < self.end
-
-    def _run(self) -> None:
-        with real_time(LOOP):
-            while not self._over.is_set():
-                stalled = self.kind == "stalls" and self._active()
-                ready, _, _ = select.select([self._listening, *([] if stalled else self._ways)], [], [], 0.002)
-                for one in ready:
-                    if one is self._listening:
-                        self._accept()
-                    elif isinstance(one, socket.socket) and one in self._ways:
-                        self._read(self._ways[one])
-                while self._held and self._held[0][0] <= time.monotonic():
-                    _, _, way, data = heapq.heappop(self._held)
-                    self._write(way, data)
-                if self._active() and not self._broken:
-                    self._break()
+    def relay(self) -> None:
+        stalled = self.kind == "stalls" and self.active()
+        ready, _, _ = select.select([self._listening, *([] if stalled else self._ways)], [], [], 0.002)
+        for one in ready:
+            if one is self._listening:
+                self._accept()
+            elif isinstance(one, socket.socket) and one in self._ways:
+                self._read(self._ways[one])
+        while self._held and self._held[0][0] <= time.monotonic():
+            _, _, way, data = heapq.heappop(self._held)
+            self._write(way, data)
+        if self.active() and not self._broken:
+            self._break()
 
     def _accept(self) -> None:
         program, _ = self._listening.accept()
-        if self.kind == "refuses" and self._active():
+        if self.kind == "refuses" and self.active():
             program.close()
             return
         try:
@@ -160,25 +135,22 @@ class TcpProxy:
 
     def _through(self, way: _Way, message: bytes) -> bytes:
         way.old.append(message)
-        if not self._active() or self._rng.random() >= self.share:
+        if not self.active() or not self.hit():
             return message
         if self.kind == "drops":
             return b""
         if self.kind == "delays":
             self._count += 1
-            due = time.monotonic() + self.lag * float(self._rng.random())
+            due = time.monotonic() + self.lag * float(self.rng.random())
             heapq.heappush(self._held, (due, self._count, way, message))
             return b""
         if self.kind == "corrupts":
-            damaged = bytearray(message)
-            for _ in range(int(self._rng.integers(1, 4))):
-                damaged[int(self._rng.integers(len(damaged)))] = int(self._rng.integers(256))
-            return bytes(damaged)
+            return self.damaged(message)
         if self.kind == "repeats":
-            return message + way.old[int(self._rng.integers(len(way.old)))]
+            return message + way.old[int(self.rng.integers(len(way.old)))]
         if self.kind == "forges":
-            data = self._rng.bytes(8).hex().upper().encode()
+            data = self.rng.bytes(8).hex().upper().encode()
             return _ANSWER.sub(lambda found: found[1] + data + found[3], message)
         if self.kind == "garbage":
-            return self._rng.bytes(int(self._rng.integers(1, 200))) + message
+            return self.rng.bytes(int(self.rng.integers(1, 200))) + message
         return message

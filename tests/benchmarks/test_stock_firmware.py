@@ -21,13 +21,7 @@ def test_a_robot_that_was_refused_is_counted_apart_from_one_that_fell():
     good = played | {"status": 0, "stood": True, "lies": True, "line": "done", "rule": ""}
     fell = played | {"status": 3, "stood": False, "lies": False, "line": "stopped", "rule": "tipping"}
     late = played | {"status": 3, "stood": True, "lies": True, "line": "stopped", "rule": "tick_overrun"}
-    tilted = {
-        "case": "plain",
-        "status": 2,
-        "stood": False,
-        "lies": True,
-        "line": "mimic: nothing was moved. IMU and legs",
-    }
+    tilted = {"case": "plain", "status": 2, "stood": False, "lies": True, "line": "nothing was moved. IMU and legs"}
     broken = {"case": "plain", "status": 2, "stood": False, "lies": False, "line": "it said nothing"}
     rows = [good, good, fell, late, tilted, broken]
     assert [ended(row) for row in rows] == ["passed", "passed", "fell", "failed", "refused", "failed"]
