@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +15,21 @@ from mimic.errors import PlantError
 from mimic.geometry import heading_from_quat
 from mimic.metrics import stand_up_time, standing
 from mimic.policy.runtime import load_policy
-from mimic.records import CommandTrack, JointCommand, RobotState
+from mimic.records import CommandTrack, JointCommand, JointSamples, RobotState, Tick
 from mimic.simulation.plant import SimulatedPlant
 
 PUSHED = dataclasses.replace(Randomisation(), push_interval=0.1)
 
 
-def command(description, q: np.ndarray, **changes: np.ndarray) -> JointCommand:
+def samples(tick: Tick) -> JointSamples:
+    """Return the samples of a simulated step."""
+    assert tick.samples is not None
+    return tick.samples
+
+
+def command(description, q: np.ndarray, **changes: Any) -> JointCommand:
     zeros = np.zeros(12)
-    values = {
+    values: dict[str, Any] = {
         "q_des": q,
         "dq_des": zeros,
         "kp": np.full(12, description.kp),
@@ -82,7 +89,7 @@ def test_a_command_takes_effect_after_exactly_its_delay(steps, description):
         before = [plant.step(command(description, lie)) for _ in range(5)]
         after = [plant.step(command(description, then)) for _ in range(5)]
         assert len(before) == 5
-        return np.concatenate([tick.samples.tau for tick in after])
+        return np.concatenate([samples(tick).tau for tick in after])
 
     differs = np.any(torques(lie) != torques(lie + 0.1), axis=1)
     assert np.argmax(differs) == steps
@@ -93,18 +100,18 @@ def test_joints_are_sampled_at_each_physics_step(description):
     plant = SimulatedPlant(description)
     plant.start()
     ticks = [plant.step(command(description, description.poses["four"])) for _ in range(5)]
-    t = np.concatenate([tick.samples.t for tick in ticks])
+    t = np.concatenate([samples(tick).t for tick in ticks])
     assert np.allclose(t, description.timestep * np.arange(1, 5 * description.decimation + 1))
     for tick in ticks:
-        assert np.array_equal(tick.samples.q[-1], tick.state.q)
-        assert np.array_equal(tick.samples.dq[-1], tick.state.dq)
-        assert np.array_equal(tick.samples.tau[-1], tick.state.tau)
-        assert np.array_equal(tick.samples.q_des, np.tile(description.poses["four"], (description.decimation, 1)))
+        assert np.array_equal(samples(tick).q[-1], tick.state.q)
+        assert np.array_equal(samples(tick).dq[-1], tick.state.dq)
+        assert np.array_equal(samples(tick).tau[-1], tick.state.tau)
+        assert np.array_equal(samples(tick).q_des, np.tile(description.poses["four"], (description.decimation, 1)))
 
 
 def test_a_lying_robot_rests_on_the_floor(description):
     plant = SimulatedPlant(description)
-    plant.start()
+    state = plant.start()
     for _ in range(50):
         state = plant.step(command(description, description.poses["lie"])).state
     sagged = description.pose_height["lie"] - state.p_WB[2]
@@ -116,16 +123,14 @@ def test_a_lying_robot_rests_on_the_floor(description):
 def test_a_damped_robot_only_brakes(description):
     plant = SimulatedPlant(description)
     plant.start()
-    for _ in range(30):
-        state = plant.step(command(description, description.poses["four"])).state
-    height = state.p_WB[2]
+    tick = [plant.step(command(description, description.poses["four"])) for _ in range(30)][-1]
+    height = tick.state.p_WB[2]
     for _ in range(20):
-        tick = plant.step(damping_command(state.q, description.kd))
-        state = tick.state
-    moving = np.abs(tick.samples.dq[:-1]) > 1e-2
+        tick = plant.step(damping_command(tick.state.q, description.kd))
+    moving = np.abs(samples(tick).dq[:-1]) > 1e-2
     assert moving.any()
-    assert np.all(np.sign(tick.samples.tau[1:][moving]) == -np.sign(tick.samples.dq[:-1][moving]))
-    assert state.p_WB[2] < height - 0.02
+    assert np.all(np.sign(samples(tick).tau[1:][moving]) == -np.sign(samples(tick).dq[:-1][moving]))
+    assert tick.state.p_WB[2] < height - 0.02
 
 
 def test_stiffness_comes_back_after_damping(description):
@@ -133,9 +138,8 @@ def test_stiffness_comes_back_after_damping(description):
     start = plant.start()
     for _ in range(5):
         plant.step(damping_command(start.q, description.kd))
-    for _ in range(60):
-        state = plant.step(command(description, description.poses["four"])).state
-    assert np.abs(state.q - description.poses["four"]).max() < 0.15
+    ticks = [plant.step(command(description, description.poses["four"])) for _ in range(60)]
+    assert np.abs(ticks[-1].state.q - description.poses["four"]).max() < 0.15
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -198,7 +202,10 @@ def test_the_shipped_policy_stands_up_and_stays_up(description):
     assert standing(log, description)[-1]
     for name in ("q", "dq", "tau", "quat_WB", "p_WB", "action", "q_sent", "observation"):
         assert np.array_equal(getattr(log, name), getattr(runs[1].log, name)), name
-    assert np.array_equal(runs[0].samples.tau, runs[1].samples.tau)
+    one, other = (run.samples for run in runs)
+    assert one is not None
+    assert other is not None
+    assert np.array_equal(one.tau, other.tau)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.015, 0.03])
@@ -210,7 +217,7 @@ def test_interpolated_commands_move_linearly_from_one_to_the_next_after_their_de
     zeros = np.zeros(12)
     for target in (0.0, 0.1, -0.1, -0.1, -0.1):
         q_des = q + target
-        gains = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        gains: dict[str, Any] = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
         plant.step(JointCommand(q_des=q_des, dq_des=zeros, tau_ff=zeros, ramp=dt, **gains))
     t = description.timestep * np.arange(1, len(seen) + 1) - delay
     expected = q[1] + np.interp(t, dt * np.arange(6), [0.0, 0.0, 0.1, -0.1, -0.1, -0.1])
@@ -222,7 +229,7 @@ def test_commands_act_at_once_where_interpolation_is_not_asked_for(description):
     plant = SimulatedPlant(description, observer=lambda model, data: seen.append(data.ctrl[1]))
     q, zeros = plant.start().q, np.zeros(12)
     for target in (0.0, 0.1, 0.1):
-        gains = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        gains: dict[str, Any] = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
         plant.step(JointCommand(q_des=q + target, dq_des=zeros, tau_ff=zeros, **gains))
     assert set(np.round(seen - q[1], 9)) == {0.0, 0.1}
 

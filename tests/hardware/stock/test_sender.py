@@ -42,6 +42,13 @@ def driving(q, target, **more) -> tuple[Sender, np.ndarray]:
     return sender, MOTOR_CTRL.decode(data)
 
 
+def sent(sender: Sender, t: float) -> bytes:
+    """Return the message that a sender sends at a time [s]."""
+    data = sender.message(t)
+    assert data is not None
+    return data
+
+
 def torque(message, q, dq) -> np.ndarray:
     """Return the torque of the documented law (12,) in joint order and sign, before any limit."""
     wire_q, wire_dq = BOARD.wire_angles(q), BOARD.wire(dq)
@@ -84,7 +91,7 @@ def test_a_command_that_is_not_finite_damps():
     sender, _ = driving(LIE, LIE)
     with pytest.raises(ContractError, match="not finite"):
         sender.order(Order(state=State.DRIVE, command=command(np.full(12, np.nan))), 0.01)
-    message = MOTOR_CTRL.decode(sender.message(0.01))
+    message = MOTOR_CTRL.decode(sent(sender, 0.01))
     assert sender.state == State.DAMP
     assert not message["kp_des"].any()
     assert np.all(message["kd_des"] == 5.0)
@@ -94,7 +101,7 @@ def test_targets_are_taken_at_once_or_on_a_line():
     for ramp, expected in ((0.0, 0.1), (0.02, 0.05)):
         sender, _ = driving(LIE, LIE)
         sender.order(Order(state=State.DRIVE, command=command(LIE + 0.1, ramp=ramp)), 0.02)
-        message = MOTOR_CTRL.decode(sender.message(0.03))
+        message = MOTOR_CTRL.decode(sent(sender, 0.03))
         np.testing.assert_allclose(BOARD.angles(message["q_des"]), LIE + expected, atol=1e-6)
 
 
@@ -102,7 +109,7 @@ def test_a_line_that_is_not_finished_goes_on_from_where_it_was():
     sender, _ = driving(LIE, LIE)
     sender.order(Order(state=State.DRIVE, command=command(LIE + 0.1, ramp=0.02)), 0.02)
     sender.order(Order(state=State.DRIVE, command=command(LIE, ramp=0.02)), 0.03)
-    message = MOTOR_CTRL.decode(sender.message(0.03))
+    message = MOTOR_CTRL.decode(sent(sender, 0.03))
     np.testing.assert_allclose(BOARD.angles(message["q_des"]), LIE + 0.05, atol=1e-6)
 
 
@@ -157,7 +164,7 @@ def test_beside_another_program_that_goes_on_it_does_not_say_that_the_motors_are
     t = 0.0
     while sender.state != State.DONE and t < 10.0:
         sender.heard("spi_data", reading(LIE), t)
-        sender.heard("motor_ctrl", other.message(0.0), t)  # holds the robot still
+        sender.heard("motor_ctrl", sent(other, 0.0), t)  # holds the robot still
         sender.message(t)
         t += PERIOD
     assert sender.state == State.DONE
@@ -177,9 +184,9 @@ def test_own_messages_come_back_unnoticed_and_those_of_others_are_counted():
     for one in (sender, other):
         one.order(Order(state=State.ZERO), 0.0)
     for _ in range(5):
-        sender.heard("motor_ctrl", sender.message(0.0), 0.0)
+        sender.heard("motor_ctrl", sent(sender, 0.0), 0.0)
     assert sender.readings.report["foreign"] == 0
-    sender.heard("motor_ctrl", other.message(0.0), 0.0)
+    sender.heard("motor_ctrl", sent(other, 0.0), 0.0)
     assert sender.readings.report["foreign"] == 1
 
 
