@@ -168,7 +168,7 @@ def incomplete(run: Path, killed: float | None) -> str:
 
     Args:
         run: Its folder.
-        killed: When the process was killed; None where it ended by itself.
+        killed: When the process was killed or could write no more; None where it ended by itself.
     """
     if killed is not None:
         if (run / "log.parquet").exists():

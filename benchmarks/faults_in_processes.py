@@ -1,6 +1,6 @@
 """Faults of both emulated robots with real processes and sockets, in real time.
 
-python -m benchmarks.faults_in_processes OUT.jsonl {can,stock} [runs] [first seed]
+python -m benchmarks.faults_in_processes OUT.jsonl {can,stock} [runs] [first seed] [kinds...]
 
 `mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog others, and a proxy stands between them: over
 TCP for socketcand, over multicast for LCM. A run in its turn has one of these: what the proxies do, a second program on
@@ -21,6 +21,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
@@ -53,19 +54,25 @@ PROCESSES = (
     "both_killed",
     "host_stopped",
     "helper_stopped",
+    "both_stopped",
     "emulator_stopped",
     "disk_full",
+    "disk_read_only",
     "ctrl_c",
     "ctrl_c_thrice",
     "terminated",
     "terminal_closed",
     "second_check",
+    "second_watch",
     "second_run",
+    "second_probe",
     "master_commands",
 )
 """What happens to processes, and what others do."""
 
-CAN_ONLY = ("master_stops", "second_damp")
+CAN_ONLY = ("master_stops", "second_damp", "second_zero", "second_scan")
+
+DISKS = ("disk_full", "disk_read_only")
 
 WITHIN = (0.2, 7.0)
 """When it happens, after the robot was switched on [s]; in the 2.5 s before, a stock robot is limp."""
@@ -255,14 +262,17 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
         case "both_killed":
             _kill(helper, signal.SIGKILL)
             host.signal(signal.SIGKILL)
-        case "host_stopped" | "helper_stopped" | "emulator_stopped":
-            pids = {"host_stopped": host.process.pid, "helper_stopped": helper}
-            pid = pids.get(kind, scene.emulator.process.pid)
-            _kill(pid, signal.SIGSTOP)
-            time.sleep(pause)
-            _kill(pid, signal.SIGCONT)
+        case "host_stopped" | "helper_stopped" | "both_stopped" | "emulator_stopped":
+            own = host.process.pid
+            stopped = {"host_stopped": [own], "helper_stopped": [helper], "both_stopped": [helper, own]}
+            for number in (signal.SIGSTOP, signal.SIGCONT):
+                for pid in stopped.get(kind, [scene.emulator.process.pid]):
+                    _kill(pid, number)
+                time.sleep(pause if number == signal.SIGSTOP else 0.0)
         case "disk_full":
             _fill(disk)
+        case "disk_read_only":
+            subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=False)
         case "ctrl_c" | "ctrl_c_thrice":
             for _ in range(1 if kind == "ctrl_c" else 3):
                 host.signal(signal.SIGINT)
@@ -271,11 +281,19 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
             host.signal(signal.SIGTERM)
         case "terminal_closed":
             host.signal(signal.SIGHUP)
-        case "second_check" | "second_run" | "second_damp":
-            words = ["--robot"] if kind == "second_run" else ["robot", kind.removeprefix("second_")]
-            more = ["--yes", "-o", str(disk / "second")] if kind == "second_run" else []
-            second = Process(*words, *scene.words, *more)
-            second.end(60.0)
+        case _ if kind.startswith("second_"):
+            verb = kind.removeprefix("second_")
+            words = ["--robot"] if verb == "run" else ["robot", verb]
+            knows_zeros = verb in ("check", "watch", "run", "probe")
+            reach = [word for word in scene.words if knows_zeros or word != "--zeroed"]
+            more = {
+                "run": ["--yes", "-o", str(disk / "second")],
+                "probe": ["--yes", "-o", str(disk / "second.parquet")],
+                "watch": ["--seconds", "2"],
+                "zero": ["--yes"],
+            }
+            second = Process(*words, *reach, *more.get(verb, []))
+            known["second_hung"] = not second.end(60.0)
             known["second"] = second.said.strip().splitlines()[-1:]
             known["second_traceback"] = _traceback(second.said)
         case _:
@@ -288,16 +306,15 @@ def kinds_of(robot: str) -> tuple[str, ...]:
     return (*TCP_KINDS, *PROCESSES, *CAN_ONLY) if robot == "can" else (*LCM_KINDS, *PROCESSES)
 
 
-def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
-    """Play a run with the fault of a seed and return how it ended."""
+def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) -> dict[str, Any]:
+    """Play a run with the fault of a seed, of these kinds in turn, and return how it ended."""
     rng = np.random.default_rng([seed, 61, len(robot)])
-    kinds = kinds_of(robot)
     kind = kinds[seed % len(kinds)]
     start, own_timeout = float(rng.uniform(*WITHIN)), bool(rng.random() < 0.5)
     began = time.monotonic()
     disk = work / "disk"
     disk.mkdir()
-    if kind == "disk_full":
+    if kind in DISKS:
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}m", "tmpfs", str(disk)], check=True)
     run = disk / "run"
     known: dict[str, Any] = {}
@@ -315,12 +332,14 @@ def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
             time.sleep(0.1)
         time.sleep(4.0 if robot == "stock" else 0.5)  # a stock board damps by itself, 0.5 s after the last message
         left = scene.left()
+    if kind == "disk_read_only":
+        subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=False)
     if kind == "disk_full":
         (disk / "filler").unlink(missing_ok=True)
         (disk / "filler2").unlink(missing_ok=True)
-    killed = kind in ("host_killed", "both_killed")
-    lost = incomplete(run, known["at"] if killed and known else None) if run.exists() else "there is no run folder"
-    if kind == "disk_full":
+    cut_off = kind in ("host_killed", "both_killed", *DISKS)
+    lost = incomplete(run, known["at"] if cut_off and known else None) if run.exists() else "there is no run folder"
+    if kind in DISKS:
         subprocess.run(["umount", "-l", str(disk)], check=False)
     driven = left.startswith("driven") or left == "nothing"
     gone = kind == "both_killed" or (kind in ("refuses", "stalls") and known.get("lasts", 0.0) > SETTLE)
@@ -340,7 +359,7 @@ def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
         "left": left,
         "driven": driven,
         "undamped": driven and not beyond,
-        "hung": not ended,
+        "hung": not ended or known.get("second_hung", False),
         "traceback": _traceback(host.said) or _traceback(scene.emulator.said) or known.get("second_traceback", ""),
         "lost": lost,
         "silent": driven and beyond and kind != "both_killed" and not told,
@@ -396,12 +415,13 @@ def main() -> int:
         return status
     out, robot = Path(sys.argv[1]), sys.argv[2]
     runs, first = (int(sys.argv[i]) if len(sys.argv) > i else default for i, default in ((3, 24), (4, 0)))
+    kinds = sys.argv[5:] or kinds_of(robot)
     with tempfile.TemporaryDirectory() as name, out.open("a") as file:
         motion = targets(Path(name) / "targets.parquet")
         for seed in range(first, first + runs):
             work = Path(name) / f"run{seed}"
             work.mkdir()
-            file.write(json.dumps(play(robot, seed, motion, work)) + "\n")
+            file.write(json.dumps(play(robot, seed, motion, work, kinds)) + "\n")
             file.flush()
     table([json.loads(line) for line in out.read_text().splitlines()])
     return 0
