@@ -127,7 +127,10 @@ class Sender:
         if order.state == State.DRIVE:
             self._drive(order.command, t)
         elif order.state >= State.DAMP:
-            self._damp("", t)
+            if self.state == State.ZERO and self.readings.report["err_came"] == NEVER:
+                self._end(t, NOT_FOLLOWED)  # it is not in motor mode
+            else:
+                self._damp("", t)
         else:
             self.state = order.state
 
@@ -252,6 +255,9 @@ OBEYED = 0.5
 
 OBEYS_ANOTHER = "another program still commands the robot, which obeys it: hold the robot, and end that program"
 """How a robot is left to which another program still sends."""
+
+NOT_FOLLOWED = "it has followed no message of this program, and is as it was"
+"""How a robot is left that never entered motor mode."""
 
 UNREACHED = (
     "the robot does not answer: its firmware damps it by itself, from 0.5 s after the last message that reached it on; "

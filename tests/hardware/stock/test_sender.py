@@ -178,6 +178,22 @@ def test_without_a_command_there_is_nothing_to_damp():
     assert (sender.state, sender.ending) == (State.DONE, "nothing was switched on")
 
 
+def test_a_robot_that_stands_by_its_own_order_is_not_said_to_be_damped():
+    sender = Sender(BOARD, D)
+    sender.order(Order(state=State.ZERO), 0.0)
+    sender.message(0.0)
+    sender.heard("spi_data", reading(D.poses["four"]), 0.01)  # without a motor_ctrl_state: it is not in motor mode
+    sender.order(Order(state=State.DAMP), 2.0)
+    assert sender.message(2.0) is None
+    assert (sender.state, sender.ending) == (State.DONE, "it has followed no message of this program, and is as it was")
+
+
+def test_a_sender_that_steps_in_for_another_damps_without_having_driven():
+    sender = Sender(BOARD, D)
+    sender.order(Order(state=State.DAMP), 0.0)
+    assert MOTOR_CTRL.decode(sent(sender, 0.0))["kd_des"].max() == 5.0
+
+
 def test_own_messages_come_back_unnoticed_and_those_of_others_are_counted():
     sender = Sender(BOARD, D)
     other = Sender(BOARD, D)
