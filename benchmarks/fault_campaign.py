@@ -163,12 +163,13 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
     }
 
 
-def incomplete(run: Path, killed: float | None) -> str:
+def incomplete(run: Path, killed: float | None, stopped: float = 0.0) -> str:
     """Return what the log of a run lacks, or nothing.
 
     Args:
         run: Its folder.
         killed: When the process was killed or could write no more; None where it ended by itself.
+        stopped: How long the process was stopped; there is no row of that time [s].
     """
     if killed is not None:
         if (run / "log.parquet").exists():
@@ -182,7 +183,7 @@ def incomplete(run: Path, killed: float | None) -> str:
         return "rows were left behind"
     log = store.load(run / "log.parquet", RunLog)
     gap = float(np.diff(log.t_host).max())
-    return f"rows are {gap:.2f} s apart" if gap > 2.0 else ""
+    return f"rows are {gap:.2f} s apart" if gap > 2.0 + stopped else ""
 
 
 def main() -> None:

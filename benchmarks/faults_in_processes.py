@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.fault_campaign import incomplete, targets
+from benchmarks.fault_campaign import USER, incomplete, targets
 from benchmarks.faults_scene import print_failures
 from benchmarks.lcm_proxy import KINDS as LCM_KINDS
 from benchmarks.lcm_proxy import LcmProxy, wiring_through
@@ -338,7 +338,10 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
         (disk / "filler").unlink(missing_ok=True)
         (disk / "filler2").unlink(missing_ok=True)
     cut_off = kind in ("host_killed", "both_killed", *DISKS)
-    lost = incomplete(run, known["at"] if cut_off and known else None) if run.exists() else "there is no run folder"
+    stopped = known["lasts"] if kind in ("host_stopped", "both_stopped") and known else 0.0
+    lost = incomplete(run, known["at"] if cut_off and known else None, stopped) if run.exists() else ""
+    if not run.exists() and host.process.returncode != USER:
+        lost = "there is no run folder"  # it was not refused, nor did it end before its first tick
     if kind in DISKS:
         subprocess.run(["umount", "-l", str(disk)], check=False)
     driven = left.startswith("driven") or left == "nothing"

@@ -154,7 +154,7 @@ class StockRobot:
         """Send zero messages until something is reached.
 
         Raises:
-            PlantError: If that takes too long.
+            PlantError: If that takes too long, or the sender has ended.
         """
         link, dt = self._link, self._description.dt
         end = link.now() + timeout
@@ -163,6 +163,8 @@ class StockRobot:
             self._take(link.wait(link.now() + dt))
             if reached():
                 return
+            if not link.alive():
+                raise PlantError("the process that sends to the robot has ended")
         raise PlantError(problem)
 
     def _check(self) -> None:

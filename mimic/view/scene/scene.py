@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +66,7 @@ def save_scene(
         shown = layout.blueprint(span=(start, float(clock[-1])), camera=camera, video=size, person=seen)
         stamps = None if clip is None else frame_times(clip.stamps, pose, slowed_down(targets))
         frames = stamps if pose is None else pose.t
-        with rr.RecordingStream("mimic") as scene:
+        with _recording() as scene:
             scene.save(part, default_blueprint=shown)
             if made_by is not None:
                 scene.send_property("provenance", rr.AnyValues(json=json.dumps(plain(made_by))))
@@ -80,6 +82,21 @@ def save_scene(
                 scene.send_columns(curve.path, indexes=times, columns=rr.Scalars.columns(scalars=curve.value))
             scene.flush()
             scene.disconnect()
+
+
+@contextmanager
+def _recording() -> Iterator[rr.RecordingStream]:
+    """Give a recording; where its file cannot be written on, raise OSError as for any other file."""
+    scene = rr.RecordingStream("mimic")
+    try:
+        with scene:
+            yield scene
+    except RuntimeError as reason:
+        if "File-writer" not in str(reason):
+            raise
+        with suppress(RuntimeError):
+            scene.disconnect()  # not later, when another line has been said
+        raise OSError(errno.EIO, f"the scene could not be written: {reason}") from None
 
 
 def _video(scene: rr.RecordingStream, clip: Clip, t: FloatArray, start: float) -> None:

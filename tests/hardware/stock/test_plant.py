@@ -130,6 +130,13 @@ def test_it_refuses_to_start_and_says_why_in_one_line(made, fault, expected):
     assert "\n" not in str(raised.value)
 
 
+def test_a_sender_that_ends_before_the_robot_is_ready_is_named(made):
+    link, plant = made()
+    link.halted = True
+    with pytest.raises(PlantError, match="the process that sends to the robot has ended"):
+        plant.start()
+
+
 @pytest.mark.slow
 def test_it_refuses_to_start_beside_another_program(made):
     link, plant = made()

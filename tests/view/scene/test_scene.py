@@ -128,3 +128,13 @@ def test_nothing_is_left_of_a_scene_that_fails(
     with pytest.raises(SourceError, match="no picture"):
         save_scene(tmp_path / "scene.rrd", log=log, description=description, video=tmp_path / "none.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_takes_no_more_is_an_error_of_the_system(log, description, tmp_path, monkeypatch) -> None:
+    def broken(self: object, **_: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr("rerun.RecordingStream.flush", broken)
+    with pytest.raises(OSError, match="could not be written"):
+        save_scene(tmp_path / "robot.rrd", log=log, description=description)
+    assert not list(tmp_path.iterdir())
