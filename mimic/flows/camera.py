@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,9 +112,9 @@ def follow_camera(
     """
     from mimic.retargeting.live import LiveRetarget, LiveTargets
     from mimic.robot.reach import Reach
-    from mimic.sources.video.camera import open_camera
+    from mimic.sources.video.camera import check_camera, open_camera
 
-    fetch_pose_model(settings.pose, reporter or SilentReporter())
+    fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
     record = CameraRecord()
     retarget = LiveRetarget(Reach(), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -169,6 +170,7 @@ def track_video(
         SourceError: If the file is no video, or shows no person.
         AssetError: If the models of the pose estimator are not here and cannot be downloaded.
     """
+    from mimic.sources.video.decoding import check_video
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
@@ -179,7 +181,7 @@ def track_video(
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
         return store.load(cached, PoseTrack)
-    fetch_pose_model(settings, reporter, video=path)
+    fetch_pose_model(settings, reporter, partial(check_video, path))
     with reporter.progress("pose") as progress:
         found = track(path, settings, progress=progress)
     if cached is not None:
@@ -330,26 +332,23 @@ def _holds_playable_record(path: Path) -> bool:
         return False
 
 
-def fetch_pose_model(settings: PoseSettings, reporter: Reporter, *, video: Path | None = None) -> None:
+def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable[[], None]) -> None:
     """Download the models of the pose estimator where they are not on this computer yet.
 
     Args:
         settings: May name another model.
         reporter: Receives progress.
-        video: What they are for; nothing is downloaded where it cannot be read.
+        check: Called before a download; raises a SourceError if there is no picture to use them on.
 
     Raises:
-        SourceError: If the file is no video.
+        SourceError: From ``check``.
         AssetError: If that is not possible, or another model was given and is none.
     """
-    from mimic.sources.video.decoding import open_video
     from mimic.sources.video.pose_model import is_here, pose_model
 
     if is_here(settings.pose_model):
         return
-    if video is not None:
-        with open_video(video):
-            pass
+    check()
     reporter.note("pose model   not on this computer yet: downloading mediapipe's wheel that carries it (once, 36 MB)")
     with reporter.progress("MB") as progress:
         path = pose_model(settings.pose_model, progress=progress)

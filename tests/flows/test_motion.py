@@ -1,11 +1,14 @@
-"""What is checked first of a video."""
+"""What is checked first of a video and of a camera."""
 
 from pathlib import Path
 
 import pytest
 
 import mimic
+from mimic.config.pose import LiveSettings
 from mimic.errors import SourceError
+from mimic.flows.camera import follow_camera
+from mimic.flows.motion import InputSettings
 from mimic.flows.reporter import SilentReporter
 
 
@@ -28,4 +31,22 @@ def test_no_pose_model_is_downloaded_for_a_file_that_is_no_video(
     broken.write_text("no video")
     with pytest.raises(SourceError, match="no picture can be read"):
         mimic.track_video(broken, cache=False, reporter=notes)
+    assert notes.lines == []
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"), [("nowhere", "there is no camera"), ("broken.mp4", "cannot read a picture from")]
+)
+def test_no_pose_model_is_downloaded_for_a_camera_that_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: str, message: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    Path("broken.mp4").write_text("no video")
+    notes = Notes()
+    with (
+        pytest.raises(SourceError, match=message),
+        follow_camera(camera, InputSettings(), LiveSettings(), reporter=notes),
+    ):
+        pass
     assert notes.lines == []

@@ -117,9 +117,7 @@ def open_camera(
         SourceError: If it cannot be opened, or delivers no picture.
         AssetError: If there is no model to detect with.
     """
-    device = camera.isdigit() or camera.startswith("/dev/")
-    if not device and not Path(camera).is_file():
-        raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
+    device = _is_device(camera)
     pose = replace(pose, pose_model=pose_model(pose.pose_model))  # found once, and its errors are raised here
     context = get_context("spawn")
     parent_end, child_end = context.Pipe()
@@ -142,6 +140,57 @@ def open_camera(
         process.terminate()
         process.join()
         parent_end.close()
+
+
+def check_camera(camera: str) -> None:
+    """Open a camera, or a video in its place, and close it again.
+
+    Raises:
+        SourceError: If it is neither, or delivers no picture.
+    """
+    capture, _ = _opened(camera, None)
+    capture.release()
+
+
+def _is_device(camera: str) -> bool:
+    """Return whether it is a camera.
+
+    Raises:
+        SourceError: If it is no file either.
+    """
+    device = camera.isdigit() or camera.startswith("/dev/")
+    if not device and not Path(camera).is_file():
+        raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
+    return device
+
+
+def _opened(camera: str, picture: tuple[int, int] | None) -> tuple[Any, np.ndarray]:
+    """Return the open camera or video and its first frame, BGR.
+
+    Args:
+        camera: As in `open_camera`.
+        picture: Width and height asked of a camera [px]; None for its own.
+
+    Raises:
+        SourceError: If there is none, or it delivers no picture.
+    """
+    device = _is_device(camera)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    import cv2
+
+    with quiet_stderr():
+        capture = cv2.VideoCapture(int(camera)) if camera.isdigit() else cv2.VideoCapture(camera)
+        if device and picture is not None:
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, picture[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, picture[1])
+            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        ok, first = capture.read() if capture.isOpened() else (False, None)
+    if not ok or first is None:
+        capture.release()
+        raise SourceError(
+            f"cannot read a picture from {camera}; is it a camera or a video, and not used by another program?"
+        )
+    return capture, first
 
 
 class _LatestFrame:
@@ -182,20 +231,14 @@ def _run_camera(
     previews, low_priority = options
     if low_priority:
         os.nice(LOW_PRIORITY)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     import cv2
 
     from mimic.sources.video.blazepose import BlazePose
 
-    with quiet_stderr():
-        capture = cv2.VideoCapture(int(camera)) if camera.isdigit() else cv2.VideoCapture(camera)
-        if device:
-            capture.set(cv2.CAP_PROP_FRAME_WIDTH, live.camera_size[0])
-            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, live.camera_size[1])
-            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        ok, first = capture.read() if capture.isOpened() else (False, None)
-    if not ok or first is None:
-        pipe.send(f"cannot read a picture from {camera}; is it a camera or a video, and not used by another program?")
+    try:
+        capture, first = _opened(camera, live.camera_size)
+    except SourceError as reason:
+        pipe.send(str(reason))
         return
     latest, go = _LatestFrame(), threading.Event()
     assert pose.pose_model is not None

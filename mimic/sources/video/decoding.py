@@ -100,6 +100,12 @@ def open_video(path: Path) -> Iterator[Video]:
         capture.release()
 
 
+def check_video(path: Path) -> None:
+    """Raise a SourceError if no picture can be read from a file."""
+    with open_video(path):
+        pass
+
+
 def _frame(bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None) -> tuple[Frame, np.ndarray]:
     """Return the frame, and its thumbnail for comparison with the next one."""
     import cv2
