@@ -3,6 +3,7 @@
     python examples/videos/depth_clips.py OUT --set tuning --clips 5 --video              # clips to tune on
     python examples/videos/depth_clips.py OUT --set aside --first 5 --clips 5 --video     # and five kept aside
     python benchmarks/depth.py OUT/*.mp4                                                   # what they say
+    python examples/videos/depth_clips.py OUT/train --clips 500                            # clips to train on
 
 Each clip is one .npz: what BlazePose found in each frame (world, image, score) and the exact joints. The clips are
 small and plainly lit, because BlazePose looks at 256 x 256 pixels anyway. A clip depends on its number only.
@@ -23,8 +24,9 @@ import mujoco
 import numpy as np
 import rooms
 from arm_motions import FAMILIES, KEPT_ASIDE, TUNING, Rng, motion_of
+from scene import Shot, build_scene, text
 from scipy.spatial.transform import Rotation
-from skeleton import TRUTH_NAMES, Build, pose, rest_frames
+from skeleton import TRUTH_NAMES, Build, pose
 from surface import Array, mesh_of
 
 from mimic.sources.video.blazepose import BlazePose
@@ -131,68 +133,51 @@ def camera_axes(view: View) -> Array:
     return np.stack([c * right + s * down, c * down - s * right, away])
 
 
+def eye_of(view: View) -> Array:
+    """Return where the camera is, in its own axes from the floor under the person (3,) [m]."""
+    return camera_axes(view) @ np.array([view.distance, 0.0, view.height])
+
+
 _FIXED: dict[str, rooms.Room] = {}
 
 
 def scene(view: View, look: mannequin.Look, build: Build, skins: list[mannequin.Skin], rng: Rng) -> mujoco.MjModel:
     """Return a plainly lit scene."""
     name = str(rng.choice(["gym", "studio", "lounge"]))
-    room = _FIXED.setdefault(name, getattr(rooms, name)())
-    files, materials, tags = dict(room.files), "", ""
+    if name not in _FIXED:
+        _FIXED[name] = getattr(rooms, name)()
     paint = colours(rng)
     by_name = {"body": "skin", "head": "skin", "hair": "hair", "top": "top", "bottom": "bottom"}
+    painted = []
     for part in skins:
-        files[f"{part.name}.skn"] = mannequin.skin_file(part, build)
         stem = part.name.split("_")[0]
         kind = by_name.get(stem, "shoes" if stem == "shoe" else "soles" if stem == "sole" else stem)
         colour = paint.get(kind, paint["trim"] if kind != "glove" else paint["soles"])
-        materials += f'<material name="m_{part.name}" rgba="{_text(colour)} 1" specular="0.1" shininess="0.2"/>'
-        tags += f'<skin name="{part.name}" file="{part.name}.skn" material="m_{part.name}"/>'
-    faces = "\n".join(mannequin.face_geoms(replace(look, **paint)))
-    bodies = "".join(
-        f'<body name="{bone}" mocap="true">{faces if bone == "head" else ""}</body>' for bone in rest_frames(build)
-    )
-    right, down, _ = camera_axes(view)
-    width, height = view.size
+        painted.append(replace(part, colour=colour, shine=0.2))
     sun = rng.normal(0, 1, 3) * [1, 1, 0.3] + [-0.8, 0, -1.0]
     bright = rng.uniform(0.35, 0.65)
-    xml = f"""
-    <mujoco>
-      <compiler angle="degree"/>
-      <statistic center="0 0 1" extent="2.6"/>
-      <visual>
-        <global offwidth="{width}" offheight="{height}"/>
+    visual = f"""
         <quality shadowsize="0" offsamples="0" numslices="12" numquads="2"/>
         <map znear="0.1" zfar="20"/>
-        <headlight ambient="0.3 0.3 0.3" diffuse="{_text([rng.uniform(0.05, 0.3)] * 3)}" specular="0 0 0"/>
-      </visual>
-      <asset>
-        <texture name="sky_" type="skybox" builtin="flat" rgb1="0.7 0.66 0.62" width="64" height="64"/>
-        {room.assets}{materials}
-      </asset>
-      <default><geom contype="0" conaffinity="0"/></default>
-      <worldbody>
-        <body name="room" euler="0 0 {np.rad2deg(view.yaw):.6f}">
-          <light directional="true" castshadow="false" dir="{_text(sun)}" diffuse="{_text([bright] * 3)}"/>
-          <camera name="film" pos="{_text([view.distance, 0, view.height])}" xyaxes="{_text(right)} {_text(-down)}"
-            fovy="{view.fovy}"/>
-          {room.geoms}
-        </body>
-        {bodies}
-      </worldbody>
-      <deformable>{tags}</deformable>
-    </mujoco>"""
-    return mujoco.MjModel.from_xml_string(xml, files)
+        <headlight ambient="0.3 0.3 0.3" diffuse="{text([rng.uniform(0.05, 0.3)] * 3)}" specular="0 0 0"/>"""
+    lights = f'<light directional="true" castshadow="false" dir="{text(sun)}" diffuse="{text([bright] * 3)}"/>'
+    shot = Shot(
+        eye=np.array([view.distance, 0.0, view.height]), axes=camera_axes(view), fovy=view.fovy, yaw=view.yaw,
+        size=view.size, visual=visual, lights=lights, gloss=0.5,
+    )  # fmt: skip
+    return build_scene(_FIXED[name], replace(look, **paint), build, painted, shot)
 
 
-def spoiled(rgb: Array, rng: Rng, quality: int, gamma: float, cover: tuple[int, int, int, int] | None) -> Array:
+def spoiled(
+    rgb: np.ndarray, rng: Rng, quality: int, gamma: float, cover: tuple[int, int, int, int] | None
+) -> np.ndarray:
     """Return a frame as a cheap camera would store it."""
     picture = cv2.LUT(rgb, (255 * (np.arange(256) / 255) ** gamma).astype(np.uint8))
     if cover is not None:
         x0, y0, x1, y1 = cover
         picture[y0:y1, x0:x1] = (picture[y0:y1, x0:x1] // 6) + 40
     coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return cv2.imdecode(coded, cv2.IMREAD_COLOR)
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))
 
 
 def clip(number: int, kind: str, cache: Path, out: Path, detect: BlazePose, video: bool) -> str:
@@ -216,8 +201,8 @@ def clip(number: int, kind: str, cache: Path, out: Path, detect: BlazePose, vide
     cover = None
     if rng.random() < 0.10:
         x, y = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.9) * height
-        cover = (int(x - 0.12 * width), int(y - 0.12 * height), int(x + 0.12 * width), int(y + 0.12 * height))
-        cover = tuple(max(0, v) for v in cover)
+        left, top = max(0, int(x - 0.12 * width)), max(0, int(y - 0.12 * height))
+        cover = left, top, int(x + 0.12 * width), int(y + 0.12 * height)
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
     slot = {bone: int(model.body(bone).mocapid[0]) for bone in bones}
     quats = {bone: np.roll(Rotation.from_matrix(frames.R).as_quat(), 1, axis=1) for bone, frames in bones.items()}
@@ -250,17 +235,13 @@ def clip(number: int, kind: str, cache: Path, out: Path, detect: BlazePose, vide
     np.savez_compressed(
         out / f"{kind}{number}.npz",
         t=motion.t, names=np.array(TRUTH_NAMES), world=world, image=image, score=score, size=view.size,
-        joints=(joints @ axes.T).astype(np.float32), yaw=view.yaw, family=name, rate=rate,
+        joints=(joints @ axes.T).astype(np.float32), eye=eye_of(view), yaw=view.yaw, family=name, rate=rate,
     )  # fmt: skip
     return f"{kind}{number} {name} {np.degrees(view.yaw):.0f} deg, {len(motion.t)} frames"
 
 
-def _text(values: Array | list[float] | tuple[float, ...]) -> str:
-    return " ".join(f"{v:.6g}" for v in values)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("out", type=Path, help="folder to write to")
     parser.add_argument("--clips", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")

@@ -5,67 +5,41 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 from clips import Clip, camera_axes
-from mannequin import face_geoms, skin_file, skins
+from mannequin import skins
+from scene import Shot, build_scene, text
 from scipy.spatial.transform import Rotation
-from skeleton import Frames, Motion, pose, rest_frames
+from skeleton import Frames, Motion, pose
 from surface import Array
 
 WIDTH, HEIGHT = 640, 480
 
 
 def build_model(clip: Clip) -> mujoco.MjModel:
-    """Return the scene: one free-floating body per bone, the skins on them, the room turned toward the camera."""
-    files = dict(clip.room.files)
-    parts = skins(clip.look, clip.build)
-    materials = skin_tags = ""
-    for part in parts:
-        files[f"{part.name}.skn"] = skin_file(part, clip.build)
-        materials += (
-            f'<material name="m_{part.name}" rgba="{_text(part.colour)} 1" specular="{0.6 * part.shine}" '
-            f'shininess="{part.shine}"/>'
-        )
-        skin_tags += f'<skin name="{part.name}" file="{part.name}.skn" material="m_{part.name}"/>'
-    bodies = ""
-    for name in rest_frames(clip.build):
-        inside = "\n".join(face_geoms(clip.look)) if name == "head" else ""
-        bodies += f'<body name="{name}" mocap="true">{inside}</body>'
-    right, down, _ = camera_axes(clip, room=True)
-    eye = np.array([clip.distance, 0.0, clip.height])
+    """Return the scene of a clip."""
     key = clip.room.key
     warm = np.array(clip.room.warmth)
-    turn = np.rad2deg(clip.camera_yaw)
-    xml = f"""
-    <mujoco>
-      <compiler angle="degree"/>
-      <statistic center="0 0 1" extent="2.6"/>
-      <visual>
-        <global offwidth="{WIDTH}" offheight="{HEIGHT}"/>
+    visual = """
         <quality shadowsize="3072" offsamples="0" numslices="64" numquads="4"/>
         <map znear="0.1" zfar="20" shadowclip="0.56"/>
-        <headlight ambient="0.27 0.27 0.285" diffuse="0.10 0.10 0.10" specular="0 0 0"/>
-      </visual>
-      <asset>
-        <texture name="sky_" type="skybox" builtin="flat" rgb1="0.7 0.66 0.62" width="64" height="64"/>
-        {clip.room.assets}{materials}
-      </asset>
-      <default><geom contype="0" conaffinity="0"/></default>
-      <worldbody>
-        <body name="room" euler="0 0 {turn:.6f}">
+        <headlight ambient="0.27 0.27 0.285" diffuse="0.10 0.10 0.10" specular="0 0 0"/>"""
+    lights = f"""
           <light name="key" directional="true" castshadow="true"
-            pos="{_text(np.array([0, 0, 0.9]) - 3 * np.array(key))}" dir="{_text(key)}"
-            diffuse="{_text(0.56 * warm)}" specular="0.25 0.25 0.22" ambient="0 0 0"/>
+            pos="{text(np.array([0, 0, 0.9]) - 3 * np.array(key))}" dir="{text(key)}"
+            diffuse="{text(0.56 * warm)}" specular="0.25 0.25 0.22" ambient="0 0 0"/>
           <light name="fill" directional="true" castshadow="false" pos="3 {-4 * key[1]:.3f} 2"
             dir="-0.8 {-key[1]:.3f} -0.25" diffuse="0.17 0.18 0.20" specular="0 0 0"/>
           <light name="rim" directional="true" castshadow="false" pos="-2 {3 * key[1]:.3f} 3"
-            dir="0.75 {-1.4 * key[1]:.3f} -0.55" diffuse="0.20 0.19 0.18" specular="0.1 0.1 0.1"/>
-          <camera name="film" pos="{_text(eye)}" xyaxes="{_text(right)} {_text(-down)}" fovy="{clip.fovy}"/>
-          {clip.room.geoms}
-        </body>
-        {bodies}
-      </worldbody>
-      <deformable>{skin_tags}</deformable>
-    </mujoco>"""
-    return mujoco.MjModel.from_xml_string(xml, files)
+            dir="0.75 {-1.4 * key[1]:.3f} -0.55" diffuse="0.20 0.19 0.18" specular="0.1 0.1 0.1"/>"""
+    shot = Shot(
+        eye=np.array([clip.distance, 0.0, clip.height]),
+        axes=camera_axes(clip, room=True),
+        fovy=clip.fovy,
+        yaw=clip.camera_yaw,
+        size=(WIDTH, HEIGHT),
+        visual=visual,
+        lights=lights,
+    )
+    return build_scene(clip.room, clip.look, clip.build, skins(clip.look, clip.build), shot)
 
 
 class Film:
@@ -121,7 +95,3 @@ def _across(direction: Array) -> tuple[Array, Array]:
     side = np.cross(direction, [0.0, 0.0, 1.0])
     side = side / np.linalg.norm(side)
     return side, np.cross(direction, side)
-
-
-def _text(values: Array | list[float] | tuple[float, ...]) -> str:
-    return " ".join(f"{v:.7g}" for v in values)
