@@ -45,7 +45,7 @@ def true_track(path: Path, like: PoseTrack) -> PoseTrack:
 def estimated(seen: PoseTrack) -> PoseTrack:
     """Return the track with estimated depth."""
     shots = np.flatnonzero(np.diff(seen.shot) > 0) + 1
-    landmarks, spread = with_depth(seen.t, seen.landmarks, seen.image, seen.size, shots)
+    landmarks, spread = with_depth(seen.t, seen.landmarks, seen.image, seen.score, seen.size, shots)
     return replace(seen, landmarks=landmarks, depth_spread=spread)
 
 

@@ -311,7 +311,7 @@ def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connect
         person = bool(person_rows(score[None], pose.min_visibility)[0])
         size, spread = (bgr.shape[1], bgr.shape[0]), np.full(2, np.nan)
         if person and pose.depth:
-            landmarks, spread = depth.see(t, landmarks, image, size)
+            landmarks, spread = depth.see(t, landmarks, image, score, size)
         jpeg = None
         if previews and t - last_preview >= PREVIEW_INTERVAL:
             small = cv2.resize(bgr, (PREVIEW_WIDTH, round(PREVIEW_WIDTH * bgr.shape[0] / bgr.shape[1])))

@@ -1,73 +1,73 @@
-"""Depth of elbows and wrists from their shoulder, which the detector hardly sees, from the motion in the picture.
+"""Depth of elbows and wrists from their shoulder, and the heading of the trunk, which the detector hardly sees.
 
-For each arm the unknown is (zu, zf): depth of the elbow from the shoulder and of the wrist from the elbow, on a grid. A
-frame says how likely each cell is: bones of known length look short when they point along the camera axis; the
-detector's depth is a weak and biased sensor; elbows and shoulders do not bend in every way. Between frames both
-depths walk. The posterior of this hidden Markov model has a mean, which is taken, and a standard deviation, which says
-how sure it is. A clip is seen whole (forward and backward), a camera from the past only (forward).
+A small network looks at two seconds of landmarks, in the picture and as the detector places them, and says for each arm
+how far elbow and wrist lie behind the shoulder, how sure that is, and where the trunk points. It sees one arm at a
+time, as if it were the left one. It was trained on rendered people as the detector sees them (assets/depth/README.md).
+Of a camera the future is not known: the newest row stands for it, as at the end of a clip.
 
-Across and up, the arms come from the picture, with perspective. Views from behind are left as they are. The numbers
-were fitted on rendered clips with exact truth.
-
-Source of the foreshortening: C. J. Taylor, "Reconstruction of articulated objects from point correspondences in a
-single uncalibrated image", CVIU 2000.
+Across and up, the arms come from the picture, with perspective.
 """
+
+# ONNX Runtime has no type stubs:
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+import onnxruntime
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from mimic.records import LANDMARKS, FloatArray, IntArray
+from mimic.geometry import wrap_angle
+from mimic.io.assets import shipped
+from mimic.records import LANDMARKS, SIDES, FloatArray, IntArray
 from mimic.sources.video.smoothing import segments
 
-RATE_HZ = 30.0
-"""Rate at which a clip is looked at [Hz]."""
-SHORTEST = 8
+RATE_HZ = 15.0
+"""Rate at which the network sees the landmarks [Hz]."""
+WINDOW = 31
+"""Rows that one answer follows from, as many before it as after it."""
+FEATURES = 47
+"""Numbers of a row that the network takes."""
+SHORTEST = 4
 """Shorter segments are left as they are [rows at RATE_HZ]."""
-CELLS, WIDEST = 21, 0.98
-"""Cells of each depth, and the outermost one in lengths of the bone."""
 LENS = 1.5
 """Focal length over the longer side of the picture."""
-WEIGHT = 0.155
-"""Share that a frame counts at RATE_HZ: neighbouring frames err alike."""
-DRAWN_SD = 0.035
-"""Error of the length of a bone in the picture [m]."""
-UPPER_SENSOR, FORE_SENSOR = (0.66, 0.030, 0.079), (0.45, 0.096, 0.057)
-"""The detector's depth of a bone is gain times the depth, less an offset [m] that vanishes in profile, within an error
-[m]: it puts arms toward the camera."""
-STEPS = ((0.85, 0.08), (0.15, 0.20))
-"""Shares and sizes of the steps of a depth from one frame to the next at RATE_HZ [m]."""
 UPPER_LENGTH, FORE_LENGTH, LEAST_LENGTH = 0.94, 1.02, 0.97
 """Lengths of the bones over the longest seen; at least this share of the longest in the picture."""
 DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
 """Quantiles over time that count as the longest, in the picture and by the detector."""
-SCALE_S = 0.5
-"""Standard deviation of the Gaussian over the scale of the picture [s]."""
-HEADING_S = 0.44
-"""Standard deviation of the Gaussian over the heading [s]: it has a gain of 0.71 at 0.3 Hz."""
-SHORTEST_GAP_S = 1e-3
-"""Two frames of a camera are taken to be at least this far apart [s]."""
+SLOW_S = 0.5
+"""Standard deviation of the Gaussian over scale and heading of a clip [s]."""
 FORGET_S = 1.0
 """A camera starts anew after a gap of this length, and averages scale and heading with this time constant [s]."""
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
-_SHOULDERS, _ELBOWS, _WRISTS, _HIPS = (
-    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "elbow", "wrist", "hip")
+_SHOULDERS, _ELBOWS, _WRISTS, _INDEX, _HIPS, _EARS = (
+    [LANDMARKS.index(f"{side}_{part}") for side in SIDES]
+    for part in ("shoulder", "elbow", "wrist", "index", "hip", "ear")
 )
-_HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in ("left", "right")]
+_HANDS, _LEGS = (
+    [[LANDMARKS.index(f"{side}_{part}") for part in parts] for side in SIDES]
+    for parts in (("pinky", "index", "thumb"), ("knee", "ankle", "heel", "foot_index"))
+)
+_NOSE = LANDMARKS.index("nose")
 _TRUNK = [*_SHOULDERS, *_HIPS]
-_BLOCK = 256
-_NODES = np.linspace(-WIDEST, WIDEST, CELLS)
 
 
 def with_depth(
-    t: FloatArray, landmarks: FloatArray, image: FloatArray, size: tuple[int, int], shots: IntArray
+    t: FloatArray,
+    landmarks: FloatArray,
+    image: FloatArray,
+    score: FloatArray,
+    size: tuple[int, int],
+    shots: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the landmarks of a whole clip with arms of estimated depth (T, 33, 3) [m], and its spread (T, 2) [m].
 
@@ -77,33 +77,66 @@ def with_depth(
         t: Times (T,) [s].
         landmarks: Mid-hip -> landmark, smooth (T, 33, 3), camera axes [m]; NaN rows without a person.
         image: Place in the picture, smooth (T, 33, 2), fractions of width and height.
+        score: Visibility (T, 33).
         size: Width and height of the picture [px].
         shots: Rows at which a new shot begins.
     """
     result, spread = np.array(landmarks, dtype=np.float64), np.full((len(t), 2), np.nan)
     for rows in segments(t, np.flatnonzero(np.isfinite(landmarks[:, 0, 0])), shots):
-        grid = np.arange(float(t[rows[0]]), float(t[rows[-1]]) + 1e-9, 1.0 / RATE_HZ)
-        if len(grid) < SHORTEST or from_behind(landmarks[rows]):
+        grid, seen = sight(t[rows], landmarks[rows], image[rows], score[rows], size)
+        if len(grid) < SHORTEST:
             continue
-        world, flat = (_resampled(t[rows], grid, values[rows]) for values in (landmarks, image))
-        metres, drawn = (_slow(values, SCALE_S) for values in _spreads(world, flat, size))
-        scale = metres / drawn
-        line = _slow(_left_line(world), HEADING_S)
-        bones = _Bones(_lengths(world, _metres(flat, size, scale)))
-        found = np.stack(
-            [_Arm(side, bones).whole(world, _metres(flat, size, scale), _away(size, scale), line) for side in range(2)],
-            axis=1,
+        found = _answer(seen.features())
+        at_rows = PchipInterpolator(grid, found, axis=1)(np.minimum(t[rows], grid[-1]))
+        own_scale, line = (
+            np.stack([np.interp(t[rows], grid, v) for v in values.T], axis=-1)
+            for values in (seen.scale[:, None], seen.line)
         )
-        at_rows = PchipInterpolator(grid, found, axis=0)(np.minimum(t[rows], grid[-1]))
-        own_scale = np.interp(t[rows], grid, scale)
-        result[rows] = placed(landmarks[rows], image[rows], size, own_scale, at_rows[..., :2])
-        spread[rows] = at_rows[..., 2]
+        turned = _turned(landmarks[rows], line, at_rows)
+        depth = np.moveaxis(at_rows[..., :2], 0, 1)
+        result[rows] = placed(turned, image[rows], size, own_scale[:, 0], depth)
+        spread[rows] = at_rows[..., 2].T
     return result, spread
 
 
-def from_behind(landmarks: FloatArray) -> bool:
-    """Return whether the camera looks at a person's back: the left side is on the left of the picture (T, 33, 3)."""
-    return bool(np.median(_left_line(landmarks)[:, 0]) < 0.0)
+class LiveDepth:
+    """The same for a camera, frame by frame and from the past only."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, FloatArray]] = deque()
+        self._bones: deque[FloatArray] = deque(maxlen=REMEMBERED)
+        self._slow = np.zeros(5)
+
+    def see(
+        self, t: float, landmarks: FloatArray, image: FloatArray, score: FloatArray, size: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the landmarks with arms of estimated depth (33, 3) [m], and its spread (2,) [m].
+
+        Args:
+            t: Time of the frame [s].
+            landmarks, image, score: One row of a pose track, of a person.
+            size: Width and height of the picture [px].
+        """
+        passed = t - self._rows[-1][0] if self._rows else np.inf
+        if passed > FORGET_S:
+            self._rows.clear()
+            self._bones.clear()
+        world, picture = landmarks[None], image[None]
+        share = 1.0 - np.exp(-passed / FORGET_S) if self._rows else 1.0
+        self._slow = self._slow + share * (_to_average(world, picture, size)[0] - self._slow)
+        self._bones.append(_lengths(world, _metres(picture, size, _scale(self._slow[None])))[0])
+        row = np.concatenate([landmarks.ravel(), image.ravel(), score, self._slow])
+        self._rows.append((t, row))
+        past = t - np.arange(WINDOW // 2, -1, -1) / RATE_HZ
+        while len(self._rows) > 2 and self._rows[1][0] < past[0]:
+            self._rows.popleft()
+        rows = _at(past, np.array([at for at, _ in self._rows]), np.stack([row for _, row in self._rows]))
+        parts = np.split(rows, np.cumsum([99, 66, 33]), axis=1)
+        seen = Seen.of(parts[0].reshape(-1, 33, 3), parts[1].reshape(-1, 33, 2), parts[2], size, parts[3])
+        seen.bones[:] = _longest(np.array(self._bones))
+        found = _answer(seen.features())[:, -1:]
+        turned = _turned(world, self._slow[None, 2:], found)
+        return placed(turned, picture, size, seen.scale[-1:], found[None, :, 0, :2])[0], found[:, 0, 2]
 
 
 def placed(
@@ -119,7 +152,7 @@ def placed(
         scale: Of the picture (T,) [m/px].
         depth: Of elbow and wrist from the shoulder, both sides (T, 2, 2) [m].
     """
-    flat, away = _metres(image, size, scale), _away(size, scale)
+    flat, away = _metres(image, size, scale), LENS * max(size) * scale
     result = np.array(landmarks, dtype=np.float64)
     for side in range(2):
         shoulder = _SHOULDERS[side]
@@ -132,165 +165,130 @@ def placed(
     return result
 
 
-class LiveDepth:
-    """The same for a camera, frame by frame and from the past only."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What the network sees of a person, at RATE_HZ."""
 
-    def __init__(self) -> None:
-        self._t = -np.inf
-        self._lengths: deque[FloatArray] = deque(maxlen=REMEMBERED)
-        self._arms: list[_Arm] = []
-        self._metres, self._drawn, self._line = 0.0, 0.0, np.zeros(3)
+    world: FloatArray
+    """Mid-hip -> landmark (T, 33, 3), camera axes [m]."""
+    flat: FloatArray
+    """Place in the picture from its centre, in the plane of the person (T, 33, 2) [m]."""
+    score: FloatArray
+    """Visibility (T, 33)."""
+    scale: FloatArray
+    """Of the picture (T,) [m/px]."""
+    line: FloatArray
+    """Slow right -> left line of shoulders and hips, by the detector (T, 3) [m]."""
+    bones: FloatArray
+    """Lengths of upper arm and forearm (T, 2) [m]."""
 
-    def see(
-        self, t: float, landmarks: FloatArray, image: FloatArray, size: tuple[int, int]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the landmarks with arms of estimated depth (33, 3) [m], and its spread (2,) [m].
+    @classmethod
+    def of(
+        cls, world: FloatArray, image: FloatArray, score: FloatArray, size: tuple[int, int], slow: FloatArray
+    ) -> Seen:
+        """Return it for rows of a pose track, with slow averages (T, 5) and the bones of the whole."""
+        scale = _scale(slow)
+        flat = _metres(image, size, scale)
+        bones = np.tile(_longest(_lengths(world, flat)), (len(world), 1))
+        return cls(world, flat, score, scale, slow[:, 2:], bones)
 
-        Args:
-            t: Time of the frame [s].
-            landmarks, image: One row of a pose track, of a person.
-            size: Width and height of the picture [px].
-        """
-        passed, self._t = t - self._t, t
-        if passed > FORGET_S:
-            self._arms = []
-            self._lengths.clear()
-        share = 1.0 - np.exp(-passed / FORGET_S) if self._arms else 1.0
-        world, picture = landmarks[None], image[None]
-        metres, drawn = _spreads(world, picture, size)
-        self._metres += share * (metres[0] - self._metres)
-        self._drawn += share * (drawn[0] - self._drawn)
-        self._line = self._line + share * (_left_line(world)[0] - self._line)
-        scale = np.array([self._metres / self._drawn])
-        flat, away = _metres(picture, size, scale), _away(size, scale)
-        self._lengths.append(_lengths(world, flat)[0])
-        bones = _Bones(np.array(self._lengths))
-        self._arms = self._arms or [_Arm(side, bones) for side in range(2)]
-        if self._line[0] < 0.0:
-            return landmarks, np.full(2, np.nan)
-        found = np.stack([arm.next(passed, bones, world, flat, away, self._line[None]) for arm in self._arms])
-        return placed(world, picture, size, scale, found[None, :, :2])[0], found[:, 2]
+    def features(self) -> FloatArray:
+        """Return what the network takes of each arm (2, T, FEATURES), the right one in the mirror."""
+        return np.stack([self._of_arm(side) for side in range(2)])
 
-
-@dataclass(frozen=True, slots=True)
-class _Bones:
-    """Lengths of upper arm and forearm [m], from what was seen of them (T, 8): see `_lengths`."""
-
-    seen: FloatArray
-
-    @property
-    def lengths(self) -> tuple[float, float]:
-        parts = self.seen.reshape(len(self.seen), 2, 2, 2)  # bone, in the picture or by the detector, side
-        found = []
-        for part, share in zip(range(2), (UPPER_LENGTH, FORE_LENGTH), strict=True):
-            drawn = float(np.quantile(parts[:, part, 0], DRAWN_QUANTILE))
-            solid = float(np.quantile(parts[:, part, 1], SOLID_QUANTILE))
-            found.append(max(share * max(drawn, solid), LEAST_LENGTH * drawn))
-        return found[0], found[1]
+    def _of_arm(self, side: int) -> FloatArray:
+        other, mirror, rows = 1 - side, 1.0 - 2.0 * side, len(self.world)
+        points = [
+            _ELBOWS[side], _WRISTS[side], _INDEX[side], _SHOULDERS[other], _ELBOWS[other], _WRISTS[other],
+            _HIPS[side], _HIPS[other], _NOSE, _EARS[side], _EARS[other],
+        ]  # fmt: skip
+        drawn = (self.flat[:, points] - self.flat[:, [_SHOULDERS[side]]]) * (mirror, 1.0)
+        solid = (self.world[:, points] - self.world[:, [_SHOULDERS[side]]]) * (mirror, 1.0, 1.0)
+        heading = self.line[:, [0, 2]] * (1.0, mirror)
+        heading = heading / np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-9)
+        upper, fore = drawn[:, 0], drawn[:, 1] - drawn[:, 0]
+        drawn_share = np.linalg.norm(np.stack([upper, fore], axis=1), axis=2) / self.bones
+        arms = [_ELBOWS[side], _WRISTS[side], _ELBOWS[other], _WRISTS[other]]
+        columns = (drawn, solid[..., 2], solid[:, :2, :2], heading, self.score[:, arms], drawn_share, self.bones)
+        return np.concatenate([column.reshape(rows, -1) for column in columns], axis=1)
 
 
-class _Arm:
-    """The hidden Markov model of one arm."""
+def sight(
+    t: FloatArray,
+    landmarks: FloatArray,
+    image: FloatArray,
+    score: FloatArray,
+    size: tuple[int, int],
+) -> tuple[FloatArray, Seen]:
+    """Return times at RATE_HZ and what the network sees of a segment of a track then.
 
-    def __init__(self, side: int, bones: _Bones) -> None:
-        self._side = side
-        self._belief = np.full((CELLS, CELLS), 1.0 / CELLS**2)
-        self._take(bones)
-
-    def _take(self, bones: _Bones) -> None:
-        self._upper, self._fore = bones.lengths
-        self._zu, self._zf = _NODES * self._upper, _NODES * self._fore
-
-    def whole(self, world: FloatArray, flat: FloatArray, away: FloatArray, line: FloatArray) -> FloatArray:
-        """Return depth of elbow and wrist from the shoulder, and the spread of the latter (T, 3) [m]."""
-        ahead = self._likelihood(world, flat, away, line)
-        step_u, step_f = (_steps(nodes, 1.0) for nodes in (self._zu, self._zf))
-        forward = np.empty_like(ahead)
-        belief = np.full((CELLS, CELLS), 1.0 / CELLS**2)
-        for i, seen in enumerate(ahead):
-            belief = seen * (step_u.T @ belief @ step_f if i else belief)
-            belief /= belief.sum()
-            forward[i] = belief
-        future = np.ones((CELLS, CELLS))
-        for i in range(len(ahead) - 2, -1, -1):
-            future = step_u @ (ahead[i + 1] * future) @ step_f.T
-            future /= future.sum()
-            forward[i] *= future
-        return self._summary(forward)
-
-    def next(
-        self, passed: float, bones: _Bones, world: FloatArray, flat: FloatArray, away: FloatArray, line: FloatArray
-    ) -> FloatArray:
-        """Return the same (3,) for the next frame, from the past only."""
-        self._take(bones)
-        frames = np.clip(passed, SHORTEST_GAP_S, FORGET_S) * RATE_HZ
-        step_u, step_f = (_steps(nodes, frames) for nodes in (self._zu, self._zf))
-        seen = self._likelihood(world, flat, away, line)[0] ** min(frames, 3.0)
-        self._belief = seen * (step_u.T @ self._belief @ step_f)
-        self._belief /= self._belief.sum()
-        return self._summary(self._belief[None])[0]
-
-    def _summary(self, belief: FloatArray) -> FloatArray:
-        belief = belief / belief.sum(axis=(1, 2), keepdims=True)
-        wrist = self._zu[:, None] + self._zf
-        mean = (belief * wrist).sum(axis=(1, 2))
-        variance = (belief * wrist**2).sum(axis=(1, 2)) - mean**2
-        return np.stack([(belief.sum(axis=2) * self._zu).sum(axis=1), mean, np.sqrt(np.maximum(variance, 0.0))], axis=1)
-
-    def _likelihood(self, world: FloatArray, flat: FloatArray, away: FloatArray, line: FloatArray) -> FloatArray:
-        """Return how likely each cell is by one frame (T, CELLS, CELLS), 1 at most."""
-        blocks = [slice(i, i + _BLOCK) for i in range(0, len(world), _BLOCK)]
-        return np.concatenate([self._of_block(world[b], flat[b], away[b], line[b]) for b in blocks])
-
-    def _of_block(self, world: FloatArray, flat: FloatArray, away: FloatArray, line: FloatArray) -> FloatArray:
-        a, b, c = _SHOULDERS[self._side], _ELBOWS[self._side], _WRISTS[self._side]
-        zu, zf = self._zu[None, :, None], self._zf[None, None, :]
-        wide_u = 1.0 + zu / away[:, None, None]
-        wide_w = 1.0 + (zu + zf) / away[:, None, None]
-        upper = [flat[:, b, i, None, None] * wide_u - flat[:, a, i, None, None] for i in range(2)]
-        fore = [flat[:, c, i, None, None] * wide_w - flat[:, b, i, None, None] * wide_u for i in range(2)]
-        upper_drawn, fore_drawn = np.hypot(*upper), np.hypot(*fore)
-        total = _heavy(upper_drawn - np.sqrt(self._upper**2 - zu**2), DRAWN_SD)
-        total = total + _heavy(fore_drawn - np.sqrt(self._fore**2 - zf**2), DRAWN_SD)
-        facing = (line[:, 0] / np.maximum(np.hypot(line[:, 0], line[:, 2]), 1e-9))[:, None, None]
-        turned = (line[:, 2] / np.maximum(np.hypot(line[:, 0], line[:, 2]), 1e-9))[:, None, None]
-        for first, last, z, (gain, offset, error) in ((a, b, zu, UPPER_SENSOR), (b, c, zf, FORE_SENSOR)):
-            said = (world[:, last, 2] - world[:, first, 2])[:, None, None]
-            total = total + _heavy(said - (gain * z - offset * facing), error)
-        upper_long, fore_long = np.sqrt(upper_drawn**2 + zu**2), np.sqrt(fore_drawn**2 + zf**2)
-        upper_ahead = (turned * upper[0] - facing * zu) / upper_long
-        fore_ahead = (turned * fore[0] - facing * zf) / fore_long
-        out = (1.0 if self._side == 0 else -1.0) * (facing * upper[0] + turned * zu) / upper_long
-        bend = (upper[0] * fore[0] + upper[1] * fore[1] + zu * zf) / (upper_long * fore_long)
-        for short, by in (
-            (np.minimum(upper_ahead + 0.25, 0.0), 0.25),  # an upper arm hardly points backward,
-            (np.minimum(fore_ahead, 0.0), 0.25),  # nor a forearm,
-            (np.minimum(out + 0.35, 0.0), 0.2),  # nor an upper arm through the body,
-            (np.minimum(bend + 0.75, 0.0), 0.1),  # and an elbow does not fold up
-        ):
-            total = total - 0.5 * (short / by) ** 2
-        return np.exp(WEIGHT * (total - total.max(axis=(1, 2), keepdims=True)))
+    Args:
+        t, landmarks, image, score, size: As `with_depth` takes them, without gaps.
+    """
+    grid = np.arange(float(t[0]), float(t[-1]) + 1e-9, 1.0 / RATE_HZ)
+    world, picture, visible = (_at(grid, t, values) for values in (landmarks, image, score))
+    slow = gaussian_filter1d(_to_average(world, picture, size), SLOW_S * RATE_HZ, axis=0, mode="nearest")
+    return grid, Seen.of(world, picture, visible, size, slow)
 
 
-def _heavy(error: FloatArray, sd: float) -> FloatArray:
-    """Return the logarithm of a density with heavy tails."""
-    return -2.0 * np.log1p(error**2 / (4.0 * sd**2))
+def framed(features: FloatArray) -> FloatArray:
+    """Return features (..., T + WINDOW - 1, FEATURES) that give T answers: the first and last row go on."""
+    around = [(0, 0)] * (features.ndim - 2) + [(WINDOW // 2, WINDOW // 2), (0, 0)]
+    return np.pad(features, around, mode="edge")
 
 
-def _steps(nodes: FloatArray, frames: float) -> FloatArray:
-    """Return the probability of each cell (to) after some frames for each cell before (from, to)."""
-    apart = nodes[None] - nodes[:, None]
-    total = sum(w * np.exp(-0.5 * (apart / (s * np.sqrt(frames))) ** 2) / s for w, s in STEPS)
-    return np.asarray(total / np.sum(total, axis=1, keepdims=True))
+@cache
+def _network() -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    path = shipped("assets", "depth", "arms.onnx")
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
-def _spreads(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Return how far shoulders and hips are spread, across and up: in metres and in pixels (T,) each."""
-    return _spread(landmarks[:, _TRUNK, :2]), np.maximum(_spread(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
+def _answer(features: FloatArray) -> FloatArray:
+    """Return depth of elbow and wrist [m], spread of the latter [m] and heading (x, z) of each row (2, T, 5)."""
+    (found,) = _network().run(None, {"features": framed(features).astype(np.float32)})
+    found = np.asarray(found, dtype=np.float64)
+    found[1, :, 4] *= -1.0  # the right arm was seen in a mirror
+    return found
+
+
+def _turned(landmarks: FloatArray, line: FloatArray, found: FloatArray) -> FloatArray:
+    """Return landmarks whose trunk has the heading that was found, where it had that of a slow line (T, 33, 3) [m].
+
+    Shoulders and hips turn about their middles; arms and legs go with them.
+    """
+    x, z = found[..., 3:].sum(axis=0).T
+    turn = wrap_angle(np.arctan2(z, x) - np.arctan2(line[:, 2], line[:, 0]))
+    c, s = np.cos(turn), np.sin(turn)
+    result = np.array(landmarks, dtype=np.float64)
+    for first, last, limbs in (
+        (*_SHOULDERS, [[_ELBOWS[i], _WRISTS[i], *_HANDS[i]] for i in range(2)]),
+        (*_HIPS, _LEGS),
+    ):
+        half = 0.5 * (landmarks[:, first] - landmarks[:, last])
+        across = np.stack([c * half[:, 0] - s * half[:, 2], half[:, 1], s * half[:, 0] + c * half[:, 2]], axis=1)
+        for sign, joint, limb in ((1.0, first, limbs[0]), (-1.0, last, limbs[1])):
+            result[:, [joint, *limb]] += sign * (across - half)[:, None]
+    return result
+
+
+def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Return how far shoulders and hips are spread [m, px], and their right -> left line [m] (T, 5)."""
+    first, last = [_SHOULDERS[0], _HIPS[0]], [_SHOULDERS[1], _HIPS[1]]
+    line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
+    drawn = np.maximum(_spread(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
+    return np.column_stack([_spread(landmarks[:, _TRUNK, :2]), drawn, line])
 
 
 def _spread(points: FloatArray) -> FloatArray:
     return np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=1))
+
+
+def _scale(slow: FloatArray) -> FloatArray:
+    """Return the scale of the picture (T,) [m/px] from slow averages (T, 5)."""
+    return slow[:, 0] / slow[:, 1]
 
 
 def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> FloatArray:
@@ -298,29 +296,23 @@ def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> Floa
     return (image - 0.5) * np.asarray(size, dtype=np.float64) * scale[:, None, None]
 
 
-def _away(size: tuple[int, int], scale: FloatArray) -> FloatArray:
-    """Return the distance of the camera from the person (T,) [m]."""
-    return LENS * max(size) * scale
-
-
-def _left_line(landmarks: FloatArray) -> FloatArray:
-    """Return the right -> left line of shoulders and hips (T, 3) [m]."""
-    first, last = [_SHOULDERS[0], _HIPS[0]], [_SHOULDERS[1], _HIPS[1]]
-    return (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
-
-
 def _lengths(landmarks: FloatArray, flat: FloatArray) -> FloatArray:
-    """Return the lengths of upper arms, then forearms (T, 8) [m]: in the picture, then by the detector, both sides."""
+    """Return the lengths of the bones (T, 2, 2, 2) [m]: upper arm, forearm; in the picture, by the detector; sides."""
     pairs = ((_SHOULDERS, _ELBOWS), (_ELBOWS, _WRISTS))
-    return np.concatenate(
-        [np.linalg.norm(p[:, b] - p[:, a], axis=-1) for a, b in pairs for p in (flat, landmarks)], axis=1
+    return np.stack(
+        [np.stack([np.linalg.norm(p[:, b] - p[:, a], axis=-1) for p in (flat, landmarks)], axis=1) for a, b in pairs],
+        axis=1,
     )
 
 
-def _slow(values: FloatArray, seconds: float) -> FloatArray:
-    return gaussian_filter1d(values, seconds * RATE_HZ, axis=0, mode="nearest")
+def _longest(lengths: FloatArray) -> FloatArray:
+    """Return the lengths of upper arm and forearm (2,) [m] from what was seen of them (T, 2, 2, 2)."""
+    drawn = np.quantile(lengths[:, :, 0], DRAWN_QUANTILE, axis=(0, 2))
+    solid = np.quantile(lengths[:, :, 1], SOLID_QUANTILE, axis=(0, 2))
+    return np.maximum((UPPER_LENGTH, FORE_LENGTH) * np.maximum(drawn, solid), LEAST_LENGTH * drawn)
 
 
-def _resampled(t: FloatArray, grid: FloatArray, values: FloatArray) -> FloatArray:
+def _at(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (T, ...) at other times, linear between rows, constant beyond them."""
     flat = values.reshape(len(t), -1)
-    return np.stack([np.interp(grid, t, column) for column in flat.T], axis=1).reshape(len(grid), *values.shape[1:])
+    return np.stack([np.interp(times, t, column) for column in flat.T], axis=1).reshape(len(times), *values.shape[1:])

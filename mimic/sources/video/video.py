@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 6
+ALGORITHM = 7
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -113,7 +113,7 @@ def track_video(
     landmarks, image = (smooth(t, column, shots, settings.cutoff_hz) for column in (landmarks, image))
     spread = np.full((len(t), 2), np.nan)
     if settings.depth:
-        landmarks, spread = with_depth(t, landmarks, image, detections.size, shots)
+        landmarks, spread = with_depth(t, landmarks, image, score, detections.size, shots)
     return PoseTrack(
         t=t,
         landmarks=landmarks,
