@@ -175,6 +175,8 @@ def incomplete(run: Path, killed: float | None, stopped: float = 0.0) -> str:
         if (run / "log.parquet").exists():
             return ""  # it had ended before
         log, _ = salvage(run)
+        if not len(log.t_host):
+            return ""  # it had not begun its first tick
         gap = killed - float(log.t_host[-1])
         return f"the last row is {gap:.3f} s older than the kill" if gap > 0.15 else ""
     if not (run / "log.parquet").exists():
