@@ -13,7 +13,6 @@ Longer than 350 lines: the laws of one step share its torques, and read best in 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,13 +30,8 @@ STIFFEST = 2e-4
 LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
-HALVINGS, AT_ONCE = 15, 5
-"""Of the range in which the share of the supply left is looked for; so many at once where little runs side by side on a
-device.
-"""
-
-LITTLE = 1 << 14
-"""Torques up to which a device takes longer to begin an operation than to do it."""
+NEWTON, EXACT = 10, 1e-9
+"""Most steps towards the share of the supply that is left, and by how much it may be off."""
 
 OWN_STATES = {"goal": "target_filter", "integral": "drive_integral", "bristle": "presliding"}
 """States that only one effect needs."""
@@ -145,10 +139,6 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
-        if "supply_sag" in has:
-            one = self._zero[None, :1, :1] + 1.0
-            single = xp is np or math.prod(self._shape) > LITTLE
-            self._cuts = xp.concatenate([one * (k + 1) for k in range(1 if single else 2**AT_ONCE - 1)], 0)
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
@@ -426,27 +416,31 @@ class Law:
     def _supply_left(self, asked: Any, omega: Any) -> Any:
         """Return the share of the supply (N, 1) that is left when motors draw what that share allows.
 
-        The more is left, the more they draw: the one root of a falling function, by cutting the range in two, or in
-        many at once.
+        The more is left, the more they draw: the one root of a falling function of straight pieces, by Newton's steps
+        that stay between what is known to be too little and too much.
         """
         if "supply_sag" not in self._has:
             return 1.0
-        cuts, rounds = self._cuts, HALVINGS if len(self._cuts) == 1 else HALVINGS // AT_ONCE
-        none = self._zero[:, :1]
-        low, width = none + LEAST_SUPPLY, none + (1.0 - LEAST_SUPPLY)
-        for _ in range(rounds):
-            width = width / (len(cuts) + 1)
-            low = low + width * (self._too_much(low + width * cuts, asked, omega) > 0).sum(0)
-        above, below = self._too_much(low, asked, omega), self._too_much(low + width, asked, omega)
-        above, below = self.xp.clip(above, 0.0, None), self.xp.clip(-below, 0.0, None)
-        return low + width * (above / self.xp.clip(above + below, 1e-30, None))  # straight but for a few kinks
-
-    def _too_much(self, left: Any, asked: Any, omega: Any) -> Any:
-        """Return how far a share of the supply (…, N, 1) exceeds what the motors leave."""
-        xp = self.xp
-        least, most = self._torque_limits(omega, left)
-        power = xp.clip(xp.minimum(xp.maximum(asked, least), most) * omega, 0.0, None).sum(-1)[..., None]
-        return 1.0 - self.get("supply_sag", "drop") * power - left
+        xp, zero, (torque, flat, speed) = self.xp, self._zero, self._limits
+        slope, fast, size = torque / (speed - flat), xp.abs(omega), xp.abs(asked)
+        if self._most is not None:
+            size = xp.minimum(size, self._most)
+        size, rise, begin = xp.where(asked * omega > 0, size, zero), speed * slope, fast * slope
+        loss, low, high = self.get("supply_sag", "drop") * fast, zero[:, :1] + LEAST_SUPPLY, zero[:, :1] + 1.0
+        left = high
+        for _ in range(NEWTON):
+            stall, line = torque * left, rise * left - begin
+            most = xp.minimum(stall, line)
+            steep = xp.where((most > 0) & (most < size), xp.where(stall < line, torque, rise), zero)
+            beyond = 1.0 - left - (loss * xp.minimum(xp.maximum(most, zero), size)).sum(-1)[..., None]
+            exact = xp.abs(beyond) < EXACT
+            if xp is np and exact.all():
+                break
+            low, high = xp.where(beyond > 0, left, low), xp.where(beyond > 0, high, left)
+            step = left + beyond / (1.0 + (loss * steep).sum(-1)[..., None])
+            inside = (step > low) & (step < high)
+            left = xp.where(exact, left, xp.where(inside, step, (low + high) / 2))
+        return left
 
     def _friction(self, q: Any, dq: Any, load: Any, tau: Any) -> tuple[Any, Any]:
         """Return dry friction at these motor torques and sizes of them, and the torque by which one direction has more.

@@ -14,6 +14,8 @@ class Thresholds:
 
     z: float = 3.0
     """Gain over its standard error over blocks. Holm's correction over 25 candidates at 5 %."""
+    promising: float = 2.0
+    """The same of a fit of two steps, from which on it is fitted to the end: it may still gain."""
     gain: float = 0.01
     """Share by which the error of blocks judged without themselves must fall: less is of no use in a simulation."""
     improvement: float = 0.35

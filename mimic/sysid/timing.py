@@ -228,22 +228,27 @@ def _through(basis: FloatArray, low: FloatArray, high: FloatArray) -> tuple[Floa
 
 
 def joined(times: Sequence[tuple[SendingTimes, ...]], begins: Sequence[tuple[int, float]]) -> tuple[SendingTimes, ...]:
-    """Return the sending times of logs one after another, one for each way in which they may have been sent.
+    """Return the sending times of logs one after another: whoever writes the rows sends the targets too, or a clock of
+    its own does, in all logs alike.
+
+    What most targets have comes first, whatever the order of the logs.
 
     Args:
         times: What each log allows.
         begins: First row of each, and its time [s].
     """
     found = []
-    for how in dict.fromkeys(one.how for allowed in times for one in allowed):
-        own = [next((one for one in allowed if one.how == how), allowed[0]) for allowed in times]
-        found.append(
-            SendingTimes(
-                how=how,
-                rows=np.concatenate([one.rows + row for one, (row, _) in zip(own, begins, strict=True)]),
-                at=np.concatenate([one.at + begin for one, (_, begin) in zip(own, begins, strict=True)]),
-                earlier=max(one.earlier for one in own),
-                later=max(one.later for one in own),
-            )
+    for by_row in (True, False):
+        own = [next((one for one in allowed if (one.how == "row") is by_row), allowed[0]) for allowed in times]
+        first = sum(len(one.at) for one, allowed in zip(own, times, strict=True) if one is allowed[0])
+        whole = SendingTimes(
+            how=" and ".join(sorted({one.how for one in own})),
+            rows=np.concatenate([one.rows + row for one, (row, _) in zip(own, begins, strict=True)]),
+            at=np.concatenate([one.at + begin for one, (_, begin) in zip(own, begins, strict=True)]),
+            earlier=max(one.earlier for one in own),
+            later=max(one.later for one in own),
         )
-    return tuple(found)
+        found.append((first, whole))
+    if all(len(allowed) == 1 for allowed in times):
+        found = found[:1]
+    return tuple(one for _, one in sorted(found, key=lambda f: -f[0]))

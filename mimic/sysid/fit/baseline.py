@@ -16,7 +16,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, chain_costs, fit
+from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.point import Key, Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.blocks import make_blocks, valid_samples
@@ -69,7 +69,8 @@ def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: Calibrate
     torque = None
     if log.tau is not None and replay.torque:
         torque = _of_moving(log.tau, _noise(log, replay, log.tau))
-    blocks = make_blocks(log.t, replay.counts & valid_samples(log), logs=[part.slice for part in together.parts])
+    rows = [part.slice for part in together.parts]
+    blocks = make_blocks(log.t, replay.counts & valid_samples(log), logs=rows, enabled=enabled(log))
     problem = Problem(replay, noise, torque, blocks)
     problem.encoder_steps, problem.sending = steps, together.sending
     kd = np.stack([part.kd for part in together.parts])
@@ -120,7 +121,8 @@ def fit_sending_times(
     """Return problem and fit with the sending times of targets that explain most, of all that the log allows.
 
     From rows alone it is open whether a steady clock sends targets beside rows that jitter, or whoever writes the rows
-    sends them too. The motion tells.
+    sends them too. The motion tells: the probability of the logs where their drives follow the targets, the residual of
+    each log of a size of its own.
     """
     for times in problem.sending[1:]:
         shift = float(np.mean(times.at - problem.replay.sending.at))
@@ -135,7 +137,10 @@ def fit_sending_times(
 
 
 def _left(problem: Problem, fitted: Fit) -> float:
-    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.free_parameters))
+    counts = np.isin(problem.blocks.index, problem.blocks.train) & enabled(problem.replay.log).all(axis=1)
+    squares = np.mean(problem.in_floors(fitted.residual).astype(np.float64) ** 2, axis=1)
+    parts = [squares[part.slice][counts[part.slice]] for part in problem.replay.parts]
+    return float(sum(len(own) * np.log(np.mean(own)) for own in parts if len(own)))
 
 
 def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:

@@ -260,15 +260,40 @@ def _promised(
     return bool(((promised > 0.05 * best) & (np.min(costs, axis=0) > 0.98 * best)).any())
 
 
-def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
+Judged = tuple[FloatArray, FloatArray]
+"""Squares of each channel of each fitted block under a fit without it (B_train, C), and how the fit moves (B_train, P).
+"""
+
+
+def left_out(fitted: Fit, problem: Problem) -> Judged:
     """Return the squares of each fitted block under a fit without that block, and how the fit moves.
 
     Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
     Where that changes a block much, the linear model is not believed, and the fit without the block is replayed.
-
-    Returns:
-        Squares of each channel (B_train, C), and changes of the free parameters (B_train, P).
     """
+    return left_out_all([fitted], problem)[0]
+
+
+def left_out_all(fits: Sequence[Fit], problem: Problem) -> list[Judged]:
+    """Return `left_out` of several fits, which share their replays."""
+    found = [_by_linear_model(one, problem) for one in fits]
+    asked = [_trials(one, problem, made) for one, made in zip(fits, found, strict=True)]
+    batches: list[list[int]] = [[]]
+    for i, (_, points) in enumerate(asked):
+        if points:
+            batches[-1].append(i)
+            if sum(len(asked[k][1]) for k in batches[-1]) >= problem.replay.sets_per_batch:
+                batches.append([])
+    for batch in filter(None, batches):
+        replayed, at = problem.residuals([p for k in batch for p in asked[k][1]]), 0
+        for k in batch:
+            doubt, points = asked[k]
+            found[k] = _by_replays(fits[k], problem, found[k], doubt, points, replayed[at : at + len(points)])
+            at += len(points)
+    return found
+
+
+def _by_linear_model(fitted: Fit, problem: Problem) -> Judged:
     train, s = problem.blocks.train, fitted.sums
     squares = problem.block_squares(fitted.residual)[train]
     if not fitted.free_parameters:
@@ -289,42 +314,46 @@ def left_out(fitted: Fit, problem: Problem) -> tuple[FloatArray, FloatArray]:
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
         squares[row] = np.nan_to_num(np.sum(residual.astype(np.float64) ** 2, axis=0), nan=np.inf)
-    return _replayed(fitted, problem, np.minimum(squares, LARGEST), moves)
+    return np.minimum(squares, LARGEST), moves
 
 
-def _replayed(fitted: Fit, problem: Problem, squares: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return squares and moves as `left_out` does, replayed where the linear model fails.
+def _trials(fitted: Fit, problem: Problem, made: Judged) -> tuple[BoolArray, list[Point]]:
+    """Return the blocks and chains (B_train, K) that a linear model fails for, and the points to be replayed: the fit,
+    and shares of its move without each of these blocks.
+    """
+    own = problem.channel_chain[:, None] == np.arange(int(problem.machine.chain.max()) + 1)
+    inside = np.minimum(problem.block_squares(fitted.residual)[problem.blocks.train], LARGEST)
+    doubt = made[0] @ own > DOUBTFUL * (inside @ own)
+    rows = np.flatnonzero(doubt.any(1))
+    moves = [share * made[1][row] for row in rows for share in MOVE_SHARES]
+    return doubt, [fitted.point, *(fitted.point.moved(fitted.free_parameters, m) for m in moves)] if moves else []
+
+
+def _by_replays(
+    fitted: Fit, problem: Problem, made: Judged, doubt: BoolArray, points: Sequence[Point], replayed: FloatArray
+) -> Judged:
+    """Return what was judged by a linear model, replayed (N, T, C) where that fails.
 
     There each chain takes the share of its move that suits the other blocks best.
     """
-    train, chains = problem.blocks.train, int(problem.machine.chain.max()) + 1
-    own = problem.channel_chain[:, None] == np.arange(chains)
-    inside = np.minimum(problem.block_squares(fitted.residual)[train], LARGEST)
-    doubt = squares @ own > DOUBTFUL * (inside @ own)
+    train, own = problem.blocks.train, problem.channel_chain[:, None] == np.arange(doubt.shape[1])
     rows = np.flatnonzero(doubt.any(1))
-    if not len(rows):
-        return squares, moves
-    trials = [fitted.point.moved(fitted.free_parameters, share * moves[row]) for row in rows for share in MOVE_SHARES]
-    replayed = problem.residuals([fitted.point, *trials])
-    replayed += fitted.residual - replayed[0]  # what a finer replay knows better
-    made = np.stack([problem.block_squares(r)[train] for r in replayed])
+    replayed = replayed + (fitted.residual - replayed[0])  # what a finer replay knows better
+    blocks = np.stack([problem.block_squares(r)[train] for r in replayed])
     costs = np.stack(
-        [
-            chain_costs(problem, p, r, fitted.free_parameters)
-            for p, r in zip([fitted.point, *trials], replayed, strict=True)
-        ]
+        [chain_costs(problem, p, r, fitted.free_parameters) for p, r in zip(points, replayed, strict=True)]
     )
     chain_of = np.array(
         [k.joint if k.joint < 0 else int(problem.machine.chain[k.joint]) for k in fitted.free_parameters]
     )
-    squares, moves = squares.copy(), moves.copy()
+    squares, moves = made[0].copy(), made[1].copy()
     for i, row in enumerate(rows):
         mine = [0, *range(1 + i * len(MOVE_SHARES), 1 + (i + 1) * len(MOVE_SHARES))]
-        rest = costs[mine] - made[mine, row] @ own
+        rest = costs[mine] - blocks[mine, row] @ own
         choice = np.argmin(np.nan_to_num(rest, nan=np.inf), axis=0)
         shares = np.where(doubt[row], np.array([0.0, *MOVE_SHARES])[choice], 1.0)
         moves[row] *= np.where(chain_of < 0, shares.min(), shares[chain_of])
         for chain in np.flatnonzero(doubt[row]):
             channels = own[:, chain]
-            squares[row, channels] = np.minimum(made[mine[choice[chain]], row, channels], LARGEST)
+            squares[row, channels] = np.minimum(blocks[mine[choice[chain]], row, channels], LARGEST)
     return squares, moves

@@ -19,7 +19,7 @@ import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.servo import neutral
-from mimic.records import BoolArray, FloatArray
+from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.point import FreeParameter, Key, Point, normal_equations, scales, stack
 from mimic.sysid.log.blocks import Blocks, Sums
 from mimic.sysid.log.noise import period
@@ -101,6 +101,12 @@ class Problem:
         """Return the problem with targets sent at these times."""
         fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         return self.changed(replay=self.replay.sent_at(sending), correction=None, _fine=fine)
+
+    @property
+    def readings(self) -> IntArray:
+        """Number of readings of each fitted block (B_train,)."""
+        there = self.blocks.index[self.blocks.index >= 0]
+        return np.bincount(there, minlength=len(self.blocks.held_out))[self.blocks.train]
 
     @cached_property
     def period(self) -> float | None:

@@ -92,7 +92,7 @@ class Replay:
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
-        self.total = math.floor(t[-1] / timestep + 1e-6)
+        self.total = math.ceil(t[-1] / timestep - 1e-6)
         self._lead = round(lead_in / timestep)
         cuts = [self._cut(part, segment) for part in self.parts]
         self._part_of = np.repeat(np.arange(len(cuts)), [len(c) - 1 for c in cuts])
@@ -148,7 +148,7 @@ class Replay:
 
         None begins while a drive is switched off: a joint that swings freely does not forget where it began.
         """
-        begin, end = round(part.begin / self.dt), min(math.ceil(part.end / self.dt - 1e-6), self.total)
+        begin, end = round(part.begin / self.dt), math.ceil(part.end / self.dt - 1e-6)
         cuts = np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
         off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
         t = self.log.t - self.log.t[0]
@@ -364,9 +364,8 @@ class Replay:
             out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[order[:, plan.segment[i]]]
             if torque is not None:
                 torque[:, plan.row[i]] = 0.0
-        for k in range(self.length):
+        for k, (target, shares) in enumerate(self._acting(begin, shifts, targets, which)):
             now = begin + k
-            target, shares = self._target(now, shifts, targets, which)
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             if self._most is not None:
                 law.limit_torque(self._most[np.minimum(now, self.total - 1)])
@@ -450,19 +449,27 @@ class Replay:
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
         return heat.reshape(-1, heat.shape[2])
 
-    def _target(
-        self, now: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
-    ) -> tuple[FloatArray, list[tuple[Any, Any]]]:
-        """Return the mean target in steps now (n,), and the targets with their shares if several act.
+    def _acting(
+        self, begin: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
+    ) -> Iterator[tuple[FloatArray, list[tuple[Any, Any]]]]:
+        """Yield the mean target in each step of simulations that begin at these (n,), and the targets with their shares
+        if several act.
 
         Of several targets (V, ...), those of ``which`` (n,).
         """
         whole, part = shifts
-        held, begun = targets.held, targets.begun
         own = () if which is None else (which[:, None],)
-        row, last, joints = now[:, None] - whole, held.shape[-2] - 1, np.arange(held.shape[-1])
-        rows = [np.minimum(np.maximum(row - back, 0), last) for back in (2, 1, 0)]
-        before, older, newer = (held[(*own, row, joints)] for row in rows)
-        if np.array_equal(before, older) and np.array_equal(older, newer):
-            return older, []
-        return acting(before, older, newer, (begun[(*own, rows[1])], begun[(*own, rows[2])]), part, np)
+        last, joints = targets.held.shape[-2] - 1, np.arange(targets.held.shape[-1])
+
+        def at(row: IntArray) -> tuple[FloatArray, FloatArray]:
+            row = np.minimum(np.maximum(row, 0), last)
+            return targets.held[(*own, row, joints)], targets.begun[(*own, row)]
+
+        first = begin[:, None] - whole
+        (before, _), (older, began) = at(first - 2), at(first - 1)
+        same = np.array_equal(before, older)
+        for k in range(self.length):
+            newer, begins = at(first + k)
+            still = np.array_equal(older, newer)
+            yield (older, []) if same and still else acting(before, older, newer, (began, begins), part, np)
+            before, older, began, same = older, newer, begins, still

@@ -9,7 +9,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, left_out, prior
+from mimic.sysid.fit.least_squares import Fit, Judged, left_out, prior
 from mimic.sysid.fit.point import FreeParameter
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import deviations
@@ -21,8 +21,8 @@ from mimic.sysid.thresholds import RULES
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
 
-MATERIAL = 0.025
-"""Change of half the log of a block's sum of squares that counts: a twentieth of its noise."""
+MATERIAL = 0.0125
+"""Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,20 +70,27 @@ class TriedEffect:
         )
 
 
-def paired(better: FloatArray, worse: FloatArray, channels: BoolArray | None = None) -> tuple[float, float]:
+def paired(
+    problem: Problem, better: FloatArray, worse: FloatArray, channels: BoolArray | None = None
+) -> tuple[float, float]:
     """Return the gain of one fit over another and its significance, from left-out blocks (B, C).
 
     The gain is half the log of the ratio of the sums. How sure is the larger of two: its mean over the blocks over its
     standard error, and the normal score of Wilcoxon's signed-rank test over those blocks of single channels where the
     two differ by more than a twentieth of the noise: an effect that acts in few blocks is seen by the second.
+
+    Of each block what noise leaves is counted in both. Else a joint that rests, of which both leave a small part of
+    the noise, says as much by their ratio as one that moves and is off by many times the noise.
     """
     use = np.ones(better.shape[1], dtype=bool) if channels is None else channels
     good, bad = better[:, use], worse[:, use]
     gain = 0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))
-    d = 0.5 * np.log(np.maximum(bad.sum(1), 1e-12) / np.maximum(good.sum(1), 1e-12))
+    noise = np.maximum(problem.readings, 1)[:, None]
+    each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
+    whole = noise[:, 0] * int(use.sum())
+    d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole))
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
     by_mean = float(d.mean() / max(error, 1e-9))
-    each = 0.5 * np.log(np.maximum(bad, 1e-12) / np.maximum(good, 1e-12)).reshape(-1)
     return float(gain), max(by_mean, _rank_score(each[np.abs(each) > MATERIAL]))
 
 
@@ -97,7 +104,13 @@ def _rank_score(d: FloatArray) -> float:
 
 
 def evaluate(
-    problem: Problem, incumbent: Fit, before: FloatArray, name: str, fitted: Fit, joints: BoolArray
+    problem: Problem,
+    incumbent: Fit,
+    before: FloatArray,
+    name: str,
+    fitted: Fit,
+    joints: BoolArray,
+    judged: Judged | None = None,
 ) -> TriedEffect:
     """Compare a fit with one more effect to the fit without it, on the joints where it acts.
 
@@ -108,8 +121,9 @@ def evaluate(
         name: The effect.
         fitted: The fit that has it.
         joints: Joints that may have it (J,).
+        judged: Blocks of that fit, each without itself, where they are known.
     """
-    after, moves = left_out(fitted, problem)
+    after, moves = judged or left_out(fitted, problem)
     fell = problem.mean_squares(incumbent.residual, False) - problem.mean_squares(fitted.residual, False)
     improvement = float(np.sqrt(np.maximum(fell, 0.0)).max())
     there = present(problem, fitted, name, joints, deviations(fitted, problem, moves)) & _better(problem, before, after)
@@ -119,7 +133,7 @@ def evaluate(
     if name == "periodic_force":
         there &= ~on_harmonic(problem, fitted.point.values["periodic_force", "frequency"])
     channels = there[problem.channel_joint]
-    gain, z = paired(after, before, channels) if there.any() else paired(after, before)
+    gain, z = paired(problem, after, before, channels if there.any() else None)
     why = ""
     if not there.any():
         why = f"no joint has a parameter {RULES.deviations:.0f} standard deviations from neutral"
@@ -131,7 +145,7 @@ def evaluate(
         why = f"it removes {100 * share:.0f} % of the unexplained error on its joints, below {100 * RULES.share:.0f} %"
     else:
         why = _pushed(problem, incumbent, fitted, there)
-    overall, _ = paired(after, before)
+    overall, _ = paired(problem, after, before)
     return TriedEffect(
         name=name,
         fitted=fitted,
@@ -275,12 +289,12 @@ def hard_to_tell_apart(problem: Problem, best: TriedEffect, other: TriedEffect) 
 
 def _apart(problem: Problem, best: TriedEffect, other: TriedEffect) -> tuple[float, float]:
     """Return gain and z of one effect over another, where either acts."""
-    return paired(best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
+    return paired(problem, best.squares, other.squares, (best.joints | other.joints)[problem.channel_joint])
 
 
-def pays(better: FloatArray, worse: FloatArray, z: float = RULES.z) -> bool:
+def pays(problem: Problem, better: FloatArray, worse: FloatArray, z: float = RULES.z) -> bool:
     """Return whether left-out blocks (B, C) of one fit are surely better than those of another."""
-    gain, sure = paired(better, worse)
+    gain, sure = paired(problem, better, worse)
     return gain >= RULES.gain and sure >= z
 
 
@@ -292,4 +306,4 @@ def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
 
 def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:
     """Return whether an effect pays: a fit with it against one without."""
-    return pays(left_out(whole, problem)[0], left_out(without, problem)[0])
+    return pays(problem, left_out(whole, problem)[0], left_out(without, problem)[0])

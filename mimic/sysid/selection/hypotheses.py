@@ -129,7 +129,7 @@ def _stage(h: Hypothesis, shown: Hypothesis) -> Stage:
     best, problem = h.found, h.problem
     assert best is not None
     others = [t for t in h.tried if t is not best and not t.why]
-    alike = [t for t in others if not distinguishable(best, t)] if best.timing else []
+    alike = [t for t in others if not distinguishable(problem, best, t)] if best.timing else []
     alike = alike or [t for t in others if not best.timing and hard_to_tell_apart(problem, best, t)]
     return Stage(
         added=best.name,

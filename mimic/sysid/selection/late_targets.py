@@ -43,7 +43,7 @@ def late_targets(
     found = []
     readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
     for timing in _likelier(timings(problem, incumbent, candidates)):
-        gain, z = paired(timing.squares, before)
+        gain, z = paired(problem, timing.squares, before)
         unexplained = before.sum() - float(readings * problem.channels)
         share = (before.sum() - timing.squares.sum()) / max(unexplained, 1e-9)
         why = ""
@@ -93,13 +93,13 @@ def _likelier(laws: Sequence[Timing]) -> list[Timing]:
     return sorted(laws, key=lambda t: (t.likelihood < best - TOLD_APART, t.squares.sum()))
 
 
-def distinguishable(one: TriedEffect, other: TriedEffect) -> bool:
+def distinguishable(problem: Problem, one: TriedEffect, other: TriedEffect) -> bool:
     """Return whether the log separates the first of two delay models from the other."""
     if one.timing is None or other.timing is None:
         return False
     if one.timing.likelihood - other.timing.likelihood > TOLD_APART:
         return True
-    return paired(one.squares, other.squares)[1] >= RULES.apart
+    return paired(problem, one.squares, other.squares)[1] >= RULES.apart
 
 
 def fit_delay_per_command(

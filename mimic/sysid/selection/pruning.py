@@ -220,7 +220,7 @@ def with_encoders(h: Hypothesis, stages: Sequence[Stage], has: BoolArray, residu
     problem, machine = h.problem, h.problem.machine
     before, after = (problem.block_squares(r)[problem.blocks.train] for r in (h.fitted.residual, residual))
     fell = problem.mean_squares(h.fitted.residual, False) - problem.mean_squares(residual, False)
-    gain, z = paired(after, before, has[problem.channel_joint])
+    gain, z = paired(problem, after, before, has[problem.channel_joint])
     found = Candidate(
         name="encoder_step",
         gain=gain,

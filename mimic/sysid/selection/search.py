@@ -13,7 +13,7 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.records import BoolArray
-from mimic.sysid.fit.least_squares import Fit, fit_all, fitting
+from mimic.sysid.fit.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
@@ -68,12 +68,12 @@ class Search:
         for _ in range(self.settings.most_effects):
             grown, last, base = self.extended(best)
             for other in beam[1:]:
-                grown += [h for h in self.extended(other)[0] if pays(h.squares, best.squares)]
+                grown += [h for h in self.extended(other)[0] if pays(h.problem, h.squares, best.squares)]
             if not grown:
                 return replace(best, base=base), last
             grown.sort(key=lambda h: -h.likelihood)
             beam = list(_distinct(grown))[: RULES.beam]
-            alike = [h for h in beam[1:] if not pays(beam[0].squares, h.squares, RULES.apart)]
+            alike = [h for h in beam[1:] if not pays(h.problem, beam[0].squares, h.squares, RULES.apart)]
             others = {n for h in alike for n in h.added} - set(beam[0].added)
             best = beam[0] = replace(beam[0], rivals=tuple(sorted(others)))
             if best.explained:
@@ -163,28 +163,31 @@ class Search:
             ]
             return fit_all(problem, asked)
 
-        def judged(name: str, found: Fit) -> TriedEffect:
-            return evaluate(problem, fitted, parent.squares, name, found, places[name])
+        def judged(of: Sequence[str], found: Sequence[Fit]) -> list[TriedEffect]:
+            made = zip(of, found, left_out_all(found, problem), strict=True)
+            return [evaluate(problem, fitted, parent.squares, n, f, places[n], left) for n, f, left in made]
 
         quick = refitted([(s.name, s.point) for s in starts], 2, fitted)
         for i, (s, f) in enumerate(zip(starts, quick, strict=True)):
             if (apart := _apart_from_shared(f, s)) is not None:
                 point, places[s.name] = apart
                 quick[i] = refitted([(s.name, point)], 3)[0]
-        tried = [judged(s.name, f) for s, f in zip(starts, quick, strict=True)]
+        tried = judged([s.name for s in starts], quick)
         hard = [t for t in tried if _astray(problem, fitted, t, tried)]
         everywhere = np.ones(len(problem.machine.joints), dtype=bool)
         begins = {s.name: afresh(problem, s.point, everywhere) for s in starts}
-        for t, f in zip(hard, refitted([(t.name, begins[t.name]) for t in hard], 6), strict=True):
-            again = judged(t.name, f)
+        anew = refitted([(t.name, begins[t.name]) for t in hard], 6)
+        for t, again in zip(hard, judged([t.name for t in hard], anew), strict=True):
             if again.gain > t.gain:
                 tried[tried.index(t)] = again
-        strong = sorted((t for t in tried if t.gain >= RULES.gain and t.z >= RULES.z), key=lambda t: -t.gain)
-        strong = [t for t in strong if not pays(strong[0].squares, t.squares, RULES.hopeless)][: RULES.finished]
+        strong = sorted((t for t in tried if t.gain >= RULES.gain and t.z >= RULES.promising), key=lambda t: -t.gain)
+        strong = [t for t in strong if not pays(problem, strong[0].squares, t.squares, RULES.hopeless)]
+        strong = strong[: RULES.finished]
         if strong:
             self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
-        for t, f in zip(strong, refitted([(t.name, t.fitted.point) for t in strong], 4), strict=True):
-            tried[tried.index(t)] = judged(t.name, refined(problem, f))
+        done = [refined(problem, f) for f in refitted([(t.name, t.fitted.point) for t in strong], 4)]
+        for t, again in zip(strong, judged([t.name for t in strong], done), strict=True):
+            tried[tried.index(t)] = again
         return tried
 
     def _settled(self, parent: Hypothesis, t: TriedEffect, tried: Sequence[TriedEffect]) -> Hypothesis | None:

@@ -16,6 +16,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.baseline import problem_of
 from mimic.sysid.fit.point import Point
+from mimic.sysid.log.blocks import make_blocks
 from mimic.sysid.log.pool import pool
 from mimic.sysid.replay.simulate import simulate_log
 
@@ -100,6 +101,48 @@ def test_the_last_reading_of_a_log_before_others_is_replayed_in_any_step(pendulu
     counted = np.isfinite(problem.residuals([start])[0]).all(axis=1)
     assert counted[len(t) - 1]
     assert np.isfinite(problem.in_fine_steps(start, 2, 1.0)[counted]).all()
+
+
+def test_a_log_is_judged_alike_whatever_logs_are_before_it(pendulum: MachineModel) -> None:
+    """Its residual, the blocks that are held out of it and the times of its targets, which a log with a clock of its
+    own for them and one without would have each decide for the other.
+    """
+    rng = np.random.default_rng(0)
+    long, short = (replace(log, metadata={"kp": 20.0, "kd": 0.8}) for log in (swung(pendulum), swung(pendulum, 5.4)))
+    beside = replace(long, t=long.t + 0.0004 * rng.standard_normal(len(long.t)))
+    uneven = np.maximum.accumulate(short.t + 0.004 * rng.uniform(size=len(short.t)))
+    assert short.q_des is not None
+    shown = np.searchsorted(short.t, uneven + 1e-9) - 1
+    odd = replace(short, t=uneven, q_des=short.q_des[np.maximum(shown - 3 * rng.integers(0, 2, len(shown)), 0)])
+    start, settings = Point.of(BASELINE, pendulum), CalibrateSettings(threads=1, timestep=0.0025)
+    seen: dict[str, list[Any]] = {}
+    for logs in ((beside, odd), (odd, beside)):
+        names = tuple("beside" if one is beside else "odd" for one in logs)
+        problem = problem_of(pool(list(logs), pendulum, 0.0025, names), pendulum, settings)
+        residual, blocks = problem.residuals([start])[0], problem.blocks
+        for part in problem.replay.parts:
+            index = blocks.index[part.slice]
+            held = np.where(index < 0, -1, blocks.held_out[np.maximum(index, 0)])
+            times = [one.of_part(part.slice, part.begin).at for one in problem.sending]
+            seen.setdefault(part.name, []).append((residual[part.slice], held, times))
+    for one, other in seen.values():
+        assert np.allclose(one[0], other[0], atol=0.02, equal_nan=True)
+        assert np.isfinite(one[0][-1]).all()
+        assert np.array_equal(one[1], other[1])
+        assert len(one[2]) == len(other[2]) > 1
+        for early, late in zip(one[2], other[2], strict=True):
+            assert late == pytest.approx(early)
+
+
+def test_a_block_in_which_a_drive_is_switched_is_fitted_and_the_next_is_held_out() -> None:
+    t = np.arange(0.0, 12.0, 0.01)
+    logs, counts = [slice(0, 600), slice(600, 1200)], np.ones(len(t), dtype=bool)
+    plain = make_blocks(t, counts, logs=logs)
+    assert plain.index[[0, 599, 600, 1199]].tolist() == [0, 5, 6, 11]
+    assert np.flatnonzero(plain.held_out).tolist() == [2, 8]
+    on = np.ones((len(t), 2), dtype=bool)
+    on[850:1100, 1] = False  # from 2.5 s of the second log
+    assert np.flatnonzero(make_blocks(t, counts, logs=logs, enabled=on).held_out).tolist() == [2, 9]
 
 
 def test_a_lower_supply_moves_the_torque_speed_line(pendulum: MachineModel) -> None:
