@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,21 +134,29 @@ def fit(
 
 def fit_all(problem: Problem, fits: Sequence[Asking]) -> list[Fit]:
     """Return the results of several fits that share their replays: what all ask for next runs as one batch."""
+    return answered(problem.residuals, fits)
+
+
+def answered(replayed: Callable[[Sequence[Point]], FloatArray], fits: Sequence[Asking]) -> list[Fit]:
+    """Return what several fits end with, each sent the residuals (N, T, C) of the points that it asks for."""
     asked: dict[int, Sequence[Point]] = {}
     done: dict[int, Fit] = {}
-    for i, one in enumerate(fits):
-        asked[i] = next(one)
+
+    def ask(i: int, answer: FloatArray | None) -> None:
+        try:
+            asked[i] = next(fits[i]) if answer is None else fits[i].send(answer)
+        except StopIteration as end:
+            done[i] = end.value
+            asked.pop(i, None)
+
+    for i in range(len(fits)):
+        ask(i, None)
     while asked:
         order = sorted(asked)
-        answers = problem.residuals([p for i in order for p in asked[i]])
-        at = 0
+        answers, at = replayed([p for i in order for p in asked[i]]), 0
         for i in order:
             count = len(asked[i])
-            try:
-                asked[i] = fits[i].send(answers[at : at + count])
-            except StopIteration as end:
-                done[i] = end.value
-                del asked[i]
+            ask(i, answers[at : at + count])
             at += count
     return [done[i] for i in range(len(fits))]
 

@@ -135,8 +135,20 @@ class Problem:
             times: How many times more steps.
             segment: Length of their segments [s].
         """
-        once, twice = self._whitened(self._fine_pair(point, times, segment).copy())
-        return 2.0 * twice - once
+        return self.all_in_fine_steps([point], times, segment)[0]
+
+    def all_in_fine_steps(self, points: Sequence[Point], times: int, segment: float) -> FloatArray:
+        """Return `in_fine_steps` of several points (N, T, C), replayed together."""
+        pairs = [self._known_pair(point, times, segment) for point in points]
+        new = [i for i, pair in enumerate(pairs) if pair is None]
+        if new:
+            asked = [points[i] for i in new]
+            both = [(self.replay.finer(times * more, segment, len(asked)), asked) for more in (1, 2)]
+            for i, *pair in zip(new, *self._all_replayed(both), strict=True):
+                pairs[i] = np.stack(pair)
+                self._fine.append((points[i], (self.replay.late, self.replay.heat, (times, segment)), np.stack(pair)))
+        found = self._whitened(np.stack([pair for pair in pairs if pair is not None]))
+        return 2.0 * found[:, 1] - found[:, 0]
 
     def in_steps_of_columns(self, point: Point, times: int, segment: float) -> FloatArray:
         """Return whitened residuals (T, C) in finer steps, without extrapolation: a third of the cost."""
@@ -145,17 +157,11 @@ class Problem:
             return self._whitened(self._replayed(self.replay.finer(times, segment), [point])[0])
         return self._whitened(made[0].copy())
 
-    def _fine_pair(self, point: Point, times: int, segment: float) -> FloatArray:
-        """Return residuals (2, T, C) in finer steps and in steps half as long, in the units of the log."""
-        made = self._known_pair(point, times, segment)
-        if made is None:
-            both = [(self.replay.finer(times * more, segment), [point]) for more in (1, 2)]
-            made = np.concatenate(self._all_replayed(both))
-            self._fine.append((point, (self.replay.late, self.replay.heat, (times, segment)), made))
-        return made
-
     def _known_pair(self, point: Point, times: int, segment: float) -> FloatArray | None:
-        """Return a remembered result of `_fine_pair` for the present targets and heat, or None."""
+        """Return remembered residuals (2, T, C) in finer steps and in steps half as long, or None.
+
+        They are in the units of the log, with the present targets and heat.
+        """
         for known, (late, heat, steps), made in self._fine:
             same = late is self.replay.late and heat is self.replay.heat and steps == (times, segment)
             if same and known.is_at(point):
@@ -182,7 +188,7 @@ class Problem:
         finer = self.replay.finer(times, segment, len(points))
         if not both_sides:
             moved = self._whitened(self._replayed(finer, points))
-            base = self._whitened(self._fine_pair(point, times, segment)[0].copy())
+            base = self.in_steps_of_columns(point, times, segment)
             return self.columns(base, moved, groups, free_parameters, sizes)
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
         at = point.read(free_parameters)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, best_of_chains, chain_costs, fit, solve
+from mimic.sysid.fit.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 
@@ -79,10 +79,17 @@ def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Pr
     return problem.changed(correction=settled.residual - problem.uncorrected([settled.point])[0]), settled
 
 
-def refined(problem: Problem, fitted: Fit) -> Fit:
-    """Return the fit after a step from the residuals of fine replays."""
-    begun = replace(fitted, residual=in_fine_steps(problem, fitted.point))
-    return _summed(problem, _stepped(problem, begun, lambda point: in_fine_steps(problem, point), 1))
+def refined(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
+    """Return fits after a step from the residuals of fine replays, which they share."""
+
+    def replayed(points: Sequence[Point]) -> FloatArray:
+        return problem.all_in_fine_steps(points, FINE, FINE_SEGMENT)
+
+    if not fits:
+        return []
+    begun = zip(fits, replayed([one.point for one in fits]), strict=True)
+    stepping = [_stepping(problem, replace(one, residual=residual), 1) for one, residual in begun]
+    return [_summed(problem, one) for one in answered(replayed, stepping)]
 
 
 def _converged(problem: Problem, fitted: Fit) -> Fit:
@@ -94,12 +101,12 @@ def _converged(problem: Problem, fitted: Fit) -> Fit:
     fitted = replace(fitted, residual=in_fine_steps(problem, fitted.point))
     for again in range(MOST_EXTRAPOLATIONS):
         beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
-        there = _stepped(
-            problem,
-            fitted,
-            lambda point, beyond=beyond: problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond,
-            MOST_CORRECTIONS,
-            _enough(problem, fitted) if again else 0.0,
+        stepping = _stepping(problem, fitted, MOST_CORRECTIONS, _enough(problem, fitted) if again else 0.0)
+        (there,) = answered(
+            lambda points, beyond=beyond: np.stack(
+                [problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond for point in points]
+            ),
+            [stepping],
         )
         if there.point.is_at(fitted.point):
             break
@@ -114,15 +121,12 @@ def _summed(problem: Problem, fitted: Fit) -> Fit:
     return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.free_parameters))
 
 
-def _stepped(
-    problem: Problem, fitted: Fit, replayed: Callable[[Point], FloatArray], most: int, worth: float = 0.0
-) -> Fit:
-    """Return where steps along the derivatives of a fit lead, with its sums as they were.
+def _stepping(problem: Problem, fitted: Fit, most: int, worth: float = 0.0) -> Asking:
+    """Ask for replays on the way along the derivatives of a fit, and return where it leads, with its sums as they were.
 
     Args:
         problem: Log and model.
         fitted: Where to begin.
-        replayed: Returns the residual at a point.
         most: Most steps.
         worth: Fall of the sum of squares that a linear model must promise for the first of them.
     """
@@ -139,12 +143,12 @@ def _stepped(
         if promised < worth:
             break
         moved = point.moved(fitted.free_parameters, step)
-        after = replayed(moved)
+        after = (yield [moved])[0]
         now = chain_costs(problem, moved, after, fitted.free_parameters)
         part = best_of_chains(problem, fitted.free_parameters, [np.zeros_like(step), step], [costs, now])
         if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
             moved = point.moved(fitted.free_parameters, part)
-            after = replayed(moved)
+            after = (yield [moved])[0]
             now = chain_costs(problem, moved, after, fitted.free_parameters)
         before, least = cost, float(problem.weight @ now)
         if not least < cost:

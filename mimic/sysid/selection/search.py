@@ -185,7 +185,7 @@ class Search:
         strong = strong[: RULES.finished]
         if strong:
             self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
-        done = [refined(problem, f) for f in refitted([(t.name, t.fitted.point) for t in strong], 4)]
+        done = refined(problem, refitted([(t.name, t.fitted.point) for t in strong], 4))
         for t, again in zip(strong, judged([t.name for t in strong], done), strict=True):
             tried[tried.index(t)] = again
         return tried
