@@ -23,7 +23,7 @@ from mimic.sysid.replay.simulate import simulate_log
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/><site pos="0 0 -0.15"/></body></worldbody>
 </mujoco>"""
-QUIET = {"noise": 0.0, "resolution": 0.0, "torque_noise": 0.0, "timestep": 0.0005}
+QUIET: dict[str, Any] = {"noise": 0.0, "resolution": 0.0, "torque_noise": 0.0, "timestep": 0.0005}
 
 
 @pytest.fixture(scope="module")
