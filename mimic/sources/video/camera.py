@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from mimic.sources.video.left_right import LiveSides, swap_sides
 from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
 from mimic.sources.video.screening import person_rows
+
+if TYPE_CHECKING:
+    from mimic.sources.video.depth import LiveDepth
 
 OPEN_TIMEOUT = 60.0
 """Time limit for the first frame of a camera [s]."""
@@ -234,13 +237,14 @@ def _run_camera(
     import cv2
 
     from mimic.sources.video.blazepose import BlazePose
+    from mimic.sources.video.depth import LiveDepth
 
     try:
         capture, first = _opened(camera, live.camera_size)
     except SourceError as reason:
         pipe.send(str(reason))
         return
-    latest, go = _LatestFrame(), threading.Event()
+    latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth()
     assert pose.pose_model is not None
     with BlazePose(pose.pose_model) as detect:
         detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
@@ -249,7 +253,7 @@ def _run_camera(
             threading.Thread(target=_wait_for_begin, args=(pipe, go), daemon=True).start()
         grab = _read_camera if device else _play_file
         threading.Thread(target=grab, args=(capture, first, latest, go), daemon=True).start()
-        _detect(latest, detect, pose, pipe, previews)
+        _detect(latest, detect, depth, pose, pipe, previews)
 
 
 def _wait_for_begin(pipe: Connection, go: threading.Event) -> None:
@@ -290,13 +294,13 @@ def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, go: thread
     latest.end()
 
 
-def _detect(latest: _LatestFrame, detect: Any, pose: PoseSettings, pipe: Connection, previews: bool) -> None:
+def _detect(
+    latest: _LatestFrame, detect: Any, depth: LiveDepth, pose: PoseSettings, pipe: Connection, previews: bool
+) -> None:
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
 
-    from mimic.sources.video.depth import LiveDepth
-
-    sides, depth, last_preview = LiveSides(), LiveDepth(), -np.inf
+    sides, last_preview = LiveSides(), -np.inf
     while (item := latest.take()) is not None:
         t, bgr, skipped = item
         started = time.monotonic()

@@ -103,6 +103,8 @@ class LiveDepth:
     """The same for a camera, frame by frame and from the past only."""
 
     def __init__(self) -> None:
+        """Load the network, so that the first frame need not wait for it."""
+        _network()
         self._rows: deque[tuple[float, FloatArray]] = deque()
         self._bones: deque[FloatArray] = deque(maxlen=REMEMBERED)
         self._slow = np.zeros(5)
