@@ -32,7 +32,7 @@ def train(
     out
         Folder for checkpoints, TensorBoard files and policy.onnx.
     resume
-        Checkpoint (.pt) to go on from.
+        Checkpoint (.pt) to go on from, or a policy (.onnx), whose critic is then learned anew.
     task
         What is learned: to stand up, walk and bring the front toes to goals, or to sit down.
     worlds

@@ -184,10 +184,10 @@ class MdpSettings:
     command_margin: float = 0.09
     """Commanded joint positions keep this far from the joint limits [rad]. With more than the 5 degrees at which the
     paper ends an episode no joint gets there by itself, but an almost straight knee is left without torque."""
-    curriculum_falls: float = 0.008
-    """While fewer robots than this fall in a control step, what makes the task hard grows: the paper's terminations,
-    the REFINING_TERMS, disturbances. Imposed from the beginning, the terminations end every episode within the first
-    tenth of a second, before anything is learned."""
+    curriculum_ends: float = 0.003
+    """While a smaller share of the robots than this falls or meets a termination in a control step, rising or standing,
+    what makes the task hard grows: the paper's terminations, the REFINING_TERMS, disturbances. Imposed from the
+    beginning, the terminations end every episode within the first tenth of a second, before anything is learned."""
     curriculum_steps: float = 9_600.0
     """Control steps of a world over which they grow; a termination ends an episode with a probability a step that grows
     with the square of the share done."""
@@ -282,6 +282,8 @@ class LearnSettings:
     std_range: tuple[float, float] = (0.05, 1.2)
     resume_std: float = 0.0
     """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
+    critic_updates: int = 100
+    """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none."""
     hidden: tuple[int, ...] = (512, 256, 128)
     mirror: float = 0.2
     """Weight of the loss that asks for mirrored actions in mirrored states; 0 is none. With 0.5, the one tried, the

@@ -149,7 +149,7 @@ def train(
         out: Folder for checkpoints, TensorBoard files and policy.onnx.
         mdp: The worlds, rewards and randomisation.
         learn: PPO and the length of the training.
-        resume: Checkpoint (.pt) to go on from.
+        resume: Checkpoint (.pt) or policy (.onnx) to go on from.
         overrides: "name=value" for any other setting, such as rewards.slip=-0.4.
         report: Called after each update with its number and its figures.
         reporter: Receives warnings.

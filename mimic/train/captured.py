@@ -44,6 +44,8 @@ class CapturedPPO(PPO):
     def __init__(self, actor: Any, critic: Any, storage: Any, **settings: Any) -> None:
         self.reaching_coef = settings.pop("reaching_coef", 0.0)
         """Weight of the loss that shows front legs how to reach; may change between updates, but not come from zero."""
+        self.policy_share = 1.0
+        """Share of the losses of the policy; 0 while only the critic learns."""
         super().__init__(actor, critic, storage, **settings)
         if self.rnd or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
             raise ConfigError("captured PPO has no RND, recurrence or advantages per minibatch; use PPO")
@@ -52,6 +54,7 @@ class CapturedPPO(PPO):
         self._rate = torch.tensor(self.learning_rate, device=self.device)
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
         self._wanted_kl = torch.tensor(self.desired_kl or 0.0, device=self.device)
+        self._policy_share = torch.ones((), device=self.device)
         self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
         self._shows_reaching = self.reaching_coef > 0
         self._losses += ["reaching"] * self._shows_reaching
@@ -117,6 +120,7 @@ class CapturedPPO(PPO):
         self._entropy_weight.fill_(self.entropy_coef)
         self._wanted_kl.fill_(self.desired_kl or 0.0)
         self._reaching_weight.fill_(self.reaching_coef)
+        self._policy_share.fill_(self.policy_share)
         self._sums.zero_()
         self._gather()
         for _ in range(self.num_learning_epochs):
@@ -198,7 +202,7 @@ class CapturedPPO(PPO):
             error = torch.max(error, (near - b["returns"]).square())
         value_loss = error.mean()
         losses = [value_loss, surrogate_loss, entropy]
-        loss = surrogate_loss + self.value_loss_coef * value_loss - self._entropy_weight * entropy
+        loss = surrogate_loss - self._entropy_weight * entropy
         if image is not None:
             losses.append((image - mirrored_actions(mean.detach())).square().mean())
             loss = loss + self._mirror * losses[-1]
@@ -206,6 +210,7 @@ class CapturedPPO(PPO):
             shown, counts = b["reaching"].unbind(1)
             losses.append((counts * (mean[:, : shown.shape[1]] - shown).square()).mean())
             loss = loss + self._reaching_weight * losses[-1]
+        loss = self._policy_share * loss + self.value_loss_coef * value_loss
         self._flat.zero_()
         loss.backward()
         self._flat[-1:].copy_(kl)
@@ -219,7 +224,8 @@ class CapturedPPO(PPO):
             kl, rate = self._flat[-1], self._rate
             down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
             up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
-            rate = torch.where((kl < self._wanted_kl / 2.0) & (kl > 0.0), up, rate)
+            learns = self._policy_share > 0.0
+            rate = torch.where((kl < self._wanted_kl / 2.0) & (kl > 0.0) & learns, up, rate)
             self._rate.copy_(torch.where(kl > self._wanted_kl * 2.0, down, rate))
         nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
         nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from mimic.config.training import LearnSettings, MdpSettings
+from mimic.errors import ConfigError
 from mimic.io.store import plain, save_json
 from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription, load_description
@@ -24,6 +25,7 @@ from mimic.train.mirror import with_mirrored
 from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
+from mimic.train.warm_start import take_over
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +97,8 @@ def train(
 
     Args:
         folder: Receives checkpoints, TensorBoard files, settings.json and policy.onnx.
-        resume: Checkpoint to go on from; the settings must shape the same networks.
+        resume: Checkpoint (.pt) to go on from; the settings must shape the same networks. Or a policy (.onnx): its
+            critic is learned anew, and the task is as hard as at the end of a training from the first step on.
 
     Returns:
         Path of the ONNX file.
@@ -112,6 +115,9 @@ def train(
         learn = replace(learn, mirror=0.0)
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
+    from_policy = resume is not None and resume.suffix == ".onnx"
+    if from_policy and not learn.captured:
+        raise ConfigError("captured is False; going on from a policy (.onnx) needs captured=True")
     if learn.reaching and not learn.captured:
         log.info("front legs are not shown how to reach: only captured=True does that")
         learn = replace(learn, reaching=0.0)
@@ -128,8 +134,12 @@ def train(
 
     contract = make_contract(description, mdp, settings_hash(mdp, learn))
     begin, due = time.monotonic(), sorted(learn.snapshots, reverse=True)
+    critic_alone = 0
 
     def progressed(share: float) -> None:
+        nonlocal critic_alone
+        critic_alone = max(critic_alone - 1, 0)
+        runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
         if learn.reaching:
@@ -138,7 +148,13 @@ def train(
             export(runner, contract, description, folder / f"policy_{due.pop():g}min.onnx")
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
-    if resume is not None:
+    if resume is not None and from_policy:
+        take_over(runner.alg.actor, resume, learn.resume_std)
+        env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
+        critic_alone = learn.critic_updates
+        runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
+        log.info("go on from the policy %s; only the critic learns in the first %d updates", resume, critic_alone)
+    elif resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
         if learn.resume_std:

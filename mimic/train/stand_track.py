@@ -49,8 +49,8 @@ class StandTrackEnv(WorldsEnv):
 
     def _ramp_share(self) -> float:
         """Return how much of what makes the task hard is there by now, 0 to 1; asked every 240 steps."""
-        falls = float(self._log["track/falls"]) if "track/falls" in self._log else 1.0  # waits for the device
-        if self._calls and (falls < self.settings.curriculum_falls or self._calls > self.settings.curriculum_latest):
+        ends = float(self._log["all/ends"]) if "all/ends" in self._log else 1.0  # waits for the device
+        if self._calls and (ends < self.settings.curriculum_ends or self._calls > self.settings.curriculum_latest):
             self._ramp = min(self._ramp + 240 / self.settings.curriculum_steps, 1.0)
         return self._ramp
 
@@ -170,6 +170,7 @@ class StandTrackEnv(WorldsEnv):
             "track/falls": (f.fallen.float() * tracking).sum() / count,
             "track/slip": (f.slip * tracking).sum() / count,
             "track/terminations": (f.terminations_met * tracking).sum() / count,
+            "all/ends": f.fallen.float().mean(),
             "rise/slip": (f.slip * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
             "rise/terminations": (f.terminations_met * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
             "track/termination_share": self._termination_share.mean(),

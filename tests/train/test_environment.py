@@ -200,7 +200,7 @@ def test_gains_slopes_and_the_ground_come_in_over_the_ramp(description):
         disturbance_share_at_first=0.25,
         curriculum_latest=240.0,
         curriculum_steps=480.0,
-        curriculum_falls=-1.0,
+        curriculum_ends=-1.0,
     )
 
     usual = env.worlds.mj_model.geom("floor").solref[0]

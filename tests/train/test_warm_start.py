@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimic.config.training import LearnSettings, MdpSettings
+from mimic.errors import AssetError, ConfigError
+from mimic.policy.contract import FRAME_SIZE
+from mimic.policy.runtime import Policy
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
+    pytest.importorskip(library, reason="training needs the extra 'train'")
+
+from mimic.train.learn import train  # noqa: E402
+
+MDP = MdpSettings(worlds=4, history=3)
+LEARN = LearnSettings(device="cpu", steps=4, iterations=1, hidden=(16, 8), epochs=1, minibatches=1, critic_updates=100)
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    return train(tmp_path_factory.mktemp("first"), MDP, LEARN)
+
+
+def answers(path, description, observations):
+    plays = Policy(path, description)
+    return np.array([plays.act(row) for row in observations])
+
+
+@pytest.mark.parametrize("more", [0, 2])
+def test_a_training_that_goes_on_from_a_policy_begins_as_that_policy_acts(policy, more, description, tmp_path):
+    mdp = dataclasses.replace(MDP, history=3 + more)
+    taken = train(tmp_path, mdp, LEARN, resume=policy)
+    seen = np.random.default_rng(0).normal(size=(20, FRAME_SIZE * (3 + more))).astype(np.float32)
+    old = answers(policy, description, seen[:, FRAME_SIZE * more :])
+    assert np.abs(answers(taken, description, seen) - old).max() < 1e-4
+    assert np.abs(old).max() > 1e-2
+
+
+def test_only_the_critic_learns_at_first_and_then_both(policy, tmp_path):
+    def weights(name, updates):
+        train(tmp_path / name, MDP, dataclasses.replace(LEARN, iterations=2, critic_updates=updates), resume=policy)
+        saved = torch.load(tmp_path / name / "last.pt", weights_only=False)
+        return saved["actor_state_dict"]["mlp.0.weight"], saved["critic_state_dict"]["mlp.0.weight"]
+
+    actor, critic = weights("critic", 5)
+    both, _ = weights("both", 0)
+    one, _ = weights("one", 1)
+    first = torch.load(policy.parent / "last.pt", weights_only=False)["actor_state_dict"]["mlp.0.weight"]
+    assert torch.equal(actor, first)
+    assert not torch.equal(both, first)
+    assert not torch.equal(one, first) and not torch.equal(one, both)
+    assert critic.isfinite().all()
+
+
+def test_the_critic_changes_while_it_learns_alone(policy, tmp_path):
+    saved = []
+    for name, rate in (("still", 1e-12), ("learns", 1e-3)):
+        train(tmp_path / name, MDP, dataclasses.replace(LEARN, learning_rate=rate), resume=policy)
+        saved.append(torch.load(tmp_path / name / "last.pt", weights_only=False)["critic_state_dict"]["mlp.0.weight"])
+    assert (saved[0] - saved[1]).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "123-16-8-12"), ({"history": 2}, "123-16-8-12")])
+def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
+    learn = dataclasses.replace(LEARN, **{k: v for k, v in changes.items() if k == "hidden"})
+    mdp = dataclasses.replace(MDP, **{k: v for k, v in changes.items() if k == "history"})
+    with pytest.raises(ConfigError, match=sizes):
+        train(tmp_path, mdp, learn, resume=policy)
+
+
+def test_what_is_no_policy_is_refused(tmp_path):
+    (tmp_path / "text.onnx").write_text("hello")
+    with pytest.raises(AssetError, match="no ONNX file"):
+        train(tmp_path / "out", MDP, LEARN, resume=tmp_path / "text.onnx")
+
+
+def test_the_plain_algorithm_cannot_go_on_from_a_policy(policy, tmp_path):
+    with pytest.raises(ConfigError, match="captured"):
+        train(tmp_path, MDP, dataclasses.replace(LEARN, captured=False), resume=policy)
