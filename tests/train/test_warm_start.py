@@ -52,7 +52,8 @@ def test_only_the_critic_learns_at_first_and_then_both(policy, tmp_path):
     first = torch.load(policy.parent / "last.pt", weights_only=False)["actor_state_dict"]["mlp.0.weight"]
     assert torch.equal(actor, first)
     assert not torch.equal(both, first)
-    assert not torch.equal(one, first) and not torch.equal(one, both)
+    assert not torch.equal(one, first)
+    assert not torch.equal(one, both)
     assert critic.isfinite().all()
 
 
