@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.flows.camera import play_camera
@@ -57,8 +57,7 @@ def main() -> None:
         whole = load_motion(video, InputSettings(retarget=RetargetSettings(rate=0.05))).commands
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "run"
-            how = {"run": RunSettings(), "robot": EffectsSettings()}
-            play_camera(str(video), live=live, out=out, **how)
+            play_camera(str(video), live=live, out=out)
             track = store.load(out / LIVE, LiveTrack)
             asked = store.load(out / COMMANDS, CommandTrack)
             metrics = json.loads((out / METRICS).read_text())
