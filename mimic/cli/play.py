@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +66,11 @@ def play(
             if robot is None
             else "--sim and --robot are two robots; give one of them"
         )
+    if sim and bus is not None:
+        asked = [f.name for f in fields(bus) if getattr(bus, f.name) != f.default]
+        options = " and ".join(f"--{name.replace('_', '-')}" for name in asked)
+        if options:
+            raise ConfigError(f"{options}: for a real robot only; give --robot instead of --sim, or leave it out")
     if sum(given is not None for given in (source, text, camera)) > 1:
         raise ConfigError("a file, --text and --camera are different inputs; give one of them")
     if video is not None and (robot is not None or camera is not None):

@@ -27,7 +27,7 @@ STANDING = {
     "left_hip": (0.0, 0.1, 0.9),
     "right_hip": (0.0, -0.1, 0.9),
 }
-OPTIONS = ["--hold", "0", "--stand-up", "1", "--blend", "0.1", "--workers", "1"]
+OPTIONS = ["--hold-last", "0", "--stand-up", "1", "--blend", "0.1", "--workers", "1"]
 
 
 def someone(path: Path, sway: float, rows: int = 30) -> Path:

@@ -227,6 +227,8 @@ BAD = [
     ("targets.parquet --text wave --sim", nothing, "are different inputs; give one of them"),
     ("--text wave", nothing, "add --sim"),
     ("--camera 0 --text wave --sim", nothing, "are different inputs; give one of them"),
+    ("--text wave --sim --hold 0.5", nothing, "--hold: for a real robot only"),
+    ("--text wave --sim --tether --dry-run", nothing, "--dry-run and --tether: for a real robot only"),
     ("--camera nowhere.mp4 --sim", nothing, "there is no camera and no file 'nowhere.mp4'"),
     ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
@@ -307,13 +309,13 @@ def test_brackets_in_a_name_are_printed_as_they_are(here, capsys):
 
 
 def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
-    assert main([str(targets), "--sim", "--no-view", "-o", "out", "--hold", "0"]) == 0
+    assert main([str(targets), "--sim", "--no-view", "-o", "out", "--hold-last", "0"]) == 0
     assert "0.5 s in all" in capsys.readouterr().out
 
 
 def test_stored_commands_are_played_with_their_velocity(here):
     commands(here)
-    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", "--hold", "0"]) == 0
+    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", "--hold-last", "0"]) == 0
     assert {path.name for path in (here / "out").iterdir()} >= {"commands.parquet", "log.parquet", "scene.rrd"}
     assert not (here / "out" / "targets.parquet").exists()
     assert store.load(here / "out" / "log.parquet", RunLog).v_des[:, 0].max() == 0.2
@@ -325,30 +327,33 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     points = {name: np.zeros((60, 3)) + place for name, place in STANDING.items()}
     points["left_wrist"] = points["left_wrist"] + sway * [1.0, 0.0, 1.0]
     np.savez(here / "someone.npz", points=np.stack(list(points.values()), axis=1), names=list(points), fps=50)
-    assert main(["someone.npz", "--sim", "--no-view", "--hold", "0"]) == 0
+    assert main(["someone.npz", "--sim", "--no-view", "--hold-last", "0"]) == 0
     run = here / "runs" / "someone"
     assert {path.name for path in run.iterdir()} >= {"pose.parquet", "targets.parquet", "log.parquet", "scene.rrd"}
     report = json.loads((run / "metrics.json").read_text())["retarget"]
     assert report["pose"]["frames_with_person"] == 60
     assert "unseen" not in report["pose"]
     again = here / "again"
-    assert main([str(run / "pose.parquet"), "--sim", "--no-view", "--hold", "0", "-o", str(again)]) == 0
+    assert main([str(run / "pose.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", str(again)]) == 0
     one, other = (store.load(folder / "targets.parquet", TargetTrack) for folder in (run, again))
     assert np.array_equal(one.p_BE, other.p_BE)
 
 
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
-    assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", "--hold", "0"]) == 0
+    assert (
+        main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", "--hold-last", "0"])
+        == 0
+    )
     assert "grammar: 6 key frames" in capsys.readouterr().out
     run = here / "runs" / "step-forward-then-stop-and-wave"
     assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
     log = store.load(run / "log.parquet", RunLog)
     assert log.v_des[:, 0].max() == 0.25
     assert json.loads((run / "metrics.json").read_text())["standing_share"] > 0.9
-    assert main([str(run / "motion.yaml"), "--sim", "--no-view", "--hold", "0", "-o", "again"]) == 0
+    assert main([str(run / "motion.yaml"), "--sim", "--no-view", "--hold-last", "0", "-o", "again"]) == 0
     again = store.load(here / "again" / "log.parquet", RunLog)
     np.testing.assert_allclose(again.p_BE_des, log.p_BE_des, atol=1e-3)
-    assert main([str(run / "commands.parquet"), "--sim", "--no-view", "--hold", "0", "-o", "once more"]) == 0
+    assert main([str(run / "commands.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", "once more"]) == 0
     assert np.array_equal(store.load(here / "once more" / "log.parquet", RunLog).q, log.q)
 
 

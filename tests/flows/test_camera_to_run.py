@@ -26,7 +26,7 @@ def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("camera")
     frames = itertools.islice((rgb for _, rgb in read_frames(WAVING)), 60)
     encode_h264(frames, folder / "short.mp4", fps=Fraction(30))
-    quick = ["--stand-up", "1", "--blend", "0.1", "--hold", "0.1", "--sit-down", "1.5"]
+    quick = ["--stand-up", "1", "--blend", "0.1", "--hold-last", "0.1", "--sit-down", "1.5"]
     assert main(["--camera", str(folder / "short.mp4"), "--sim", "--no-view", "-o", str(folder / "run"), *quick]) == 0
     return folder / "run"
 
@@ -63,5 +63,5 @@ def test_what_was_asked_can_be_played_again(run, tmp_path):
     asked = store.load(run / "commands.parquet", CommandTrack)
     assert len(asked.t) > 5
     assert store.load(run / "pose.parquet", PoseTrack).valid.any()
-    command = [str(run / "commands.parquet"), "--sim", "--no-view", "--hold", "0", "-o", str(tmp_path / "again")]
+    command = [str(run / "commands.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", str(tmp_path / "again")]
     assert main(command) == 0

@@ -50,7 +50,7 @@ def targets(workplace) -> Path:
 @pytest.fixture(scope="module")
 def played(targets, workplace) -> tuple[int, Path]:
     """Exit status and run folder of these targets."""
-    command = [str(targets), "--sim", "--no-view", "-o", str(workplace / "run"), "--seed", "4", "--hold", "0.5"]
+    command = [str(targets), "--sim", "--no-view", "-o", str(workplace / "run"), "--seed", "4", "--hold-last", "0.5"]
     return main(command), workplace / "run"
 
 
@@ -80,7 +80,7 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_400_hz(played, t
     log, joints = store.load(run / "log.parquet", RunLog), store.load(run / "joints.parquet", JointSamples)
     wanted = store.load(targets, TargetTrack)
     settings = RunSettings(hold_last=0.5)
-    besides = settings.stand_up + settings.blend + settings.hold + settings.sit_down
+    besides = settings.stand_up + settings.blend + settings.hold_last + settings.sit_down
     assert len(log.t) == len(wanted.t) + round((besides + TOE_LAG) / 0.02)
     assert np.allclose(np.diff(log.t), 0.02)
     assert np.allclose(np.diff(joints.t), 0.0025)
@@ -119,7 +119,7 @@ def test_metrics_show_that_the_robot_stood(played):
 
 def test_the_same_seed_plays_the_same_run(played, targets, workplace):
     again = workplace / "again"
-    assert main([str(targets), "--sim", "--no-view", "-o", str(again), "--seed", "4", "--hold", "0.5"]) == 0
+    assert main([str(targets), "--sim", "--no-view", "-o", str(again), "--seed", "4", "--hold-last", "0.5"]) == 0
     one, other = (store.load(run / "log.parquet", RunLog) for run in (played[1], again))
     assert np.array_equal(one.q, other.q)
     assert np.array_equal(one.action, other.action)
@@ -136,7 +136,7 @@ def test_runs_without_a_name_are_numbered(targets, workplace):
     copy = workplace / "arms.parquet"
     copy.write_bytes(targets.read_bytes())
     for _ in range(2):
-        assert main([str(copy), "--sim", "--no-view", "--hold", "0"]) == 0
+        assert main([str(copy), "--sim", "--no-view", "--hold-last", "0"]) == 0
     assert sorted(path.name for path in (workplace / "runs").iterdir()) == ["arms", "arms-2"]
 
 
@@ -183,7 +183,8 @@ def test_the_table_and_the_file_say_what_was_wanted_and_reached(played, workplac
     assert sum(found[part] for part in PARTS) == pytest.approx(found["apart"])
     capsys.readouterr()
     assert (
-        main([str(targets), "--sim", "--no-view", "-o", str(workplace / "table"), "--seed", "4", "--hold", "0.5"]) == 0
+        main([str(targets), "--sim", "--no-view", "-o", str(workplace / "table"), "--seed", "4", "--hold-last", "0.5"])
+        == 0
     )
     assert f"{found['apart']:.1f} cm apart" in " ".join(capsys.readouterr().out.split())
 
