@@ -31,7 +31,8 @@ LEAST_SUPPLY = 0.1
 """Share of the supply that is left whatever is drawn."""
 
 NEWTON, EXACT = 10, 1e-9
-"""Most steps towards the share of the supply that is left, and by how much it may be off."""
+"""Most steps towards the share of the supply that is left, and by how much it may be off; in single precision by a few
+roundings, below which steps would leave the root again."""
 
 OWN_STATES = {"goal": "target_filter", "integral": "drive_integral", "bristle": "presliding"}
 """States that only one effect needs."""
@@ -139,6 +140,7 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
+        self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
@@ -433,7 +435,7 @@ class Law:
             most = xp.minimum(stall, line)
             steep = xp.where((most > 0) & (most < size), xp.where(stall < line, torque, rise), zero)
             beyond = 1.0 - left - (loss * xp.minimum(xp.maximum(most, zero), size)).sum(-1)[..., None]
-            exact = xp.abs(beyond) < EXACT
+            exact = xp.abs(beyond) < self._exact
             if xp is np and exact.all():
                 break
             low, high = xp.where(beyond > 0, left, low), xp.where(beyond > 0, high, left)
