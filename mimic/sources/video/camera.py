@@ -244,7 +244,7 @@ def _run_camera(
     except SourceError as reason:
         pipe.send(str(reason))
         return
-    latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth()
+    latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
     assert pose.pose_model is not None
     with BlazePose(pose.pose_model) as detect:
         detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
@@ -295,7 +295,7 @@ def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, go: thread
 
 
 def _detect(
-    latest: _LatestFrame, detect: Any, depth: LiveDepth, pose: PoseSettings, pipe: Connection, previews: bool
+    latest: _LatestFrame, detect: Any, depth: LiveDepth | None, pose: PoseSettings, pipe: Connection, previews: bool
 ) -> None:
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
@@ -314,7 +314,7 @@ def _detect(
             )
         person = bool(person_rows(score[None], pose.min_visibility)[0])
         size, spread = (bgr.shape[1], bgr.shape[0]), np.full(2, np.nan)
-        if person and pose.depth:
+        if person and depth is not None:
             landmarks, spread = depth.see(t, landmarks, image, score, size)
         jpeg = None
         if previews and t - last_preview >= PREVIEW_INTERVAL:
