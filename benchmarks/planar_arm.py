@@ -52,13 +52,15 @@ EFFECTS: dict[str, dict[str, float]] = {
     "spring": {"spring": 0.6, "moment": 0.1},
     "stribeck": {"stribeck": 0.12, "stribeck_speed": 0.12},
     "compliance": {"stiffness": 60.0},
+    "backlash": {"stiffness": 2500.0, "gap": 0.015},
+    "stribeck_and_backlash": {"stribeck": 0.12, "stribeck_speed": 0.12, "stiffness": 2500.0, "gap": 0.015},
     "asymmetric_friction": {"asymmetric": 0.05},
     "drag": {"drag": 0.02},
     "torque_lag": {"lag": 0.005},
 }
 """Hidden in both joints, in the units of SI."""
 
-PARAMETERS = ("load", "spring", "moment", "stribeck", "stribeck_speed", "stiffness", "asymmetric", "drag", "lag")
+PARAMETERS = ("load", "spring", "moment", "stribeck", "stribeck_speed", "stiffness", "asymmetric", "drag", "lag", "gap")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +100,7 @@ def _accelerate(q, v, f0, f1):
 @njit
 def _run(steps, dt, arrival, target, p, out):
     """Step from rest; out (steps, 2) gets what the encoders, on the motors, read at the end of each step."""
-    load, spring, moment, level, width, stiffness, lopsided, drag, lag = p
+    load, spring, moment, level, width, stiffness, lopsided, drag, lag, gap = p
     q, v, theta, omega = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     torque, f, limit, push = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     elastic = stiffness > 0.0
@@ -120,7 +122,9 @@ def _run(steps, dt, arrival, target, p, out):
             link = q[j] + 0.5 * dt * v[j]
             drive = torque[j]
             if elastic:
-                drive = stiffness * (x - link) + 0.05 * (w - v[j])
+                twist = x - link
+                beyond = twist - min(max(twist, -0.5 * gap), 0.5 * gap)
+                drive = stiffness * beyond + (0.05 * (w - v[j]) if beyond != 0.0 or gap == 0.0 else 0.0)
                 omega[j] += dt * (torque[j] - drive) / ROTOR
                 theta[j] += dt * omega[j]
             f[j] = drive - spring * link + (moment if spring > 0.0 else 0.0)
