@@ -12,7 +12,7 @@ TRIED = ("spring", "load_friction", "delay_jitter", "lost_commands")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("clock", "hidden"), [("beside", "clean"), ("187", "clean"), ("187", "spring")])
+@pytest.mark.parametrize(("clock", "hidden"), [("beside", "clean"), ("187", "spring")])
 def test_what_is_found_does_not_depend_on_the_clock_of_the_rows(tmp_path: Path, clock: str, hidden: str) -> None:
     log = arm_log(CLOCKS[clock], EFFECTS[hidden], seconds=12.0)
     made = calibrate(log, arm_model(tmp_path), CalibrateSettings(effects=TRIED, threads=1))
