@@ -14,16 +14,19 @@ import argparse
 import math
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, identify, read_emps, servo_logs
-from mimic.dynamics.machine import read_machine
+from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
-from mimic.sysid.screen.regression import Screen, screen
+from mimic.sysid.screen.columns import Column
+from mimic.sysid.screen.regression import Score, Torques, evidence
 
 try:
     from numba import njit
@@ -162,6 +165,99 @@ def arm_log(hidden: Mapping[str, float], *, seconds: float = 36.0, seed: int = 0
     newest = np.clip((rows / 0.02 + 1e-9).astype(int), 0, len(target) - 1)
     q = q + 3e-4 * rng.standard_normal(q.shape)
     return JointLog(joints=("a", "b"), t=rows, q=q, q_des=target[newest], metadata={"kp": KP, "kd": KD})
+
+
+CHANCE, LEAST_GAIN = 0.05, 0.02
+"""Of claiming anything of a log that has nothing, over all columns together (Holm 1979), and the share of the error
+that an effect must take.
+"""
+
+WIDTH, MOST = 4, 4
+"""Sets that are kept of each size, and the largest set."""
+
+Grown = tuple[Score, tuple[Column, ...]]
+"""A set of effects: how it does, and its columns."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Screen:
+    """What the torques of some logs say."""
+
+    singles: tuple[Score, ...]
+    """Best first, each with its best thresholds."""
+    claimed: tuple[str, ...]
+    """Names of the best set that pays for all of its effects."""
+    relative: FloatArray
+    """RMS of the torque that the baseline leaves, over that of the torque (J,)."""
+
+
+class Sets:
+    """A beam search over sets of effects."""
+
+    def __init__(self, torques: Torques) -> None:
+        self.search, self.candidates = torques.regression, torques.candidates
+        self._blocks = len(self.search.score(()).blocks)
+        self.tried = len({c.name for c in self.candidates}) * (1 + (len(self.search.spread) > 1))
+
+    def best(self) -> Score | None:
+        """Return the best set of which each effect pays; None if nothing is claimed."""
+        base = self.search.score(())
+        found: dict[str, Grown] = {}
+        for c in self.candidates:
+            s = self.search.score((c,), base.blocks)
+            if c.name not in found or s.gain > found[c.name][0].gain:
+                found[c.name] = (s, (c,))
+        beam: list[Grown] = [(base, ())]
+        best: list[Grown] = []
+        for size in range(MOST):
+            grown: dict[tuple[str, ...], Grown] = {}
+            for before, columns in beam:
+                for _, (c,) in found.values():
+                    if c.name in {x.name for x in columns}:
+                        continue
+                    s = self.search.score((*columns, c), before.blocks)
+                    if self._pays(s.gain, s.z):
+                        key = tuple(sorted(s.names))
+                        if key not in grown or s.total < grown[key][0].total:
+                            grown[key] = (s, (*columns, c))
+            beam = sorted(grown.values(), key=lambda r: r[0].total)[:WIDTH]
+            if size:
+                beam = [row for row in (self._sharper(*row) for row in beam) if self._all_pay(*row)]
+            if not beam:
+                break
+            best = beam + best
+        return min((s for s, _ in best), key=lambda s: s.total, default=None)
+
+    def _pays(self, gain: float, z: float) -> bool:
+        chance = self.tried * float(stats.t.sf(z, self._blocks - 1))
+        return gain >= LEAST_GAIN and min(1.0, chance) <= CHANCE
+
+    def _sharper(self, score: Score, columns: tuple[Column, ...]) -> Grown:
+        """Return a set with the thresholds of its last effect that suit it best beside the others."""
+        best = (score, columns)
+        for c in self.candidates:
+            if c.name == columns[-1].name and c is not columns[-1]:
+                s = self.search.score((*columns[:-1], c))
+                if s.total < best[0].total:
+                    own = replace(score, at=s.at, coefficients=s.coefficients, blocks=s.blocks)
+                    best = (own, (*columns[:-1], c))
+        return best
+
+    def _all_pay(self, score: Score, columns: tuple[Column, ...]) -> bool:
+        """Return whether each effect of a set is missed without it."""
+        rests = (self.search.score((*columns[:i], *columns[i + 1 :])) for i in range(len(columns)))
+        return all(self._pays(*evidence(rest.blocks - score.blocks)) for rest in rests)
+
+
+def screen(logs: Sequence[tuple[JointLog, MachineModel]]) -> Screen:
+    """Return single effects of some logs of one machine, and the set that is claimed."""
+    torques = Torques(logs)
+    claimed = Sets(torques).best()
+    return Screen(
+        singles=tuple(torques.singles()),
+        claimed=claimed.names if claimed else (),
+        relative=torques.regression.spread / np.maximum(torques.regression.torque, 1e-12),
+    )
 
 
 def _line(title: str, made: Screen, seconds: float, names: tuple[str, ...] = ()) -> str:

@@ -24,8 +24,8 @@ from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.log.pool import pool
-from mimic.sysid.screen.motion import Motion, motion_of
-from mimic.sysid.screen.regression import ScreenSettings, screen
+from mimic.sysid.screen.motion import Motion
+from mimic.sysid.screen.regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
@@ -279,8 +279,8 @@ def of_sindy(case: Case) -> Found:
     2016.
     """
     logs = [(log, case.machine) for log in case.fitted]
-    delay = screen(logs, ScreenSettings(most=0), ("armature",)).delay
-    motions = [motion_of(log.of(case.machine.joints), m, delay) for log, m in logs]
+    torques = Torques(logs)
+    delay, motions = torques.delay, torques.motions
     joints = len(case.machine.joints)
     values = {key: np.zeros(joints) for key in LIBRARY}
     for j in range(joints):

@@ -137,8 +137,9 @@ def moving_base(torques: Torques, frequency: FloatArray, size: FloatArray, there
     waves = np.concatenate([np.cos(angle), np.sin(angle)], -1)
     swung = np.einsum("tja,tw->tjaw", pattern.reshape(len(motion.t), -1, AXES), waves)
     each = np.einsum("jk,tw->tjkw", np.eye(len(there)), waves)
-    base, forces = (torques.explained_by(motion.filtered(x.reshape(*x.shape[:2], -1))) for x in (swung, each))
-    none = torques.explained_by(None)
+    search = torques.regression
+    base, forces = (search.explained_by(motion.filtered(x.reshape(*x.shape[:2], -1))) for x in (swung, each))
+    none = search.score(()).blocks
     if behind(base, none) < RULES.z or behind(forces, base) >= RULES.apart:
         return None
     share = 1.0 - np.exp(2.0 * (np.nanmean(base, axis=0) - np.nanmean(none, axis=0)))

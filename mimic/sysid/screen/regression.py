@@ -1,7 +1,4 @@
-"""Effects and sets of effects ranked by how much of the torque they explain in blocks that were left out.
-
-Longer than 350 lines: one search, whose methods share the matrices of the blocks.
-"""
+"""Effects ranked by how much of the torque they explain in blocks that were left out."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
 
 from mimic.dynamics.machine import MachineModel
 from mimic.errors import CalibrationError
@@ -30,26 +26,10 @@ GAUGE = ("gains", "kt_gain")
 REFINED = 4
 """Steps towards the best delay from there."""
 
-BLIND = ("delay_jitter", "lost_commands", "encoder_step")
-"""What torques cannot show: it moves targets and readings, not the torque that follows from them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScreenSettings:
-    """Thresholds of the screen."""
-
-    chance: float = 0.05
-    """Of claiming anything of a log that has nothing, over all columns together (Holm 1979)."""
-    least_gain: float = 0.02
-    """Share of the error that an effect must take: less is of no use in a simulation, or the filter's doing."""
-    block: float = 1.5
-    """Length of a block [s]: some correlation times of the residual of a PD joint."""
-    least_blocks: int = 12
-    """Fewest blocks: with less, z has no distribution to speak of."""
-    width: int = 4
-    """Sets that are kept of each size."""
-    most: int = 4
-    """Largest set."""
+BLOCK, LEAST_BLOCKS = 1.5, 12
+"""Length of a block [s], some correlation times of the residual of a PD joint, and the fewest: with less, z has no
+distribution to speak of.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,40 +42,16 @@ class Score:
     gain: float
     """Log of the error before over the error with it, mean of the left-out blocks."""
     z: float
-    """Gain over its standard error; of a set, the least over leaving one of it out."""
-    chance: float
-    """Of a z as large by chance, times the number of effects tried (and joints or all)."""
+    """Gain over its standard error."""
     coefficients: tuple[FloatArray, ...]
     """Of each effect, over all blocks (K,)."""
     blocks: FloatArray
     """Log of the error in each left-out block, of each joint (B, J)."""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Screen:
-    """What the torques of some logs say."""
-
-    joints: tuple[str, ...]
-    delay: float
-    """Of the targets [s]."""
-    error: FloatArray
-    """RMS of the torque that the baseline leaves (J,) [N m]."""
-    relative: FloatArray
-    """The same over the RMS of the torque (J,)."""
-    baseline: Score
-    singles: tuple[Score, ...]
-    """Best first, each with its best thresholds."""
-    sets: tuple[Score, ...]
-    """Sets each of which pays for all of its effects, best first; empty where nothing is claimed."""
-    blind: tuple[str, ...] = BLIND
-
-    rivals: tuple[str, ...] = ()
-    """Single effects that explain as much as the first one, as far as the left-out blocks can tell."""
-
     @property
-    def claimed(self) -> tuple[str, ...]:
-        """Names of the best set, strongest first."""
-        return self.sets[0].names if self.sets else ()
+    def total(self) -> float:
+        """Mean log error over blocks and joints."""
+        return float(np.nanmean(self.blocks))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +71,6 @@ class Torques:
     def __init__(
         self,
         logs: Sequence[tuple[JointLog, MachineModel]],
-        settings: ScreenSettings | None = None,
         rows: Sequence[BoolArray] | None = None,
         sending: Sequence[SendingTimes] | None = None,
     ) -> None:
@@ -123,14 +78,12 @@ class Torques:
 
         Args:
             logs: What one machine did, with the model for each (payloads may differ); gains are those of the log.
-            settings: Thresholds.
             rows: Rows of each log that may be looked at (T,); all by default.
             sending: When the targets of each were sent; with the rows that first show them by default.
 
         Raises:
             CalibrationError: If there is nothing to compare: no torque, too little motion.
         """
-        self._settings = settings or ScreenSettings()
         seen = rows or [np.ones(len(log.t), dtype=bool) for log, _ in logs]
         given = [
             (log.of(m.joints), m, use, sent)
@@ -139,50 +92,31 @@ class Torques:
         self.delay, self.motions = _with_delay(given)
         columns = Columns(self.motions)
         self._base = columns.baseline()
-        self._alone = _Search(self.motions, self._base, self._settings)
-        self._columns = columns.candidates(self._alone.left_of_baseline())
+        self.regression = Regression(self.motions, self._base)
+        """On what every model has."""
+        self.candidates = columns.candidates(self.regression.left_of_baseline())
 
-    def explained_by(self, column: FloatArray | None) -> FloatArray:
-        """Return the log error (B, J) of what the baseline leaves, less a column (T, J, K) that all joints share."""
-        return self._alone.score(()).blocks if column is None else self._alone.explained_by(column)
-
-    def screened(self, effects: Sequence[str] = (), given: Sequence[str] = ()) -> Screen:
-        """Rank effects and sets of effects by the torque that they explain.
+    def singles(self, effects: Sequence[str] = (), given: Sequence[str] = ()) -> list[Score]:
+        """Return how single effects do, best first, each with its best thresholds.
 
         Args:
-            effects: Names that may be claimed; empty for all.
+            effects: Names to choose from; empty for all.
             given: Effects that are there anyhow, with the thresholds that suit them best: all others come on top.
         """
-        base, search, candidates = list(self._base), self._alone, self._columns
+        base, regression, candidates = list(self._base), self.regression, self.candidates
         for name in given:
             own = [c for c in candidates if c.name == name]
             if own:
-                base.append(min(own, key=lambda c: _total(search.score((c,)))))
+                base.append(min(own, key=lambda c: regression.score((c,)).total))
                 candidates = [c for c in candidates if c.name != name]
-                search = _Search(self.motions, base, self._settings)
-        candidates = [c for c in candidates if not effects or c.name in effects]
-        singles, sets = search.run(candidates)
-        return Screen(
-            joints=self.motions[0].machine.joints,
-            delay=self.delay,
-            error=search.spread,
-            relative=search.spread / np.maximum(search.torque, 1e-12),
-            baseline=search.score(()),
-            singles=tuple(singles),
-            sets=tuple(sets),
-            rivals=tuple(s.names[0] for s in singles[1:] if behind(singles[0].blocks, s.blocks) < RULES.apart),
-        )
-
-
-def screen(
-    logs: Sequence[tuple[JointLog, MachineModel]],
-    settings: ScreenSettings | None = None,
-    effects: Sequence[str] = (),
-    given: Sequence[str] = (),
-    rows: Sequence[BoolArray] | None = None,
-) -> Screen:
-    """Rank effects and sets of effects of some logs by the torque that they explain; see `Torques`."""
-    return Torques(logs, settings, rows).screened(effects, given)
+                regression = Regression(self.motions, base)
+        before, found = regression.score(()).blocks, dict[str, Score]()
+        for c in candidates:
+            if not effects or c.name in effects:
+                s = regression.score((c,), before)
+                if c.name not in found or s.gain > found[c.name].gain:
+                    found[c.name] = s
+        return sorted(found.values(), key=lambda s: -s.gain)
 
 
 _Given = tuple[JointLog, MachineModel, BoolArray, SendingTimes]
@@ -210,7 +144,7 @@ def _plain(logs: Sequence[_Given], delay: float) -> tuple[float, float, list[Mot
     The error is that of a torque in units of the declared one, since all torques scale with inertia and friction.
     """
     motions = [motion_of(log, m, delay, use, sent) for log, m, use, sent in logs]
-    rows = _rows(motions, ScreenSettings())
+    rows = _rows(motions)
     left, later, weight = 0.0, 0.0, 0.0
     for j in range(motions[0].q.shape[1]):
         x, tau = [], []
@@ -229,9 +163,9 @@ def _plain(logs: Sequence[_Given], delay: float) -> tuple[float, float, list[Mot
     return left, float(later / max(weight, 1e-12)), motions
 
 
-def _rows(motions: Sequence[Motion], settings: ScreenSettings) -> _Rows:
+def _rows(motions: Sequence[Motion]) -> _Rows:
     y, joint, block, keep, blocks = [], [], [], [], 0
-    seconds = min(settings.block, sum(float(m.t[-1]) for m in motions) / (2 * settings.least_blocks))
+    seconds = min(BLOCK, sum(float(m.t[-1]) for m in motions) / (2 * LEAST_BLOCKS))
     for m in motions:
         edge = 2.0 / m.cut_off
         t = m.t[:: m.every]
@@ -245,18 +179,17 @@ def _rows(motions: Sequence[Motion], settings: ScreenSettings) -> _Rows:
     return _Rows(y=np.concatenate(y), joint=np.concatenate(joint), block=np.concatenate(block), keep=tuple(keep))
 
 
-class _Search:
+class Regression:
     """Sets of columns over the rows of all logs; chains that do not influence each other are solved apart."""
 
-    def __init__(self, motions: Sequence[Motion], baseline: Sequence[Column], settings: ScreenSettings) -> None:
-        self._motions, self._settings = motions, settings
-        self.rows = _rows(motions, settings)
+    def __init__(self, motions: Sequence[Motion], baseline: Sequence[Column]) -> None:
+        self.rows = _rows(motions)
         self._joints = motions[0].q.shape[1]
         counted = np.unique(self.rows.block)
-        if len(counted) < settings.least_blocks or not np.any(self.rows.y):
+        if len(counted) < LEAST_BLOCKS or not np.any(self.rows.y):
             raise CalibrationError(
-                f"the logs have {len(counted)} blocks of motion of {settings.block:g} s or less; torques can be"
-                f" compared from {settings.least_blocks} on: log more motion"
+                f"the logs have {len(counted)} blocks of motion of {BLOCK:g} s or less; torques can be"
+                f" compared from {LEAST_BLOCKS} on: log more motion"
             )
         self._block = np.searchsorted(counted, self.rows.block)
         self._blocks = len(counted)
@@ -351,10 +284,10 @@ class _Search:
             at += len(joints)
         return factor
 
-    def score(self, columns: Sequence[Column], before: FloatArray | None = None, tried: int = 1) -> Score:
+    def score(self, columns: Sequence[Column], before: FloatArray | None = None) -> Score:
         """Return how a set does; ``before`` is the log error (B, J) that it is compared with."""
         solved, _, logs = self._fit(columns)
-        gain, z = (0.0, 0.0) if before is None else _evidence(before - logs)
+        gain, z = (0.0, 0.0) if before is None else evidence(before - logs)
         coefficients, skip = [], [sum(int(self._mine(c, k).sum()) for c in self._base) for k in range(len(solved))]
         for c in columns:
             row = np.full(len(c.joint), np.nan)
@@ -369,75 +302,12 @@ class _Search:
             at=tuple(c.at for c in columns),
             gain=gain,
             z=z,
-            chance=min(1.0, tried * float(stats.t.sf(z, self._blocks - 1))),
             coefficients=tuple(coefficients),
             blocks=logs,
         )
 
     def _mine(self, column: Column, chain: int) -> BoolArray:
         return np.isin(column.joint, self._mates[chain]) | (column.joint < 0)
-
-    def run(self, candidates: Sequence[Column]) -> tuple[list[Score], list[Score]]:
-        """Return all single effects, best first, and the sets of which each effect pays."""
-        tried = len({c.name for c in candidates}) * (1 + (self._joints > 1))
-        wanted = self._settings
-        base = self.score(())
-        found: dict[str, tuple[Score, Column]] = {}
-        for c in candidates:
-            s = self.score((c,), base.blocks, tried)
-            if c.name not in found or s.gain > found[c.name][0].gain:
-                found[c.name] = (s, c)
-        singles = sorted((s for s, _ in found.values()), key=lambda s: -s.gain)
-        beam: list[tuple[Score, tuple[Column, ...]]] = [(base, ())]
-        best: list[tuple[Score, tuple[Column, ...]]] = []
-        for size in range(wanted.most):
-            grown: dict[tuple[str, ...], tuple[Score, tuple[Column, ...]]] = {}
-            for before, columns in beam:
-                for _, c in found.values():
-                    if c.name in {x.name for x in columns}:
-                        continue
-                    s = self.score((*columns, c), before.blocks, tried)
-                    if s.chance > wanted.chance or s.gain < wanted.least_gain:
-                        continue
-                    key = tuple(sorted(s.names))
-                    if key not in grown or _total(s) < _total(grown[key][0]):
-                        grown[key] = (s, (*columns, c))
-            if not grown:
-                break
-            beam = sorted(grown.values(), key=lambda r: _total(r[0]))[: wanted.width]
-            beam = [self._sharper(*row, candidates) for row in beam] if size else beam
-            beam = [row for row in beam if size == 0 or self._all_pay(*row, tried)]
-            best = beam + best
-            if not beam:
-                break
-        ranked = sorted(best, key=lambda r: _total(r[0]))
-        return singles, [self._against(base, s) for s, _ in ranked]
-
-    def _sharper(
-        self, score: Score, columns: tuple[Column, ...], candidates: Sequence[Column]
-    ) -> tuple[Score, tuple[Column, ...]]:
-        """Return a set with the thresholds of its last effect that suit it best beside the others."""
-        best = (score, columns)
-        for c in candidates:
-            if c.name == columns[-1].name and c is not columns[-1]:
-                s = self.score((*columns[:-1], c))
-                if _total(s) < _total(best[0]):
-                    best = (replace(score, at=s.at, coefficients=s.coefficients, blocks=s.blocks), (*columns[:-1], c))
-        return best
-
-    def _all_pay(self, score: Score, columns: tuple[Column, ...], tried: int) -> bool:
-        """Return whether each effect of a set is missed without it."""
-        for i in range(len(columns)):
-            rest = self.score((*columns[:i], *columns[i + 1 :]))
-            gain, z = _evidence(rest.blocks - score.blocks)
-            chance = tried * float(stats.t.sf(z, self._blocks - 1))
-            if gain < self._settings.least_gain or chance > self._settings.chance:
-                return False
-        return True
-
-    @staticmethod
-    def _against(base: Score, score: Score) -> Score:
-        return replace(score, gain=_evidence(base.blocks - score.blocks)[0])
 
 
 def _without_each(
@@ -465,12 +335,7 @@ def behind(best: FloatArray, other: FloatArray) -> float:
     return float(d.mean() / (d.std(ddof=1) + 1e-12) * np.sqrt(len(d)))
 
 
-def _total(score: Score) -> float:
-    """Return the mean log error of a set over blocks and joints."""
-    return float(np.nanmean(score.blocks))
-
-
-def _evidence(difference: FloatArray) -> tuple[float, float]:
+def evidence(difference: FloatArray) -> tuple[float, float]:
     """Return mean gain and z of log errors (B, J): of all joints together, or of the one that shows it best."""
     best = (-np.inf, -np.inf)
     columns = [np.nanmean(np.where(np.isfinite(difference).any(1, keepdims=True), difference, 0.0), axis=1)]
@@ -503,7 +368,7 @@ def asked_for(
     """
     found: dict[str, list[Score]] = {}
     for one in torques:
-        for s in one.screened(effects, given).singles:
+        for s in one.singles(effects, given):
             found.setdefault(s.names[0], []).append(s)
     by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
     by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
@@ -522,11 +387,11 @@ def torques_of(
     Where torque was measured, once with that (the mechanics) and once with what the drives were asked for (all). None
     where there is too little motion to judge anything.
     """
-    quick, made = ScreenSettings(most=0), []
+    made = []
     if all(log.tau is not None and log.q_des is not None for log, _ in logs):
         made.append(logs)
     made.append([(replace(log, tau=None) if log.q_des is not None else log, m) for log, m in logs])
     try:
-        return tuple(Torques(one, quick, rows, sending) for one in made)
+        return tuple(Torques(one, rows, sending) for one in made)
     except CalibrationError:
         return ()

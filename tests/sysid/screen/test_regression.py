@@ -13,7 +13,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.screen.regression import ScreenSettings, Torques, asked_for, screen, torques_of
+from mimic.sysid.screen.regression import Torques, asked_for, torques_of
 from mimic.sysid.timing import at_rows
 
 MASS, LENGTH, ROTOR, DRY, VISCOUS, DELAY = 0.8, 0.15, 0.004, 0.12, 0.03, 0.006
@@ -56,35 +56,35 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
     return read_machine(path)
 
 
-def test_nothing_is_claimed_of_a_machine_without_hidden_effects(machine: MachineModel) -> None:
-    made = screen([(pendulum(), machine)])
-    assert made.claimed == ()
+def test_little_is_left_of_a_machine_without_hidden_effects(machine: MachineModel) -> None:
+    made = Torques([(pendulum(), machine)])
     assert made.delay == pytest.approx(DELAY, abs=1e-3)
-    assert made.relative[0] < 0.03
+    assert made.regression.spread < 0.03 * made.regression.torque
 
 
 def test_load_friction_is_first_with_its_size(machine: MachineModel) -> None:
-    made = screen([(pendulum(load=0.15), machine)])
-    assert made.singles[0].names == made.claimed == ("load_friction",)
-    assert made.singles[0].coefficients[0][0] == pytest.approx(0.15, rel=0.15)
+    best = Torques([(pendulum(load=0.15), machine)]).singles()[0]
+    assert best.names == ("load_friction",)
+    assert best.coefficients[0][0] == pytest.approx(0.15, rel=0.15)
 
 
-def test_two_effects_are_claimed_as_a_set(machine: MachineModel) -> None:
-    made = screen([(pendulum(load=0.15, drag=0.03), machine)])
-    assert {"load_friction", "quadratic_drag"} <= set(made.claimed)
+def test_what_is_given_leaves_the_other_effect(machine: MachineModel) -> None:
+    torques = Torques([(pendulum(load=0.15, drag=0.06), machine)])
+    first = torques.singles(("load_friction", "quadratic_drag", "spring"))[0]
+    (other,) = {"load_friction", "quadratic_drag"} - set(first.names)
+    assert torques.singles(("load_friction", "quadratic_drag", "spring"), given=first.names)[0].names == (other,)
 
 
 def test_short_logs_with_other_gains_are_pooled(machine: MachineModel) -> None:
     logs = [(pendulum(8.0, kp=kp, seed=k, load=0.15), machine) for k, kp in enumerate((15.0, 30.0, 50.0))]
-    made = screen(logs)
-    alone = screen(logs[:1])
-    assert made.singles[0].names == ("load_friction",)
-    assert made.singles[0].z > alone.singles[0].z
+    made, alone = (Torques(some).singles() for some in (logs, logs[:1]))
+    assert made[0].names == ("load_friction",)
+    assert made[0].z > alone[0].z
 
 
 def test_only_named_effects_are_tried(machine: MachineModel) -> None:
-    made = screen([(pendulum(8.0, load=0.15), machine)], effects=("spring", "stribeck"))
-    assert {s.names[0] for s in made.singles} == {"spring", "stribeck"}
+    made = Torques([(pendulum(8.0, load=0.15), machine)]).singles(("spring", "stribeck"))
+    assert {s.names[0] for s in made} == {"spring", "stribeck"}
 
 
 def test_a_shortlist_has_what_is_hidden_first_and_what_torques_cannot_judge(machine: MachineModel) -> None:
@@ -99,10 +99,11 @@ def test_rows_that_may_not_be_looked_at_change_nothing(machine: MachineModel) ->
     rows = log.t < 12.0
     q = np.where(log.t[:, None] > 13.0, log.q * 0.7 + 0.2 * np.sin(9 * log.t)[:, None], log.q)
     other = JointLog(joints=log.joints, t=log.t, q=q, q_des=log.q_des, metadata=log.metadata)
-    made, again = (screen([(x, machine)], ScreenSettings(most=0), rows=[rows]) for x in (log, other))
-    assert made.singles[0].names == again.singles[0].names == ("load_friction",)
-    assert again.error == pytest.approx(made.error, rel=0.02)
-    assert screen([(other, machine)], ScreenSettings(most=0)).error > 2 * made.error
+    made, again = (Torques([(x, machine)], rows=[rows]) for x in (log, other))
+    assert made.singles()[0].names == again.singles()[0].names == ("load_friction",)
+    left = [t.regression.spread for t in (made, again, Torques([(other, machine)]))]
+    assert left[1] == pytest.approx(left[0], rel=0.02)
+    assert left[2] > 2 * left[0]
 
 
 def test_where_nothing_can_be_judged_there_are_no_torques(machine: MachineModel) -> None:
@@ -117,7 +118,7 @@ def test_targets_are_those_of_the_times_at_which_they_were_sent(machine: Machine
     sent = replace(at_rows(log), at=np.arange(len(at_rows(log).at)) * 0.02)
     late = replace(log, t=log.t + 0.0, q_des=np.concatenate([log.q_des[:1], log.q_des[:-1]]))
     known = replace(sent, rows=at_rows(late).rows, at=sent.at[: len(at_rows(late).rows)])
-    right, shown = (Torques([(late, machine)], sending=x).screened() for x in ([known], None))
+    right, shown = (Torques([(late, machine)], sending=x) for x in ([known], None))
     assert right.delay == pytest.approx(DELAY, abs=1e-3)
     assert shown.delay == pytest.approx(DELAY - 0.005, abs=1e-3)
 
@@ -126,7 +127,7 @@ def test_a_joint_at_rest_is_refused_with_what_to_do(machine: MachineModel) -> No
     log = pendulum(4.0)
     still = JointLog(joints=log.joints, t=log.t, q=log.q * 0, q_des=log.q_des, metadata=log.metadata)
     with pytest.raises(CalibrationError, match="log more motion"):
-        screen([(still, machine)], ScreenSettings())
+        Torques([(still, machine)])
 
 
 @pytest.mark.slow
@@ -136,7 +137,7 @@ def test_asymmetric_friction_of_a_worn_screw_is_first(tmp_path: Path) -> None:
 
     columns = read_emps(Path("../shared/data/logs/emps/DATA_EMPS.parquet"))
     (tmp_path / "emps.xml").write_text(EMPS_MJCF, encoding="utf-8")
-    made = screen([(emps_log(columns, identify(columns)), read_machine(tmp_path / "emps.xml"))])
-    assert made.singles[0].names == ("asymmetric_friction",)
+    best = Torques([(emps_log(columns, identify(columns)), read_machine(tmp_path / "emps.xml"))]).singles()[0]
+    assert best.names == ("asymmetric_friction",)
     forward, backward = ASYMMETRIC["viscous"]
-    assert -made.singles[0].coefficients[0][1] == pytest.approx((backward - forward) / 2, rel=0.05)
+    assert -best.coefficients[0][1] == pytest.approx((backward - forward) / 2, rel=0.05)
