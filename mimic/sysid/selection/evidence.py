@@ -15,7 +15,6 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import deviations
 from mimic.sysid.result import Candidate
 from mimic.sysid.selection.jitter import Timing
-from mimic.sysid.selection.starts import least_order, on_harmonic
 from mimic.sysid.thresholds import RULES
 
 INDEPENDENT = 10.0
@@ -23,6 +22,10 @@ INDEPENDENT = 10.0
 
 MATERIAL = 0.0125
 """Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
+
+
+LEAST_PERIODS = 1.5
+"""Fewest periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -307,3 +310,20 @@ def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
 def earns_its_keep(problem: Problem, whole: Fit, without: Fit) -> bool:
     """Return whether an effect pays: a fit with it against one without."""
     return pays(problem, left_out(whole, problem)[0], left_out(without, problem)[0])
+
+
+def least_order(q: FloatArray) -> float:
+    """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
+    return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
+
+
+def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
+    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
+
+    What depends on the state repeats with the motion, so that nothing external can be told from it there.
+    """
+    every = problem.period
+    if every is None:
+        return np.zeros(np.shape(frequency), dtype=bool)
+    turns = np.asarray(frequency) * every
+    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration

@@ -17,6 +17,7 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, linear_step
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.selection.evidence import least_order, on_harmonic
 
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
@@ -26,9 +27,6 @@ MOST_PERIODS = 40
 
 BINS = 20
 """Places that the residual is averaged over, in the shortest period of cogging."""
-
-LEAST_PERIODS = 1.5
-"""Fewest; a longer wave is a spring, or whatever else depends on position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,11 +110,6 @@ def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint
     return float(orders[int(np.argmax(power))])
 
 
-def least_order(q: FloatArray) -> float:
-    """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
-    return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
-
-
 def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
     """Frequency at which the residual is strongest, of those that the motion itself does not have."""
     r = _left(incumbent, joint)
@@ -126,18 +119,6 @@ def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, j
     frequency = np.fft.rfftfreq(size, dt)
     inside = (frequency > 0.1) & (frequency < 20.0) & ~on_harmonic(problem, frequency)
     return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
-
-
-def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
-    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
-
-    What depends on the state repeats with the motion, so that nothing external can be told from it there.
-    """
-    every = problem.period
-    if every is None:
-        return np.zeros(np.shape(frequency), dtype=bool)
-    turns = np.asarray(frequency) * every
-    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration
 
 
 def starting_points(
