@@ -65,13 +65,9 @@ def targets(seconds: float = 11.0, seed: int = 0) -> tuple[np.ndarray, np.ndarra
     return t, np.where((t % 10 > 7)[:, None], steps, q)
 
 
-FINE = LogSettings().timestep
-"""Step of logs whose test turns on the last digits of a fit [s]."""
-
-
-def log_of(arm: MachineModel, *hidden: EffectValues, seed: int = 1, timestep: float = 0.001) -> JointLog:
+def log_of(arm: MachineModel, *hidden: EffectValues, seed: int = 1) -> JointLog:
     t, q_des = targets(seed=seed)
-    made = simulate_log(arm, t, q_des, EffectSet((*BASELINE, *hidden)), LogSettings(seed=seed, timestep=timestep))
+    made = simulate_log(arm, t, q_des, EffectSet((*BASELINE, *hidden)), LogSettings(seed=seed, timestep=0.001))
     return replace(made, tau=None)
 
 
@@ -161,6 +157,8 @@ def test_gains_of_one_joint_are_reported_of_its_whole_chain(arm: MachineModel) -
     assert added(result) == ["gains"]
     gains = next(e for e in result.effects if e.name == "gains")
     assert gains.joints == ("shoulder", "elbow")
+    assert gains.values["kd"] == pytest.approx([1.0, 1.0])  # without measured torque it is that of friction
+    assert "kd" not in gains.intervals
     low, high = gains.intervals["kp"].T
     assert np.all(low < [1.3, 1.0]), gains.intervals
     assert np.all(high > [1.3, 1.0]), gains.intervals
@@ -259,9 +257,9 @@ def test_nothing_is_named_where_a_baseline_parameter_stops_at_its_bound(arm: Mac
     sticky = EffectValues(
         name="stribeck", joints=("elbow",), values={"level": np.array([0.25]), "speed": np.array([0.15])}
     )
-    log = log_of(arm, sticky, timestep=FINE)
+    log = log_of(arm, sticky)
     other = replace(log, metadata={**log.metadata, "kd": {"shoulder": 0.97, "elbow": 0.8}})
-    result = calibrate(other, arm, CalibrateSettings(effects=("stribeck",), most_effects=1))
+    result = calibrate(other, arm, settings(effects=("stribeck",), most_effects=1))
     assert added(result) == []
     assert any(line.startswith("Stribeck friction was rejected") for line in result.warnings)
     assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]

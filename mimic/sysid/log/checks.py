@@ -9,8 +9,19 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log import blocks, faults
-from mimic.sysid.log.faults import FOLLOWS
+from mimic.sysid.log.blocks import at_odd_times, filled, missing, spikes, valid_samples
+from mimic.sysid.log.faults import (
+    FOLLOWS,
+    beyond,
+    excitation,
+    full,
+    gaps,
+    misassigned,
+    stuck,
+    turns,
+    units,
+    weak_following,
+)
 from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 from mimic.sysid.log.pool import followed
 
@@ -60,18 +71,18 @@ def check_log(
         CalibrationError: If nothing can be fitted to it; a line for each reason.
     """
     log, warnings = _readable(log)
-    warnings += faults.gaps(log)
-    wrong = [*faults.units(log, limits, unit)] or [*faults.turns(log, unit)]
+    warnings += gaps(log)
+    wrong = [*units(log, limits, unit)] or [*turns(log, unit)]
     if wrong:
         raise CalibrationError("\n".join(wrong))
     target = followed(log)
     found = None if target is None else following(log.t, log.q, target)
     if found is not None:
-        wrong = list(faults.misassigned(log, found.correlation, found.moves))
+        wrong = list(misassigned(log, found.correlation, found.moves))
         if wrong:
             raise CalibrationError("\n".join(wrong))
-        warnings += faults.weak_following(log, found.correlation, found.lag, found.moves)
-    known = blocks.valid_samples(log)
+        warnings += weak_following(log, found.correlation, found.lag, found.moves)
+    known = valid_samples(log)
     noise = noise_floor(log.q, log.rate, known)
     step = np.array([resolution(c) for c in log.q[known].T])
     asked = target if target is not None else log.force
@@ -80,10 +91,10 @@ def check_log(
         asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
     moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
     warnings += [
-        *faults.stuck(log),
-        *faults.excitation(log, moves, noise, unit),
-        *faults.beyond(log, limits),
-        *faults.full(log, torque),
+        *stuck(log),
+        *excitation(log, moves, noise, unit),
+        *beyond(log, limits),
+        *full(log, torque),
     ]
     repeat = find_repeat(log.t, asked)
     return LogCheck(
@@ -171,7 +182,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
         warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
         log = log.part(ok)
-    if (spiked := blocks.spikes(log)).any():
+    if (spiked := spikes(log)).any():
         i, j = (int(x[0]) for x in np.nonzero(spiked))
         rows = spiked.any(axis=1)
         warnings.append(
@@ -179,14 +190,14 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
             f" such as q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
         )
         log = replace(log, q=np.where(spiked, np.nan, log.q))
-    gone = blocks.missing(log)
-    odd = blocks.at_odd_times(log, MOST_LOST) & ~gone
+    gone = missing(log)
+    odd = at_odd_times(log, MOST_LOST) & ~gone
     if odd.any():
         warnings.append(
             f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
         )
     if (unseen := gone | odd).any():
-        log = blocks.filled(log, unseen)
+        log = filled(log, unseen)
     back = np.flatnonzero(np.diff(log.t) < 0)
     if len(back):
         i = int(back[0])
