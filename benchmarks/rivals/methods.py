@@ -23,7 +23,7 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.pool import pool
+from mimic.sysid.logs import pool
 from mimic.sysid.screen.motion import Motion
 from mimic.sysid.screen.regression import Torques
 

@@ -23,7 +23,7 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.step_refinement import compared
 from mimic.sysid.fit.uncertainty import correlations, deviations
 from mimic.sysid.log.checks import targets_match_log
-from mimic.sysid.log.pool import pool
+from mimic.sysid.logs import pool
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
 from mimic.sysid.screen.regression import Torques, torques_of
 from mimic.sysid.selection.evidence import stopped

@@ -12,7 +12,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.log.blocks import Blocks, Sums
+from mimic.sysid.logs import Blocks, Sums
 from mimic.sysid.replay.cpu import Replay
 
 Key = tuple[str, str]

@@ -9,7 +9,6 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.blocks import at_odd_times, filled, missing, spikes, valid_samples
 from mimic.sysid.log.faults import (
     FOLLOWS,
     beyond,
@@ -23,7 +22,7 @@ from mimic.sysid.log.faults import (
     weak_following,
 )
 from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
-from mimic.sysid.log.pool import followed
+from mimic.sysid.logs import at_odd_times, filled, followed, missing, spikes, valid_samples
 
 MOST_LOST = 0.2
 """Greatest share of rows that may be left out."""

@@ -23,7 +23,7 @@ from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.log.pool import Part, enabled, rows_of, single
+from mimic.sysid.logs import Part, enabled, rows_of, single
 from mimic.sysid.replay.records import Job, Prediction, Readings, Targets, acting, on_grid, stretch_starts
 from mimic.sysid.timing import SendingTimes, at_rows
 

@@ -24,7 +24,7 @@ from mimic.dynamics.servo import static_fields, target_shift
 from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.pool import Part
+from mimic.sysid.logs import Part
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.gpu_batch import STATIC, WorldBatch
 from mimic.sysid.replay.records import Job, Prediction, Targets, acting

@@ -13,7 +13,7 @@ from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
 from mimic.sysid.fit.step_refinement import FINE
-from mimic.sysid.log.blocks import valid_samples
+from mimic.sysid.logs import valid_samples
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
 from mimic.sysid.timing import sending_times

@@ -16,7 +16,7 @@ from mimic.sysid.fit.baseline import fit_baseline, problem_of
 from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.logs import make_blocks
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.simulate import simulate_log
 

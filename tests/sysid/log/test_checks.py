@@ -13,10 +13,10 @@ import pytest
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
-from mimic.sysid.log.blocks import valid_samples
 from mimic.sysid.log.checks import check_log, targets_match_log
 from mimic.sysid.log.faults import units
 from mimic.sysid.log.noise import period
+from mimic.sysid.logs import valid_samples
 
 JOINTS = ("hip", "knee", "ankle")
 NOISE = 0.0004

@@ -16,8 +16,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.baseline import problem_of
 from mimic.sysid.fit.point import Point
-from mimic.sysid.log.blocks import make_blocks
-from mimic.sysid.log.pool import pool
+from mimic.sysid.logs import make_blocks, pool
 from mimic.sysid.replay.simulate import simulate_log
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>

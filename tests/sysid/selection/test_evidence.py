@@ -8,7 +8,7 @@ import pytest
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.logs import make_blocks
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.selection.evidence import paired
 

@@ -14,7 +14,7 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.blocks import make_blocks
+from mimic.sysid.logs import make_blocks
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.simulate import simulate_log
 from mimic.sysid.result import Calibration
