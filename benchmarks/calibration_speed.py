@@ -29,8 +29,8 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import RANGES, fit_baseline, random_search
 from mimic.sysid.fit.point import Point, stack
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.logs import make_blocks
+from mimic.sysid.noise import noise_floor
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
 from mimic.sysid.result import Errors

@@ -25,8 +25,8 @@ from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.logs import make_blocks
+from mimic.sysid.noise import noise_floor
 from mimic.sysid.replay.cpu import Replay
 
 BATCH = 128

@@ -19,8 +19,8 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.point import Key, Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.logs import Pool, enabled, make_blocks, pool, valid_samples
+from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import physics_step
 

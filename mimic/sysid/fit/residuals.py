@@ -21,8 +21,8 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.point import FreeParameter, Key, Point, normal_equations, scales, stack
-from mimic.sysid.log.noise import period
 from mimic.sysid.logs import Blocks, Sums
+from mimic.sysid.noise import period
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.records import Job
 from mimic.sysid.timing import SendingTimes

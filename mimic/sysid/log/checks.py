@@ -21,8 +21,8 @@ from mimic.sysid.log.faults import (
     units,
     weak_following,
 )
-from mimic.sysid.log.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 from mimic.sysid.logs import at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.noise import Following, Repeat, find_repeat, following, noise_floor, repeatability, resolution
 
 MOST_LOST = 0.2
 """Greatest share of rows that may be left out."""

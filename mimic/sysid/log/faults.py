@@ -9,7 +9,7 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import UNITS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.noise import noise_floor, reversals, speed
+from mimic.sysid.noise import noise_floor, reversals, speed
 
 GAP = 1.5
 """Two readings further apart than this many usual distances have others missing between them."""

@@ -17,8 +17,8 @@ from scipy.signal import butter, sosfiltfilt
 from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.logs import enabled
+from mimic.sysid.noise import noise_floor
 from mimic.sysid.timing import SendingTimes, at_rows
 
 BANDWIDTH = 1.2

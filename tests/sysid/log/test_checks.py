@@ -15,8 +15,8 @@ from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
 from mimic.sysid.log.checks import check_log, targets_match_log
 from mimic.sysid.log.faults import units
-from mimic.sysid.log.noise import period
 from mimic.sysid.logs import valid_samples
+from mimic.sysid.noise import period
 
 JOINTS = ("hip", "knee", "ankle")
 NOISE = 0.0004

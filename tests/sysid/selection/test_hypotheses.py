@@ -16,8 +16,8 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.least_squares import Fit, fit, left_out
 from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
-from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.logs import make_blocks
+from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.replay.cpu import Replay
 from mimic.sysid.replay.simulate import simulate_log
 from mimic.sysid.selection.evidence import evaluate
