@@ -18,7 +18,7 @@ from mimic.io import store
 if TYPE_CHECKING:
     from mimic.dynamics.machine import MachineModel
     from mimic.io.joint_log import JointLog
-    from mimic.sysid.log.checks import LogCheck
+    from mimic.sysid.checks import LogCheck
     from mimic.sysid.result import Calibration
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
@@ -172,7 +172,7 @@ def checked_log(
     import numpy as np
 
     from mimic.io.joint_log import read_log
-    from mimic.sysid.log.checks import check_log
+    from mimic.sysid.checks import check_log
 
     if isinstance(log, (str, Path)):
         log = read_log(Path(log), notes)

@@ -13,8 +13,7 @@ import pytest
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
-from mimic.sysid.log.checks import check_log, targets_match_log
-from mimic.sysid.log.faults import units
+from mimic.sysid.checks import check_log, targets_match_log, units
 from mimic.sysid.logs import valid_samples
 from mimic.sysid.noise import period
 

@@ -1,1 +1,0 @@
-"""What a log holds: checks, noise, gaps, encoder steps, blocks of time."""
