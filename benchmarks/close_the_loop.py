@@ -31,7 +31,7 @@ from mimic.records import JOINTS
 from mimic.robot.description import load_description
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.checks import check_log
-from mimic.sysid.replay.simulate import simulate_log
+from mimic.sysid.predict import simulate_log
 
 HIDDEN = EffectSet(
     (

@@ -30,7 +30,7 @@ from benchmarks.rivals.methods import METHODS, Found
 from mimic.dynamics.machine import as_logged
 from mimic.errors import MimicError
 from mimic.sysid.noise import noise_floor
-from mimic.sysid.replay.predict import predict
+from mimic.sysid.predict import predict
 
 LEGS = (
     "single/stribeck/medium/probe/0/20s/grid/leg",

@@ -66,7 +66,7 @@ def predict_log(
 
     from mimic.dynamics.effect_set import EffectSet, read_effects
     from mimic.dynamics.machine import as_logged
-    from mimic.sysid.replay.predict import predict
+    from mimic.sysid.predict import predict
     from mimic.sysid.result import Errors
 
     if not 0 <= threads <= 1024:
@@ -146,7 +146,7 @@ def simulate_log(
     from mimic.dynamics.excitation import hung_ranges, probe_targets
     from mimic.io.joint_log import write_log
     from mimic.robot.description import load_description
-    from mimic.sysid.replay.simulate import simulate_log as simulate
+    from mimic.sysid.predict import simulate_log as simulate
 
     motion, settings = motion or LogMotion(), settings or LogSettings()
     if out is not None:

@@ -16,7 +16,7 @@ from mimic.dynamics.machine import MachineModel, read_machine, with_gains
 from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.replay.simulate import simulate_log
+from mimic.sysid.predict import simulate_log
 from mimic.sysid.result import Calibration
 
 ARM = """

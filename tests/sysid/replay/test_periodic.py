@@ -7,7 +7,7 @@ from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.replay.simulate import simulate_log
+from mimic.sysid.predict import simulate_log
 
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.1"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>

@@ -7,8 +7,7 @@ from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import ConfigError
-from mimic.sysid.replay.predict import predict
-from mimic.sysid.replay.simulate import simulate_log
+from mimic.sysid.predict import predict, simulate_log
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.006 0.006 0.0002"/></body></worldbody></mujoco>"""
