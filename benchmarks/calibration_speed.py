@@ -62,7 +62,7 @@ def replay_on(device: str, machine: MachineModel, log: JointLog, threads: int) -
     step = physics_step(log.rate)
     if device == "cpu":
         return Replay(machine, log, timestep=step, threads=threads, torque=True)
-    from mimic.sysid.replay.gpu import WorldReplay
+    from mimic.sysid.gpu_replay import WorldReplay
 
     device = "cpu" if device == "cpu-worlds" else device
     return WorldReplay(machine, log, device=device, timestep=step, threads=threads, torque=True)

@@ -108,7 +108,7 @@ def _replay(together: Pool, machine: MachineModel, settings: CalibrateSettings) 
     if settings.device == "cpu":
         return Replay(machine, log, **own)
     try:
-        from mimic.sysid.replay.gpu import WorldReplay
+        from mimic.sysid.gpu_replay import WorldReplay
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
     return WorldReplay(machine, log, device=settings.device, **own)

@@ -24,7 +24,7 @@ from mimic.sysid.replay.records import Job, Targets
 
 torch = pytest.importorskip("torch", reason="worlds need the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="worlds need the extra 'train'")
-from mimic.sysid.replay.gpu import WorldReplay  # noqa: E402
+from mimic.sysid.gpu_replay import WorldReplay  # noqa: E402
 
 ARM = """<mujoco><worldbody><body name="upper" pos="0 0 1">
 <joint name="shoulder" axis="0 1 0" armature="0.003" damping="0.04" frictionloss="0.05"/>
