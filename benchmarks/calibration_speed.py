@@ -31,8 +31,7 @@ from mimic.sysid.fit.point import Point, stack
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
-from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import physics_step
+from mimic.sysid.replay import Replay, physics_step
 from mimic.sysid.result import Errors
 
 SIZES = (1, 16, 64, 256)

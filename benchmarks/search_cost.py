@@ -27,7 +27,7 @@ from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
-from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay import Replay
 
 BATCH = 128
 """Samples between two points of the curve."""

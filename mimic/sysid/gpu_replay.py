@@ -28,8 +28,7 @@ from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.logs import Part
-from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import Job, Prediction, Targets, acting
+from mimic.sysid.replay import Job, Prediction, Replay, Targets, acting
 from mimic.sysid.timing import SendingTimes
 
 STATIC = (

@@ -21,8 +21,7 @@ from mimic.sysid.fit.point import Key, Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.noise import coarse_steps, noise_floor
-from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import physics_step
+from mimic.sysid.replay import Replay, physics_step
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; measured torque tells them from it, another Kd, or drives that are off.

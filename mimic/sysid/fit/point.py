@@ -13,7 +13,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.logs import Blocks, Sums
-from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay import Replay
 
 Key = tuple[str, str]
 """(effect, parameter)"""

@@ -23,8 +23,7 @@ from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.point import FreeParameter, Key, Point, normal_equations, scales, stack
 from mimic.sysid.logs import Blocks, Sums
 from mimic.sysid.noise import period
-from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import Job
+from mimic.sysid.replay import Job, Replay
 from mimic.sysid.timing import SendingTimes
 
 REMEMBERED = 4

@@ -18,7 +18,7 @@ from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay import Replay
 
 ARM = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>

@@ -19,8 +19,7 @@ from mimic.sysid.fit.point import Point, stack
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay.cpu import Replay
-from mimic.sysid.replay.records import Job, Targets
+from mimic.sysid.replay import Job, Replay, Targets
 
 torch = pytest.importorskip("torch", reason="worlds need the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="worlds need the extra 'train'")

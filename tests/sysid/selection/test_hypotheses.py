@@ -19,7 +19,7 @@ from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay import Replay
 from mimic.sysid.selection.evidence import evaluate
 from mimic.sysid.selection.hypotheses import Hypothesis, elsewhere_too, further
 from mimic.sysid.selection.pruning import pruned

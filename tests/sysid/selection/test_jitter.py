@@ -16,7 +16,7 @@ from mimic.sysid.fit.point import Point
 from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay.cpu import Replay
+from mimic.sysid.replay import Replay
 from mimic.sysid.result import Calibration
 from mimic.sysid.selection.jitter import eased, timings
 

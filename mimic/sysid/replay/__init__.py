@@ -1,1 +1,0 @@
-"""Replays of a log on the model, on the CPU and on a GPU."""
