@@ -27,11 +27,10 @@ from mimic.io.joint_log import CHANNELS, JointLog, read_log
 from mimic.robot.description import load_description
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import RANGES, fit_baseline, random_search
-from mimic.sysid.fit.point import Point, stack
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
 from mimic.sysid.replay import Replay, physics_step
+from mimic.sysid.residuals import Point, Problem, stack
 from mimic.sysid.result import Errors
 
 SIZES = (1, 16, 64, 256)

@@ -23,11 +23,10 @@ from mimic.records import FloatArray
 from mimic.robot.description import load_description
 from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.fit.least_squares import fit
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
 from mimic.sysid.replay import Replay
+from mimic.sysid.residuals import Point, Problem
 
 BATCH = 128
 """Samples between two points of the curve."""

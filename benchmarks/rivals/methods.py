@@ -21,9 +21,8 @@ from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import problem_of, step_of
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import pool
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.screen.motion import Motion
 from mimic.sysid.screen.regression import Torques
 

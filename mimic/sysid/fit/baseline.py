@@ -17,11 +17,10 @@ from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
-from mimic.sysid.fit.point import Key, Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.replay import Replay, physics_step
+from mimic.sysid.residuals import Key, Point, Problem
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; measured torque tells them from it, another Kd, or drives that are off.

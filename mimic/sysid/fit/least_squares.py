@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.point import FreeParameter, Key, Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import Sums
+from mimic.sysid.residuals import FreeParameter, Key, Point, Problem
 
 DAMPINGS = (0.0, 0.1, 3.0)
 """Values of Levenberg's parameter that are tried side by side."""

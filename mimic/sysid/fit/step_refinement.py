@@ -10,8 +10,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.residuals import Point, Problem
 
 FINE = 5
 """A fine replay has this many times more steps."""

@@ -6,8 +6,7 @@ import numpy as np
 
 from mimic.records import FloatArray
 from mimic.sysid.fit.least_squares import Fit, prior
-from mimic.sysid.fit.point import Key
-from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.residuals import Key, Problem
 from mimic.sysid.result import Correlations
 
 

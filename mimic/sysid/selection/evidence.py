@@ -10,9 +10,8 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, Judged, left_out, prior
-from mimic.sysid.fit.point import FreeParameter
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.fit.uncertainty import deviations
+from mimic.sysid.residuals import FreeParameter, Problem
 from mimic.sysid.result import Candidate
 from mimic.sysid.selection.jitter import Timing
 from mimic.sysid.thresholds import RULES

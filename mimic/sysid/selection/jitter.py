@@ -16,9 +16,8 @@ from scipy import linalg
 
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.least_squares import Fit, prior
-from mimic.sysid.fit.point import Point, stack
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.replay import Targets
+from mimic.sysid.residuals import Point, Problem, stack
 from mimic.sysid.selection.delay_models import (
     CERTAIN,
     MODELS,

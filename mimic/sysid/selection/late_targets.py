@@ -9,8 +9,7 @@ import numpy as np
 
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import TriedEffect, paired, too_little
 from mimic.sysid.selection.jitter import Timing, eased, timings
 from mimic.sysid.thresholds import RULES

@@ -15,9 +15,9 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.by_log import errors_of
 from mimic.sysid.fit.least_squares import fit
-from mimic.sysid.fit.point import FreeParameter, Point
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps
 from mimic.sysid.fit.uncertainty import of_white_noise
+from mimic.sysid.residuals import FreeParameter, Point
 from mimic.sysid.result import Candidate, Stage
 from mimic.sysid.selection.evidence import cross_validated, earns_its_keep, paired, stopped
 from mimic.sysid.selection.hypotheses import AS_WITHOUT, Hypothesis, as_good_without, best_without

@@ -15,8 +15,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, linear_step
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import least_order, on_harmonic
 
 FINEST_ORDER = 0.5

@@ -14,11 +14,10 @@ from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, read_mac
 from mimic.robot.description import load_description
 from mimic.sysid.fit.baseline import fit_baseline, problem_of
 from mimic.sysid.fit.least_squares import fit
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
+from mimic.sysid.residuals import Point, Problem
 
 ARM = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>

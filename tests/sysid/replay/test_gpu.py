@@ -15,11 +15,10 @@ from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.fit.least_squares import fit
-from mimic.sysid.fit.point import Point, stack
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Job, Replay, Targets
+from mimic.sysid.residuals import Point, Problem, stack
 
 torch = pytest.importorskip("torch", reason="worlds need the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="worlds need the extra 'train'")

@@ -7,9 +7,9 @@ import pytest
 
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.replay import Replay
+from mimic.sysid.residuals import Problem
 from mimic.sysid.selection.evidence import paired
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>

@@ -14,12 +14,11 @@ from mimic.dynamics.servo import neutral
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.least_squares import Fit, fit, left_out
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import evaluate
 from mimic.sysid.selection.hypotheses import Hypothesis, elsewhere_too, further
 from mimic.sysid.selection.pruning import pruned

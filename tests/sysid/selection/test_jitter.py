@@ -12,11 +12,10 @@ from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.least_squares import fit
-from mimic.sysid.fit.point import Point
-from mimic.sysid.fit.residuals import Problem
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.result import Calibration
 from mimic.sysid.selection.jitter import eased, timings
 
