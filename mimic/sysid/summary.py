@@ -8,8 +8,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray
-from mimic.sysid.fit.least_squares import Fit
-from mimic.sysid.fit.uncertainty import weak_directions
+from mimic.sysid.least_squares import Fit, weak_directions
 from mimic.sysid.residuals import FreeParameter, Problem
 from mimic.sysid.result import Errors, Stage, UnexplainedResidual
 from mimic.sysid.screen.base import BaseMotion

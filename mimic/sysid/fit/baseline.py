@@ -16,7 +16,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.least_squares import Fit, fit
 from mimic.sysid.logs import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.replay import Replay, physics_step

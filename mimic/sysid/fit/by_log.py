@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.step_refinement import in_fine_steps
+from mimic.sysid.least_squares import Fit, fit
 from mimic.sysid.residuals import Problem
 from mimic.sysid.result import Errors, LogErrors
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
+from mimic.sysid.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
 from mimic.sysid.residuals import Point, Problem
 
 FINE = 5

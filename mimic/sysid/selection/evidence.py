@@ -9,8 +9,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, Judged, left_out, prior
-from mimic.sysid.fit.uncertainty import deviations
+from mimic.sysid.least_squares import Fit, Judged, deviations, left_out, prior
 from mimic.sysid.residuals import FreeParameter, Problem
 from mimic.sysid.result import Candidate
 from mimic.sysid.selection.jitter import Timing

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.least_squares import Fit, prior
+from mimic.sysid.least_squares import Fit, prior
 from mimic.sysid.replay import Targets
 from mimic.sysid.residuals import Point, Problem, stack
 from mimic.sysid.selection.delay_models import (

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.least_squares import Fit, fit
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import TriedEffect, paired, too_little
 from mimic.sysid.selection.jitter import Timing, eased, timings

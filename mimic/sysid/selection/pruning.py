@@ -14,9 +14,8 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.by_log import errors_of
-from mimic.sysid.fit.least_squares import fit
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps
-from mimic.sysid.fit.uncertainty import of_white_noise
+from mimic.sysid.least_squares import fit, of_white_noise
 from mimic.sysid.residuals import FreeParameter, Point
 from mimic.sysid.result import Candidate, Stage
 from mimic.sysid.selection.evidence import cross_validated, earns_its_keep, paired, stopped

@@ -13,8 +13,8 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.records import BoolArray
-from mimic.sysid.fit.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
+from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.screen.base import BaseMotion, moving_base
 from mimic.sysid.screen.regression import Torques, asked_for

@@ -14,7 +14,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, linear_step
+from mimic.sysid.least_squares import Fit, linear_step
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import least_order, on_harmonic
 

@@ -14,7 +14,7 @@ from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import random_search
-from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Job, Replay, Targets

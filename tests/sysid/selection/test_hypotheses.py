@@ -13,7 +13,7 @@ from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.dynamics.servo import neutral
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.least_squares import Fit, fit, left_out
+from mimic.sysid.least_squares import Fit, fit, left_out
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.predict import simulate_log

@@ -11,7 +11,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
