@@ -12,10 +12,9 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.screen.columns import Column, Columns
-from mimic.sysid.screen.motion import Motion, motion_of
 from mimic.sysid.thresholds import RULES
 from mimic.sysid.timing import SendingTimes, at_rows
+from mimic.sysid.torque_columns import Column, Columns, Motion, motion_of
 
 DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
 """Delays of the targets that are tried before anything else [s]; the baseline moves between them."""
