@@ -23,8 +23,8 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.screen.regression import Torques
 from mimic.sysid.torque_columns import Motion
+from mimic.sysid.torque_regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")

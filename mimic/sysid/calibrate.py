@@ -23,7 +23,6 @@ from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_al
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
-from mimic.sysid.screen.regression import Torques, torques_of
 from mimic.sysid.selection.evidence import stopped
 from mimic.sysid.selection.hypotheses import Hypothesis
 from mimic.sysid.selection.jitter import widening
@@ -33,6 +32,7 @@ from mimic.sysid.selection.starts import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
 from mimic.sysid.summary import experiments, next_logs, no_match, of_base, of_baseline, sentence, stopped_at, weak
 from mimic.sysid.thresholds import RULES
+from mimic.sysid.torque_regression import Torques, torques_of
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""

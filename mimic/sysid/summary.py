@@ -11,7 +11,7 @@ from mimic.records import FloatArray
 from mimic.sysid.least_squares import Fit, weak_directions
 from mimic.sysid.residuals import FreeParameter, Problem
 from mimic.sysid.result import Errors, Stage, UnexplainedResidual
-from mimic.sysid.screen.base import BaseMotion
+from mimic.sysid.torque_regression import BaseMotion
 
 
 def experiments(stages: list[Stage]) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from mimic.sysid.fit.step_refinement import corrected, refine_steps
 from mimic.sysid.least_squares import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.sysid.residuals import Key, Point, Problem
 from mimic.sysid.result import Stage
-from mimic.sysid.screen.base import BaseMotion
 from mimic.sysid.selection.evidence import (
     TriedEffect,
     earns_its_keep,
@@ -29,6 +28,7 @@ from mimic.sysid.selection.evidence import (
 )
 from mimic.sysid.selection.late_targets import distinguishable
 from mimic.sysid.thresholds import RULES
+from mimic.sysid.torque_regression import BaseMotion
 
 MOSTLY = 0.5
 """Share that an effect takes of what noise does not explain, on joints where it was not found and others have it; less

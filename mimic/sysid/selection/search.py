@@ -16,8 +16,6 @@ from mimic.records import BoolArray
 from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
 from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.screen.base import BaseMotion, moving_base
-from mimic.sysid.screen.regression import Torques, asked_for
 from mimic.sysid.selection.evidence import (
     TriedEffect,
     cross_validated,
@@ -29,6 +27,7 @@ from mimic.sysid.selection.jitter import Timing
 from mimic.sysid.selection.late_targets import fit_delay_per_command, late_targets
 from mimic.sysid.selection.starts import StartingPoint, predicted, starting_points
 from mimic.sysid.thresholds import RULES
+from mimic.sysid.torque_regression import BaseMotion, Torques, asked_for, moving_base
 
 SHARED_QUANTILE = 0.25
 """Quantile of such numbers over the joints that goes into the one that all share, and the share of the largest that

@@ -1,1 +1,0 @@
-"""Which effects a log asks for, by regression of the torque: seconds, where replays take minutes."""
