@@ -25,8 +25,8 @@ from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import MachineModel, hung_robot, with_gains
 from mimic.io.joint_log import CHANNELS, JointLog, read_log
 from mimic.robot.description import load_description
+from mimic.sysid.baseline import RANGES, fit_baseline, random_search
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.baseline import RANGES, fit_baseline, random_search
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
 from mimic.sysid.replay import Replay, physics_step

@@ -21,7 +21,7 @@ from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.records import FloatArray
 from mimic.robot.description import load_description
-from mimic.sysid.fit.baseline import random_search
+from mimic.sysid.baseline import random_search
 from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor

@@ -19,8 +19,8 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import MimicError
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
+from mimic.sysid.baseline import problem_of, step_of
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.torque_columns import Motion

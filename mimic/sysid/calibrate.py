@@ -15,10 +15,19 @@ from mimic.dynamics.machine import MachineModel, as_logged, loaded
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
+from mimic.sysid.baseline import (
+    MOST_STEPS,
+    compared,
+    errors_by_log,
+    errors_of,
+    errors_of_unseen,
+    fit_baseline,
+    fit_sending_times,
+    problem_of,
+    random_search,
+    step_of,
+)
 from mimic.sysid.checks import targets_match_log
-from mimic.sysid.fit.baseline import MOST_STEPS, fit_baseline, fit_sending_times, problem_of, random_search, step_of
-from mimic.sysid.fit.by_log import errors_by_log, errors_of, errors_of_unseen
-from mimic.sysid.fit.step_refinement import compared
 from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem

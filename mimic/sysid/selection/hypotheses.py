@@ -13,8 +13,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.by_log import errors_of
-from mimic.sysid.fit.step_refinement import corrected, refine_steps
+from mimic.sysid.baseline import corrected, errors_of, refine_steps
 from mimic.sysid.least_squares import Fit, deviations, fit, fit_all, fitting, left_out
 from mimic.sysid.residuals import Key, Point, Problem
 from mimic.sysid.result import Stage

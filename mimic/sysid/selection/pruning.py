@@ -13,8 +13,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.by_log import errors_of
-from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps
+from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, errors_of, refine_steps
 from mimic.sysid.least_squares import fit, of_white_noise
 from mimic.sysid.residuals import FreeParameter, Point
 from mimic.sysid.result import Candidate, Stage

@@ -13,7 +13,7 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.records import BoolArray
-from mimic.sysid.fit.step_refinement import FINE, FINE_SEGMENT, corrected, refine_steps, refined
+from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, refine_steps, refined
 from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import (

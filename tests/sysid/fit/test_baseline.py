@@ -12,7 +12,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, read_machine
 from mimic.robot.description import load_description
-from mimic.sysid.fit.baseline import fit_baseline, problem_of
+from mimic.sysid.baseline import fit_baseline, problem_of
 from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log

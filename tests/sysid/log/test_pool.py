@@ -14,7 +14,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.fit.baseline import problem_of
+from mimic.sysid.baseline import problem_of
 from mimic.sysid.logs import make_blocks, pool
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.residuals import Point

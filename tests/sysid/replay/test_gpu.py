@@ -12,8 +12,8 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import ConfigError
 from mimic.io.joint_log import JointLog
+from mimic.sysid.baseline import random_search
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.fit.baseline import random_search
 from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log

@@ -1,1 +1,0 @@
-"""Residuals and least squares."""
