@@ -9,10 +9,10 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.jitter import Timing
 from mimic.sysid.least_squares import Fit, Judged, deviations, left_out, prior
 from mimic.sysid.residuals import FreeParameter, Problem
 from mimic.sysid.result import Candidate
-from mimic.sysid.selection.jitter import Timing
 from mimic.sysid.thresholds import RULES
 
 INDEPENDENT = 10.0

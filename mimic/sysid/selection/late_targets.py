@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.jitter import Timing, eased, timings
 from mimic.sysid.least_squares import Fit, fit
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import TriedEffect, paired, too_little
-from mimic.sysid.selection.jitter import Timing, eased, timings
 from mimic.sysid.thresholds import RULES
 
 LATE_Z = 2.0

@@ -14,6 +14,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.records import BoolArray
 from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, refine_steps, refined
+from mimic.sysid.jitter import Timing
 from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.evidence import (
@@ -23,7 +24,6 @@ from mimic.sysid.selection.evidence import (
     pays,
 )
 from mimic.sysid.selection.hypotheses import SHARED, Hypothesis, afresh, as_good_without, elsewhere_too, where_it_is
-from mimic.sysid.selection.jitter import Timing
 from mimic.sysid.selection.late_targets import fit_delay_per_command, late_targets
 from mimic.sysid.selection.starts import StartingPoint, predicted, starting_points
 from mimic.sysid.thresholds import RULES
