@@ -14,18 +14,18 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.baseline import corrected, errors_of, refine_steps
-from mimic.sysid.least_squares import Fit, deviations, fit, fit_all, fitting, left_out
-from mimic.sysid.residuals import Key, Point, Problem
-from mimic.sysid.result import Stage
-from mimic.sysid.selection.evidence import (
+from mimic.sysid.evidence import (
     TriedEffect,
+    distinguishable,
     earns_its_keep,
     hard_to_tell_apart,
     likelihood,
     present,
     share_taken,
 )
-from mimic.sysid.selection.late_targets import distinguishable
+from mimic.sysid.least_squares import Fit, deviations, fit, fit_all, fitting, left_out
+from mimic.sysid.residuals import Key, Point, Problem
+from mimic.sysid.result import Stage
 from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import BaseMotion
 

@@ -14,10 +14,10 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, errors_of, refine_steps
+from mimic.sysid.evidence import cross_validated, earns_its_keep, paired, stopped
 from mimic.sysid.least_squares import fit, of_white_noise
 from mimic.sysid.residuals import FreeParameter, Point
 from mimic.sysid.result import Candidate, Stage
-from mimic.sysid.selection.evidence import cross_validated, earns_its_keep, paired, stopped
 from mimic.sysid.selection.hypotheses import AS_WITHOUT, Hypothesis, as_good_without, best_without
 from mimic.sysid.thresholds import RULES
 

@@ -14,17 +14,18 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.records import BoolArray
 from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, refine_steps, refined
-from mimic.sysid.jitter import Timing
-from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
-from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.selection.evidence import (
+from mimic.sysid.evidence import (
     TriedEffect,
     cross_validated,
     evaluate,
+    fit_delay_per_command,
+    late_targets,
     pays,
 )
+from mimic.sysid.jitter import Timing
+from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
+from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.selection.hypotheses import SHARED, Hypothesis, afresh, as_good_without, elsewhere_too, where_it_is
-from mimic.sysid.selection.late_targets import fit_delay_per_command, late_targets
 from mimic.sysid.selection.starts import StartingPoint, predicted, starting_points
 from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import BaseMotion, Torques, asked_for, moving_base

@@ -14,9 +14,9 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
+from mimic.sysid.evidence import least_order, on_harmonic
 from mimic.sysid.least_squares import Fit, linear_step
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.selection.evidence import least_order, on_harmonic
 
 FINEST_ORDER = 0.5
 """Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
