@@ -29,13 +29,12 @@ from mimic.sysid.baseline import (
 )
 from mimic.sysid.checks import targets_match_log
 from mimic.sysid.evidence import stopped
+from mimic.sysid.hypotheses import Hypothesis, as_read, coarse_encoders, pruned, with_encoders
 from mimic.sysid.jitter import widening
 from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
-from mimic.sysid.selection.hypotheses import Hypothesis
-from mimic.sysid.selection.pruning import as_read, coarse_encoders, pruned, with_encoders
 from mimic.sysid.selection.search import Search
 from mimic.sysid.selection.starts import predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals

@@ -22,10 +22,10 @@ from mimic.sysid.evidence import (
     late_targets,
     pays,
 )
+from mimic.sysid.hypotheses import SHARED, Hypothesis, afresh, as_good_without, elsewhere_too, where_it_is
 from mimic.sysid.jitter import Timing
 from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.selection.hypotheses import SHARED, Hypothesis, afresh, as_good_without, elsewhere_too, where_it_is
 from mimic.sysid.selection.starts import StartingPoint, predicted, starting_points
 from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import BaseMotion, Torques, asked_for, moving_base

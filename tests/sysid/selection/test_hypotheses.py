@@ -14,14 +14,13 @@ from mimic.dynamics.servo import neutral
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.evidence import evaluate
+from mimic.sysid.hypotheses import Hypothesis, elsewhere_too, further, pruned
 from mimic.sysid.least_squares import Fit, fit, left_out
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.selection.hypotheses import Hypothesis, elsewhere_too, further
-from mimic.sysid.selection.pruning import pruned
 from mimic.sysid.selection.starts import PredictedMotion, starting_points, starts_of
 
 PAIR = """<mujoco><worldbody>
