@@ -35,8 +35,7 @@ from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_al
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
-from mimic.sysid.selection.search import Search
-from mimic.sysid.selection.starts import predicted, starts_of
+from mimic.sysid.search import Search, predicted, starts_of
 from mimic.sysid.selection.unexplained import unexplained_residuals
 from mimic.sysid.summary import experiments, next_logs, no_match, of_base, of_baseline, sentence, stopped_at, weak
 from mimic.sysid.thresholds import RULES

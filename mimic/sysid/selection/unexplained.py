@@ -10,7 +10,7 @@ from scipy import signal
 
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.result import UnexplainedResidual
-from mimic.sysid.selection.starts import PredictedMotion
+from mimic.sysid.search import PredictedMotion
 from mimic.sysid.thresholds import RULES
 
 STATE_R2 = 0.1

@@ -21,7 +21,7 @@ from mimic.sysid.noise import coarse_steps, noise_floor
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.selection.starts import PredictedMotion, starting_points, starts_of
+from mimic.sysid.search import PredictedMotion, starting_points, starts_of
 
 PAIR = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
