@@ -36,10 +36,19 @@ from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
 from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
 from mimic.sysid.search import Search, predicted, starts_of
-from mimic.sysid.selection.unexplained import unexplained_residuals
-from mimic.sysid.summary import experiments, next_logs, no_match, of_base, of_baseline, sentence, stopped_at, weak
 from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import Torques, torques_of
+from mimic.sysid.unexplained import (
+    experiments,
+    next_logs,
+    no_match,
+    of_base,
+    of_baseline,
+    sentence,
+    stopped_at,
+    unexplained_residuals,
+    weak,
+)
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""

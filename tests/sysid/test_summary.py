@@ -3,7 +3,7 @@
 import pytest
 
 from mimic.sysid.result import UnexplainedResidual
-from mimic.sysid.summary import next_logs
+from mimic.sysid.unexplained import next_logs
 
 
 def rest(joint: str, verdict: str, *depends_on: str) -> UnexplainedResidual:

@@ -1,1 +1,0 @@
-"""Model selection: which effect is missing, with evidence."""
