@@ -34,9 +34,8 @@ from mimic.sysid.jitter import widening
 from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
 from mimic.sysid.logs import pool
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.result import Calibration, Errors, LogErrors, Traces
+from mimic.sysid.result import RULES, Calibration, Errors, LogErrors, Traces
 from mimic.sysid.search import Search, predicted, starts_of
-from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import Torques, torques_of
 from mimic.sysid.unexplained import (
     experiments,

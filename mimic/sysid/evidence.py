@@ -15,8 +15,7 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.jitter import Timing, eased, timings
 from mimic.sysid.least_squares import Fit, Judged, deviations, fit, left_out, prior
 from mimic.sysid.residuals import FreeParameter, Point, Problem
-from mimic.sysid.result import Candidate
-from mimic.sysid.thresholds import RULES
+from mimic.sysid.result import RULES, Candidate
 
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""

@@ -29,8 +29,7 @@ from mimic.sysid.evidence import (
 )
 from mimic.sysid.least_squares import Fit, deviations, fit, fit_all, fitting, left_out, of_white_noise
 from mimic.sysid.residuals import FreeParameter, Key, Point, Problem
-from mimic.sysid.result import Candidate, Stage
-from mimic.sysid.thresholds import RULES
+from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.torque_regression import BaseMotion
 
 MOSTLY = 0.5

@@ -32,7 +32,7 @@ from mimic.sysid.hypotheses import SHARED, Hypothesis, afresh, as_good_without, 
 from mimic.sysid.jitter import Timing
 from mimic.sysid.least_squares import Fit, fit_all, fitting, left_out_all, linear_step
 from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.thresholds import RULES
+from mimic.sysid.result import RULES
 from mimic.sysid.torque_regression import BaseMotion, Torques, asked_for, moving_base
 
 FINEST_ORDER = 0.5

@@ -20,7 +20,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.thresholds import RULES
+from mimic.sysid.result import RULES
 from mimic.sysid.timing import SendingTimes, at_rows
 from mimic.sysid.torque_columns import Column, Columns, Motion, motion_of
 

@@ -17,9 +17,8 @@ from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.least_squares import Fit, weak_directions
 from mimic.sysid.residuals import FreeParameter, Problem
-from mimic.sysid.result import Errors, Stage, UnexplainedResidual
+from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.search import PredictedMotion
-from mimic.sysid.thresholds import RULES
 from mimic.sysid.torque_regression import BaseMotion
 
 STATE_R2 = 0.1

@@ -8,8 +8,7 @@ import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE, unit_of
 from mimic.records import FloatArray
-from mimic.sysid.result import Calibration, Candidate, Stage
-from mimic.sysid.thresholds import RULES
+from mimic.sysid.result import RULES, Calibration, Candidate, Stage
 from mimic.view.report.sections import fixed, pretty, section, title_of
 from mimic.view.report.svg import number
 
