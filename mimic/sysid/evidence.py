@@ -1,5 +1,5 @@
-"""Evidence for an effect: paired comparisons on blocks that each fit has not seen; and for delayed commands, which model
-of delay they follow.
+"""Evidence for an effect: paired comparisons on blocks that each fit has not seen; and for delayed commands, which
+model of delay they follow.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The residual that no effect explains: does it depend on the state, on time alone, or on nothing? And the sentences that
-summarise a calibration.
+"""The residual that no effect explains: does it depend on the state, on time alone, or on nothing? And the sentences
+that summarise a calibration.
 """
 
 from __future__ import annotations

@@ -270,8 +270,7 @@ def test_nothing_is_named_where_a_baseline_parameter_stops_at_its_bound(arm: Mac
 
 
 def test_a_device_whose_libraries_are_missing_is_reported_in_a_line(arm: MachineModel, monkeypatch) -> None:
-    for name in ("mimic.sysid.gpu_replay", "mimic.sysid.gpu_replay"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.delitem(sys.modules, "mimic.sysid.gpu_replay", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
     with pytest.raises(MissingExtra, match=r"(torch|mujoco_warp).*pip install 'mimic-retarget\[train\]'"):
         calibrate(clean_log(arm), arm, settings(device="cuda"))
