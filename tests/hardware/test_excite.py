@@ -279,7 +279,7 @@ def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(descript
     probed = probe(robot, probe_motion(description, settings), settings, Signals())
     machine = with_gains(hung_robot(description), probed.log.metadata)
     facts = check_log(probed.log, np.stack([machine.low, machine.high], -1))
-    tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"))
+    tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"), timestep=0.005)
     result = calibrate(facts.log, machine, tried)
     assert [s.added for s in result.stages if s.added not in ("", "baseline")] == []
     assert np.sqrt(np.mean(result.stages[-1].errors.held_out ** 2)) < 2e-4

@@ -65,9 +65,13 @@ def targets(seconds: float = 11.0, seed: int = 0) -> tuple[np.ndarray, np.ndarra
     return t, np.where((t % 10 > 7)[:, None], steps, q)
 
 
-def log_of(arm: MachineModel, *hidden: EffectValues, seed: int = 1) -> JointLog:
+FINE = LogSettings().timestep
+"""Step of logs whose test turns on the last digits of a fit [s]."""
+
+
+def log_of(arm: MachineModel, *hidden: EffectValues, seed: int = 1, timestep: float = 0.001) -> JointLog:
     t, q_des = targets(seed=seed)
-    made = simulate_log(arm, t, q_des, EffectSet((*BASELINE, *hidden)), LogSettings(seed=seed, timestep=0.001))
+    made = simulate_log(arm, t, q_des, EffectSet((*BASELINE, *hidden)), LogSettings(seed=seed, timestep=timestep))
     return replace(made, tau=None)
 
 
@@ -257,9 +261,9 @@ def test_nothing_is_named_where_a_baseline_parameter_stops_at_its_bound(arm: Mac
     sticky = EffectValues(
         name="stribeck", joints=("elbow",), values={"level": np.array([0.25]), "speed": np.array([0.15])}
     )
-    log = log_of(arm, sticky)
+    log = log_of(arm, sticky, timestep=FINE)
     other = replace(log, metadata={**log.metadata, "kd": {"shoulder": 0.97, "elbow": 0.8}})
-    result = calibrate(other, arm, settings(effects=("stribeck",), most_effects=1))
+    result = calibrate(other, arm, CalibrateSettings(effects=("stribeck",), most_effects=1))
     assert added(result) == []
     assert any(line.startswith("Stribeck friction was rejected") for line in result.warnings)
     assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]

@@ -80,8 +80,8 @@ def points(arm: MachineModel) -> list[Point]:
 
 def both(arm: MachineModel, log: JointLog, torque: bool = True) -> tuple[Replay, WorldReplay]:
     """Return replays of the same segments."""
-    on_processor = Replay(arm, log, timestep=0.0025, segment=0.75, threads=1, torque=torque)
-    return on_processor, WorldReplay(arm, log, device="cpu", timestep=0.0025, segment=0.75, threads=1, torque=torque)
+    on_processor = Replay(arm, log, timestep=0.005, segment=0.75, threads=1, torque=torque)
+    return on_processor, WorldReplay(arm, log, device="cpu", timestep=0.005, segment=0.75, threads=1, torque=torque)
 
 
 @pytest.mark.slow

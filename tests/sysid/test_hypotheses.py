@@ -49,7 +49,7 @@ def log_of(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0, timeste
 
 
 def problem_of(pair: MachineModel, log: JointLog) -> tuple[Problem, Point]:
-    replay = Replay(pair, log, timestep=0.0025)
+    replay = Replay(pair, log, timestep=0.005)
     problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
     return problem, Point.of(BASELINE, pair)
 

@@ -22,10 +22,10 @@ def machine(tmp_path: Path) -> MachineModel:
 
 def found(machine: MachineModel, hidden: EffectValues) -> list[str]:
     """Return what is named in a log whose motion repeats every 4 s, when only an external force may be named."""
-    t = np.arange(0.0, 24.0, 0.02)
+    t = np.arange(0.0, 16.0, 0.02)
     target = (0.5 * np.sin(0.5 * np.pi * t) + 0.15 * np.sin(1.5 * np.pi * t + 1))[:, None]
     log = simulate_log(machine, t, target, EffectSet((hidden,)), LogSettings(timestep=0.001))
-    settings = CalibrateSettings(effects=("periodic_force",), torque=False)
+    settings = CalibrateSettings(effects=("periodic_force",), torque=False, timestep=0.005)
     return [s.added for s in calibrate(log, machine, settings).stages if s.added not in ("", "baseline")]
 
 

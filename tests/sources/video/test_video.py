@@ -177,7 +177,6 @@ def test_a_fade_through_black_is_reported_and_begins_a_new_part(clip: Clip, tmp_
         ("nasty/empty.mp4", "is empty"),
         ("nasty/text.mp4", "no picture can be read"),
         ("nasty/audio_only.mp4", "no picture can be read"),
-        ("real/15_no_person_bottles.mp4", "shows no person"),
     ],
 )
 @pytest.mark.slow
@@ -187,6 +186,17 @@ def test_what_cannot_give_a_motion_is_refused_in_one_line(clip: Clip, capfd, nam
     assert Path(name).name in str(refusal.value)
     assert "\n" not in str(refusal.value)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_a_video_without_a_person_is_refused(clip: Clip, tmp_path: Path) -> None:
+    video, path = cv2.VideoCapture(str(clip("real/15_no_person_bottles.mp4"))), tmp_path / "bottles.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (640, 360))
+    for _ in range(120):
+        writer.write(video.read()[1])
+    writer.release()
+    with pytest.raises(SourceError, match=r"bottles\.mp4.*shows no person"):
+        track_video(path)
 
 
 def noise(path: Path, frames: int) -> Path:
