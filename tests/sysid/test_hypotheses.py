@@ -48,8 +48,8 @@ def log_of(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0, timeste
     return replace(made, tau=None)
 
 
-def problem_of(pair: MachineModel, log: JointLog) -> tuple[Problem, Point]:
-    replay = Replay(pair, log, timestep=0.005)
+def problem_of(pair: MachineModel, log: JointLog, timestep: float = 0.005) -> tuple[Problem, Point]:
+    replay = Replay(pair, log, timestep=timestep)
     problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
     return problem, Point.of(BASELINE, pair)
 
@@ -229,7 +229,7 @@ def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: Machine
     """A slow current loop in one chain looks like a delay of the machine; the other chain then seems early."""
     lag = EffectValues(name="torque_lag", joints=("a",), values={"time": np.array([0.03])})
     delay = EffectValues(name="delay", values={"time": np.array([0.011])})
-    problem, start = problem_of(pair, log_of(pair, lag, delay, fast=1.0))
+    problem, start = problem_of(pair, log_of(pair, lag, delay, fast=1.0), 0.0025)
     first = fit(problem, start, BASELINE, {}, most=5)
     weighed = problem.weighed(first.residual)
     assert weighed is not problem
@@ -282,7 +282,7 @@ def test_a_delay_of_one_joint_is_separated_from_that_of_the_machine(pair: Machin
 @pytest.mark.slow
 def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: MachineModel) -> None:
     """Gains, masses, rotors and friction times the same number move alike; a fit may not seem sure of that number."""
-    problem, _ = problem_of(pair, log_of(pair, fast=1.0))
+    problem, _ = problem_of(pair, log_of(pair, fast=1.0), 0.0025)
     names = ["coulomb", "viscous", "link_mass", "armature", "gains"]
     point = Point.of(names, pair)
     free_parameters = problem.free_parameters(point, {}, names)
