@@ -45,7 +45,7 @@ def posed(tmp_path: Path, seconds: float, rests: float = 0.0) -> tuple[Problem, 
     q_des = np.sum(waves, axis=0)
     q_des[t < rests, 1] = 0.1
     log = simulate_log(arm, t, q_des, EffectSet(FAR_FROM_MODEL), LogSettings(seed=4, timestep=0.0025))
-    replay = Replay(arm, log, timestep=0.005)
+    replay = Replay(arm, log, timestep=0.0025)
     problem = Problem(replay, np.full(2, 0.35e-3), None, make_blocks(log.t, replay.counts))
     return problem, Point.of(BASELINE, arm)
 
