@@ -114,7 +114,7 @@ def calibrate(
     spread = np.nanstd(log.q, axis=0)
     error = Errors.total(errors_of(problem, before.fitted.residual).train / np.maximum(spread, 1e-9))
     follows, why = targets_match_log(log)
-    log_matches_model = follows and error < RULES.stranger
+    log_matches_model = follows and error < RULES.most
     final, stages = before, before.stages(())[:1]
     residual, coarse = before.fitted.residual, np.zeros(len(machine.joints), dtype=bool)
     if settings.method == "least-squares" and log_matches_model:

@@ -139,7 +139,7 @@ def evaluate(
     gain, z = paired(problem, after, before, channels if there.any() else None)
     why = ""
     if not there.any():
-        why = f"no joint has a parameter {RULES.deviations:.0f} standard deviations from neutral"
+        why = f"no joint has a parameter {RULES.z:.0f} standard deviations from neutral"
     elif little := too_little(gain, z, RULES.z):
         why = little
     elif improvement < RULES.improvement:
@@ -182,7 +182,7 @@ def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviati
             continue
         value = fitted.point.values[free.key][max(free.joint, 0)]
         none = float(neutral(*free.key, problem.machine)[max(free.joint, 0)])
-        if abs(value - none) > RULES.deviations * deviation[i]:
+        if abs(value - none) > RULES.z * deviation[i]:
             there[slice(None) if free.joint < 0 else free.joint] = True
     if spec.scope != "joint":
         return there
@@ -329,11 +329,6 @@ def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
     return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration
 
 
-LATE_Z = 2.0
-"""Gain of single late targets over its standard error, for which `mimic.sysid.thresholds.Thresholds.z` is too
-much: that the chains agree on them is tested target by target, and a short log has few blocks.
-"""
-
 AGREEMENT = (0.75, 1.35)
 """What the chains must share of the lateness that each shows of single targets, when targets are late."""
 
@@ -363,7 +358,7 @@ def late_targets(
         why = ""
         if not AGREEMENT[0] < timing.agreement < AGREEMENT[1]:
             why = f"the chains agree on {100 * timing.agreement:.0f} % of the delays"
-        elif little := too_little(gain, z, LATE_Z):
+        elif little := too_little(gain, z, RULES.apart):
             why = little
         elif share < RULES.share:
             why = f"it removes {100 * share:.0f} % of the unexplained error, below {100 * RULES.share:.0f} %"

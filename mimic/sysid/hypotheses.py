@@ -32,11 +32,6 @@ from mimic.sysid.residuals import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.torque_regression import BaseMotion
 
-MOSTLY = 0.5
-"""Share that an effect takes of what noise does not explain, on joints where it was not found and others have it; less
-may be something else.
-"""
-
 MOST_AFRESH = 8
 """Most steps of a fit that begins with baseline parameters as the model has them."""
 
@@ -210,7 +205,7 @@ def elsewhere_too(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
         values[name, p.name] = np.where(more, np.median(row[had]), row)
     wide = fit(problem, Point(values), h.names, {**h.joints, name: had | more}, most=MOST_AFRESH)
     there = present(problem, wide, name, more, deviations(wide, problem, left_out(wide, problem)[1]))
-    if not there.any() or share_taken(problem, h.fitted, wide, there[problem.channel_joint]) < MOSTLY:
+    if not there.any() or share_taken(problem, h.fitted, wide, there[problem.channel_joint]) < RULES.most:
         return h
     if not earns_its_keep(problem, wide, h.fitted):
         return h

@@ -18,6 +18,7 @@ from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.least_squares import Fit, prior
 from mimic.sysid.replay import Targets
 from mimic.sysid.residuals import Point, Problem, stack
+from mimic.sysid.result import RULES
 
 CERTAIN = 0.25
 """Standard deviation of a lateness, in periods, up to which it says something of its own."""
@@ -185,10 +186,6 @@ LEAST_ROWS = 3
 DERIVATIVE_STEP = 0.25
 """Periods of lateness by which derivatives are taken."""
 
-SHARED_Z = 3.0
-"""Standard errors by which what the chains share of the lateness of single targets must differ from nothing."""
-
-
 STEP_SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
 """Parts of a step that are replayed."""
 
@@ -327,7 +324,7 @@ def _agreement(normal: Sequence[tuple[FloatArray, FloatArray]], others: Sequence
         all_of_it += float(np.sum(a * a))
     product = np.concatenate(products) if products else np.zeros(1)
     shared = float(product.sum())
-    if shared <= SHARED_Z * np.sqrt(np.sum(product**2)):
+    if shared <= RULES.z * np.sqrt(np.sum(product**2)):
         return 0.0
     return float(np.clip(1.0, shared / all_of_it, shared / own if own > 0.0 else np.inf))
 

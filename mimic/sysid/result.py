@@ -22,26 +22,33 @@ class Thresholds:
     """
 
     z: float = 3.0
-    """Gain over its standard error over blocks. Holm's correction over 25 candidates at 5 %."""
-    promising: float = 2.0
-    """The same of a fit of two steps, from which on it is fitted to the end: it may still gain."""
+    """Gain over its standard error over blocks, and how far a number is from none in standard deviations. Holm's
+    correction over 25 candidates at 5 %."""
+    apart: float = 2.0
+    """Standard errors by which a set must be behind the best to be told from it, and from which on a fit of two steps
+    is fitted to the end: about 95 %. Late commands need no more: that the chains agree on them is tested command by
+    command, and a short log has few blocks."""
     gain: float = 0.01
     """Share by which the error of blocks judged without themselves must fall: less is of no use in a simulation."""
     improvement: float = 0.35
     """Error removed at some joint, in noise floors: smaller ones are differences between integrators (suite)."""
     share: float = 0.15
     """Share of what noise does not explain, on the joints where an effect acts; less is a wrong name (suite)."""
-    deviations: float = 3.0
-    """How far a number is from none, in standard deviations: as sure as ``z``."""
-    apart: float = 2.0
-    """Standard errors by which a set must be behind the best to be told from it: about 95 %."""
+    most: float = 0.5
+    """Share that is most of something: of the spread of positions (with more error, log and model have nothing to do
+    with each other), and of what is left (what an effect takes on further joints, a base, or single events)."""
     negligible: float = 0.1
     """What an effect removes at a joint, in noise floors, as a share of the joint of its chain where it removes most,
-    and of what is left in its chain; less is a crumb (suite)."""
+    and of what is left in its chain (suite); and the share of what is left that state or time predict. Less is a
+    crumb."""
     beyond: float = 2.0
     """Steps by which a number would cross its bound, from which on nothing is named in its chain (suite)."""
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
+    peak: float = 40.0
+    """Height of a spectral peak over the median, from which on the rest is periodic; effects in the model leave 2 to 8."""
+    coherent: float = 0.4
+    """Coherence with the torque at a peak, from which on the robot's own motion made it; chosen, not measured."""
     shortlist: int = 8
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
     the worst was fifth of either (benchmarks/torque_screen)."""
@@ -51,8 +58,6 @@ class Thresholds:
     """Sets that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
     hopeless: float = 6.0
     """Standard errors behind the best from which on an effect is not fitted to the end (suite)."""
-    stranger: float = 0.5
-    """Error over the spread of the positions from which on log and model have nothing to do with each other."""
 
 
 RULES = Thresholds()

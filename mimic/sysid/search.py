@@ -381,7 +381,7 @@ class Search:
         for t, again in zip(hard, judged([t.name for t in hard], anew), strict=True):
             if again.gain > t.gain:
                 tried[tried.index(t)] = again
-        strong = sorted((t for t in tried if t.gain >= RULES.gain and t.z >= RULES.promising), key=lambda t: -t.gain)
+        strong = sorted((t for t in tried if t.gain >= RULES.gain and t.z >= RULES.apart), key=lambda t: -t.gain)
         strong = [t for t in strong if not pays(problem, strong[0].squares, t.squares, RULES.hopeless)]
         strong = strong[: RULES.finished]
         if strong:

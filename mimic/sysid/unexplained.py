@@ -21,23 +21,8 @@ from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.search import PredictedMotion
 from mimic.sysid.torque_regression import BaseMotion
 
-STATE_R2 = 0.1
-"""Share that the state predicts on blocks that were not used, from which on the rest depends on the state."""
-
-PEAK = 40.0
-"""Height of a spectral peak over the median, from which on the rest is periodic. Effects in the model leave 2 to 8."""
-
-COHERENT = 0.4
-"""Coherence with the torque at a peak, from which on the robot's own motion made it."""
-
-STEADY_R2 = 0.1
-"""Share that one sine wave predicts on blocks that were not used, from which on the rest is periodic."""
-
-OF_THE_BASE = 0.5
-"""Share of the squares of a torque that a motion of the base removes, from which on the rest is called that."""
-
-BURST_SHARE, BURST_TIME = 0.5, 0.1
-"""So much of the squares in so little of the time are single events."""
+BURST_TIME = 0.1
+"""Share of the time in which most of the squares are single events."""
 
 FEATURES = 160
 """Random Fourier features of the regression on the state."""
@@ -66,7 +51,7 @@ def unexplained_residuals(
     found = []
     for j, name in enumerate(joints):
         rest = _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
-        if base is not None and rest.verdict != "explained" and base[j] > OF_THE_BASE:
+        if base is not None and rest.verdict != "explained" and base[j] > RULES.most:
             rest = replace(rest, verdict="moving base", depends_on=("the base",))
         found.append(rest)
     return tuple(found)
@@ -95,7 +80,7 @@ def _remainder(
     inputs = {k: v[rows] for k, v in state.items()}
     r2 = predicted(slow, inputs, blocks[rows])
     depends: tuple[str, ...] = ()
-    if ratio >= RULES.explained and r2 > STATE_R2:
+    if ratio >= RULES.explained and r2 > RULES.negligible:
         alone = {k: predicted(slow, {k: v}, blocks[rows]) for k, v in inputs.items()}
         lost = {k: r2 - predicted(slow, {n: v for n, v in inputs.items() if n != k}, blocks[rows]) for k in inputs}
         score = {k: max(alone[k], 0.0) + max(lost[k], 0.0) for k in inputs}
@@ -103,12 +88,12 @@ def _remainder(
         depends = tuple(sorted((k for k in score if score[k] > 0.4 * top), key=lambda k: -score[k]))
     if ratio < RULES.explained:
         verdict = "explained"
-    elif r2 > STATE_R2:
+    elif r2 > RULES.negligible:
         verdict = "state-dependent"
-    elif peak_ratio > PEAK and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) >= COHERENT:
+    elif peak_ratio > RULES.peak and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) >= RULES.coherent:
         verdict = "state-dependent"
         depends = ("torque",)
-    elif peak_ratio > PEAK and _steady(slow, t[rows], blocks[rows], peak_hz) > STEADY_R2:
+    elif peak_ratio > RULES.peak and _steady(slow, t[rows], blocks[rows], peak_hz) > RULES.negligible:
         verdict = "periodic"
         depends = ("time",)
     else:
@@ -165,7 +150,7 @@ def _bursts(r: FloatArray, dt: float) -> bool:
     rows = max(int(0.2 / dt), 1)
     squares = (r[: len(r) // rows * rows] ** 2).reshape(-1, rows).mean(1) - 1.0
     top = np.sort(squares)[::-1][: max(int(BURST_TIME * len(squares)), 1)]
-    return bool(top.sum() > BURST_SHARE * np.maximum(squares, 0.0).sum() and squares.sum() > 0)
+    return bool(top.sum() > RULES.most * np.maximum(squares, 0.0).sum() and squares.sum() > 0)
 
 
 def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:
