@@ -178,7 +178,7 @@ def _cost(problem: Problem, fitted: Fit) -> float:
 
 def _enough(problem: Problem, fitted: Fit) -> float:
     """Return the fall of the sum of squares in a step that is worth another."""
-    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()) * problem.channels, 1)
+    readings = max(int(problem.blocks.fitted.sum()) * problem.channels, 1)
     cost = _cost(problem, fitted)
     return max(ENOUGH**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
 
@@ -365,7 +365,7 @@ def fit_sending_times(
 
 
 def _left(problem: Problem, fitted: Fit) -> float:
-    counts = np.isin(problem.blocks.index, problem.blocks.train) & enabled(problem.replay.log).all(axis=1)
+    counts = problem.blocks.fitted & enabled(problem.replay.log).all(axis=1)
     squares = np.mean(problem.in_floors(fitted.residual).astype(np.float64) ** 2, axis=1)
     parts = [squares[part.slice][counts[part.slice]] for part in problem.replay.parts]
     return float(sum(len(own) * np.log(np.mean(own)) for own in parts if len(own)))

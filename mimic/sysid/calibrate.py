@@ -235,7 +235,7 @@ def _torques(h: Hypothesis) -> tuple[Torques, ...]:
     problem, replay, values = h.problem, h.problem.replay, h.fitted.point.values
     limits = {k: values["torque_speed", k] for k in ("torque", "flat", "speed") if ("torque_speed", k) in values}
     machine = replace(replay.machine, drives=replace(replay.machine.drives, **limits))
-    seen = np.isin(problem.blocks.index, problem.blocks.train)
+    seen = problem.blocks.fitted
     logs, rows, sent = [], [], []
     for part in replay.parts:
         own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}

@@ -13,12 +13,10 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.logs import at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.noise import (
     Following,
-    Repeat,
     find_repeat,
     following,
     noise_floor,
     repeatability,
-    resolution,
     reversals,
     speed,
 )
@@ -281,18 +279,9 @@ class LogCheck:
     """The log without repeated and unreadable rows: the one to fit."""
     noise: FloatArray
     """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
-    step: FloatArray
-    """Smallest step of the reading; 0 where none is seen."""
-    lag: FloatArray
-    """Of the position behind its target [s]; NaN where it does not follow."""
-    correlation: FloatArray
-    """Of the position with its target at that lag; NaN in a log of forces."""
-    moves: BoolArray
-    """Joints that are excited."""
-    repeat: Repeat | None
-    """An excitation that comes twice."""
     repeatability: FloatArray | None
-    """Difference of the two repetitions over the square root of 2; with heat or drift it is more than noise."""
+    """Difference of two repetitions of an excitation over the square root of 2, where one comes twice; with heat or
+    drift it is more than noise."""
     warnings: tuple[str, ...]
     """What the user should know, a line each."""
 
@@ -317,15 +306,13 @@ def check_log(
     if wrong:
         raise CalibrationError("\n".join(wrong))
     target = followed(log)
-    found = None if target is None else following(log.t, log.q, target)
-    if found is not None:
+    if target is not None:
+        found = following(log.t, log.q, target)
         wrong = list(misassigned(log, found.correlation, found.moves))
         if wrong:
             raise CalibrationError("\n".join(wrong))
         warnings += weak_following(log, found.correlation, found.lag, found.moves)
-    known = valid_samples(log)
-    noise = noise_floor(log.q, log.rate, known)
-    step = np.array([resolution(c) for c in log.q[known].T])
+    noise = noise_floor(log.q, log.rate, valid_samples(log))
     asked = target if target is not None else log.force
     assert asked is not None  # the reader refuses a log with neither
     if target is not None and log.force is not None:
@@ -341,11 +328,6 @@ def check_log(
     return LogCheck(
         log=log,
         noise=noise,
-        step=step,
-        lag=found.lag if found else np.full(len(log.joints), np.nan),
-        correlation=np.diag(found.correlation).copy() if found else np.full(len(log.joints), np.nan),
-        moves=moves,
-        repeat=repeat,
         repeatability=None if repeat is None else repeatability(log.t, log.q, asked, repeat),
         warnings=tuple(warnings),
     )

@@ -278,7 +278,7 @@ def likelihood(problem: Problem, squares: FloatArray, numbers: int) -> float:
         squares: Of each fitted block, judged without itself (B_train, C).
         numbers: How many were fitted.
     """
-    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()), 1)
+    readings = max(int(problem.blocks.fitted.sum()), 1)
     count = max(readings * min(INDEPENDENT / problem.replay.log.rate, 1.0), 1.0)
     size = np.maximum(squares.sum(0) / readings, 1e-12)
     return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
@@ -303,7 +303,7 @@ def pays(problem: Problem, better: FloatArray, worse: FloatArray, z: float = RUL
 
 def cross_validated(problem: Problem, fitted: Fit) -> FloatArray:
     """Return the mean square of each channel (C,) over the fitted blocks, each judged without itself."""
-    readings = max(int(np.isin(problem.blocks.index, problem.blocks.train).sum()), 1)
+    readings = max(int(problem.blocks.fitted.sum()), 1)
     return left_out(fitted, problem)[0].sum(0) / readings
 
 
@@ -350,7 +350,7 @@ def late_targets(
 ) -> tuple[TriedEffect, ...]:
     """Return models of delayed commands, best first; the first is fully fitted if the chains agree."""
     found = []
-    readings = np.isin(problem.blocks.index, problem.blocks.train).sum()
+    readings = problem.blocks.fitted.sum()
     for timing in _likelier(timings(problem, incumbent, candidates)):
         gain, z = paired(problem, timing.squares, before)
         unexplained = before.sum() - float(readings * problem.channels)

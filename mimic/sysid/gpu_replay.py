@@ -178,7 +178,7 @@ class WorldReplay(Replay):
             torch.cuda.set_device(device)  # streams and graphs are those of the current device
         wp.config.log_level = wp.LOG_ERROR
         wp.init()
-        self._device = device
+        self._device, self._elsewhere = device, {"device": device}
         self._together = self._room()
         d = machine.drives
         names = ("kp", "kd", "torque", "flat", "speed", "friction", "armature")
@@ -192,19 +192,6 @@ class WorldReplay(Replay):
         self._share = self._tensor(r.part)[:, None, None]
         self._measured = self._tensor(log.q[r.row])[:, None]
         self._uploaded: tuple[Targets, Targets] | None = None
-
-    def _again(self, timestep: float, segment: float) -> Replay:
-        return WorldReplay(
-            self.machine,
-            self.log,
-            device=self._device,
-            timestep=timestep,
-            segment=segment,
-            threads=self.threads,
-            torque=self.torque,
-            sending=self.sending,
-            parts=self.parts,
-        )
 
     def _tensor(self, values: object, dtype: torch.dtype = torch.float64) -> torch.Tensor:
         return torch.as_tensor(np.asarray(values), dtype=dtype, device=self._device)

@@ -47,6 +47,11 @@ class Blocks:
         """Blocks that are fitted."""
         return np.flatnonzero(~self.held_out)
 
+    @property
+    def fitted(self) -> BoolArray:
+        """Readings in blocks that are fitted (T,)."""
+        return np.isin(self.index, self.train)
+
 
 def make_blocks(
     t: FloatArray,
@@ -97,8 +102,6 @@ class Sums:
     """(B, P, P)"""
     gradient: FloatArray
     """(B, P)"""
-    square: FloatArray
-    """Sum of squares (B,)."""
     weighed: tuple[FloatArray, FloatArray]
     """Hessian (B, P, P) and gradient (B, P) in which each chain has its weight, see `Problem.weighed`."""
     weight: FloatArray

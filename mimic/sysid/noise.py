@@ -13,6 +13,9 @@ _DIFFERENCE = 20.0
 _SPREAD = 2.31
 """Sum of the squared autocorrelations of that difference, 1 + 2 (0.75^2 + 0.3^2 + 0.05^2)."""
 
+GRID = 0.02
+"""Time between targets that are compared with each other [s]."""
+
 _TRIMMED = 0.759
 """Variance of a normal distribution cut at 1.96 standard deviations."""
 
@@ -104,16 +107,10 @@ def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat
 
     Only stretches in which the target moves most of the time count.
     """
-    grid = 0.02
-    clock = np.arange(t[0], t[-1], grid)
-    width = int(least / grid)
-    if len(clock) < 2 * width:
+    clock, x = _scaled(t, target)
+    width = int(least / GRID)
+    if len(clock) < 2 * width or not x.size:
         return None
-    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
-    scale = np.ptp(x, axis=0)
-    if not (scale > 0).any():
-        return None
-    x = x[:, scale > 0] / scale[scale > 0]
     moving = np.abs(np.diff(x, axis=0, append=x[-1:])).max(axis=1) > 1e-6
     best: Repeat | None = None
     for lag in range(width, len(x) - width):
@@ -124,9 +121,17 @@ def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat
         length = min(length, lag)
         if length < width or moving[start : start + length].mean() < 0.5:
             continue
-        if best is None or length * grid > best.seconds + grid:
-            best = Repeat(first=float(clock[start]), second=float(clock[start + lag]), seconds=length * grid)
+        if best is None or length * GRID > best.seconds + GRID:
+            best = Repeat(first=float(clock[start]), second=float(clock[start + lag]), seconds=length * GRID)
     return best
+
+
+def _scaled(t: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return even times (K,), and the targets then of what moves, over their ranges (K, moved)."""
+    clock = np.arange(t[0], t[-1], GRID)
+    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
+    scale = np.ptp(x, axis=0)
+    return clock, x[:, scale > 0] / scale[scale > 0]
 
 
 def period(t: FloatArray, target: FloatArray, shortest: float = 1.0) -> float | None:
@@ -134,21 +139,15 @@ def period(t: FloatArray, target: FloatArray, shortest: float = 1.0) -> float | 
 
     It must pass at least twice.
     """
-    grid = 0.02
-    clock = np.arange(t[0], t[-1], grid)
-    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
-    scale = np.ptp(x, axis=0)
-    if not (scale > 0).any():
-        return None
-    x = x[:, scale > 0] / scale[scale > 0]
+    _, x = _scaled(t, target)
     best: tuple[float, int] | None = None
-    for lag in range(int(shortest / grid), len(x) // 2):
+    for lag in range(int(shortest / GRID), len(x) // 2 if x.size else 0):
         apart = np.abs(x[lag:] - x[:-lag]).max(axis=1)
         if (apart < 0.03).mean() > 0.98:
             best = min(best or (np.inf, 0), (float(apart.mean()), lag))
         elif best is not None:
             break
-    return None if best is None else best[1] * grid
+    return None if best is None else best[1] * GRID
 
 
 def _longest(true: BoolArray) -> tuple[int, int]:

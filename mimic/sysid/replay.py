@@ -9,7 +9,7 @@ Longer than 350 lines: one class, whose methods share the segments.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
@@ -187,6 +187,9 @@ class Replay:
     longest_fine: float = math.inf
     """Greatest length of a segment of a finer replay [s]."""
 
+    _elsewhere: Mapping[str, Any] = {}
+    """Arguments beside those of this class, of one that replays on another device."""
+
     shorter_is_faster: bool = True
     """Whether a replay of a part of the log takes a part of the time."""
 
@@ -259,8 +262,8 @@ class Replay:
         self._finer[times, segment] = fine
         return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
-    def _again(self, timestep: float, segment: float) -> Replay:
-        return Replay(
+    def _again(self, timestep: float, segment: float) -> Self:
+        return type(self)(
             self.machine,
             self.log,
             timestep=timestep,
@@ -269,6 +272,7 @@ class Replay:
             torque=self.torque,
             sending=self.sending,
             parts=self.parts,
+            **self._elsewhere,
         )
 
     def _cut(self, part: Part, segment: float) -> IntArray:
@@ -411,13 +415,8 @@ class Replay:
 
         Infinite where a simulation blew up.
         """
-        size, found = self.sets_per_batch, []
-        for begin in range(0, count, size):
-            some = slice(begin, min(begin + size, count))
-            values: dict[tuple[str, str], FloatArray] = {
-                k: np.asarray(v, dtype=np.float64)[some] for k, v in parameters.items()
-            }
-            found.append(self._squares(values, rows & self.counts, noise))
+        parts = self._parts(parameters, count, None)
+        found = [self._squares(values, rows & self.counts, noise) for values, _ in parts]
         self.replays += count
         return np.concatenate(found)
 

@@ -157,7 +157,6 @@ def normal_equations(
     count, total = len(free_parameters), len(blocks.held_out)
     hessian, gradient = np.zeros((total, count, count)), np.zeros((total, count))
     weighed = hessian.copy(), gradient.copy()
-    square = np.zeros(total)
     chains = np.unique(channel_chain)
     of = np.array([-1 if k.joint < 0 else chain[k.joint] for k in free_parameters])
     members = {c: np.flatnonzero((of == c) | (of < 0)) for c in chains}
@@ -184,9 +183,8 @@ def normal_equations(
             gradient[b][index] += along
             weighed[0][b][np.ix_(index, index)] += weights[c] * outer
             weighed[1][b][index] += weights[c] * along
-            square[b] += r @ r
     weight = np.where(of < 0, 1.0, weights[of]) if count else np.zeros(0)
-    return Sums(hessian=hessian, gradient=gradient, square=square, weighed=weighed, weight=weight)
+    return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)
 
 
 REMEMBERED = 4
@@ -403,7 +401,7 @@ class Problem:
     def squares(self, points: Sequence[Point]) -> FloatArray:
         """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
         joints = len(self.machine.joints)
-        rows = np.isin(self.blocks.index, self.blocks.train)
+        rows = self.blocks.fitted
         return self.replay.squares(stack(points, self.machine), len(points), rows, self.noise[:joints]).sum(1)
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
@@ -442,7 +440,7 @@ class Problem:
         is this very problem where all have.
         """
         parts, squares = self.replay.parts, self.in_floors(residual).astype(np.float64) ** 2
-        train = np.isin(self.blocks.index, self.blocks.train)
+        train = self.blocks.fitted
         left = [float(np.mean(squares[p.slice][train[p.slice]])) if train[p.slice].any() else 1.0 for p in parts]
         least, scale = max(min(left), 1.0), self.log_scale.copy()
         for part, own in zip(parts, left, strict=True):

@@ -46,7 +46,8 @@ class Thresholds:
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
     peak: float = 40.0
-    """Height of a spectral peak over the median, from which on the rest is periodic; effects in the model leave 2 to 8."""
+    """Height of a spectral peak over the median, from which on the rest is periodic; with its effects in the model a
+    machine leaves 2 to 8."""
     coherent: float = 0.4
     """Coherence with the torque at a peak, from which on the robot's own motion made it; chosen, not measured."""
     shortlist: int = 8

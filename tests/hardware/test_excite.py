@@ -191,7 +191,7 @@ def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_
     facts = check_log(log, np.stack([machine.low, machine.high], -1))
     assert len(facts.log.t) == 1150
     assert np.isfinite(log.q).all(axis=1).mean() > 0.97
-    assert facts.moves.all()
+    assert not any("never moves" in line for line in facts.warnings)
     assert np.all(np.abs(log.q - result.log.q)[asked] == 0.0)
 
 
