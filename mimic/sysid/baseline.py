@@ -26,15 +26,6 @@ from mimic.sysid.replay import Replay, physics_step
 from mimic.sysid.residuals import Key, Point, Problem
 from mimic.sysid.result import Errors, LogErrors
 
-FINE = 5
-"""A fine replay has this many times more steps."""
-
-FINE_SEGMENT = 1.0
-"""Length of its segments [s]; they are few, so that short ones are faster."""
-
-MANY_SEGMENT = 3.0
-"""That of the many for central differences [s]: less time is spent on settling."""
-
 MOST_CORRECTIONS = 8
 """Most steps of a fit from fine replays."""
 
@@ -48,14 +39,9 @@ LEAST_FALL = 5e-5
 """Share by which the sum of squares falls in a step that is worth another."""
 
 
-def in_fine_steps(problem: Problem, point: Point) -> FloatArray:
-    """Return the residual (T, C) of a replay in fine steps."""
-    return problem.in_fine_steps(point, FINE, FINE_SEGMENT)
-
-
 def corrected(problem: Problem, point: Point) -> Problem:
     """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
-    return problem.changed(correction=in_fine_steps(problem, point) - problem.uncorrected([point])[0])
+    return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
 
 
 def compared(
@@ -84,8 +70,7 @@ def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Pr
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
     timed = [k for k in fitted.free_parameters if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
-    segment = MANY_SEGMENT if every else FINE_SEGMENT
-    fine = problem.columns_in_fine_steps(fitted.point, timed, FINE, segment, every)
+    fine = problem.columns_in_fine_steps(fitted.point, timed, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
     columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.free_parameters, fitted.columns, strict=True)]
     settled = _converged(problem, replace(fitted, columns=tuple(columns)))
@@ -94,15 +79,11 @@ def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Pr
 
 def refined(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
     """Return fits after a step from the residuals of fine replays, which they share."""
-
-    def replayed(points: Sequence[Point]) -> FloatArray:
-        return problem.all_in_fine_steps(points, FINE, FINE_SEGMENT)
-
     if not fits:
         return []
-    begun = zip(fits, replayed([one.point for one in fits]), strict=True)
+    begun = zip(fits, problem.all_in_fine_steps([one.point for one in fits]), strict=True)
     stepping = [_stepping(problem, replace(one, residual=residual), 1) for one, residual in begun]
-    return [_summed(problem, one) for one in answered(replayed, stepping)]
+    return [_summed(problem, one) for one in answered(problem.all_in_fine_steps, stepping)]
 
 
 def _converged(problem: Problem, fitted: Fit) -> Fit:
@@ -111,19 +92,17 @@ def _converged(problem: Problem, fitted: Fit) -> Fit:
     What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they
     settle.
     """
-    fitted = replace(fitted, residual=in_fine_steps(problem, fitted.point))
+    fitted = replace(fitted, residual=problem.in_fine_steps(fitted.point))
     for again in range(MOST_EXTRAPOLATIONS):
-        beyond = fitted.residual - problem.in_steps_of_columns(fitted.point, FINE, FINE_SEGMENT)
+        beyond = fitted.residual - problem.in_steps_of_columns(fitted.point)
         stepping = _stepping(problem, fitted, MOST_CORRECTIONS, _enough(problem, fitted) if again else 0.0)
         (there,) = answered(
-            lambda points, beyond=beyond: np.stack(
-                [problem.in_steps_of_columns(point, FINE, FINE_SEGMENT) + beyond for point in points]
-            ),
+            lambda points, beyond=beyond: np.stack([problem.in_steps_of_columns(point) + beyond for point in points]),
             [stepping],
         )
         if there.point.is_at(fitted.point):
             break
-        there = replace(there, residual=in_fine_steps(problem, there.point))
+        there = replace(there, residual=problem.in_fine_steps(there.point))
         if not _cost(problem, there) < _cost(problem, fitted):
             break
         fitted = there
@@ -230,7 +209,7 @@ def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str,
 
 def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogErrors, ...]:
     """Return the errors of logs that nothing was fitted to."""
-    left = [in_fine_steps(unseen, one.point) for one in (before, final)]
+    left = [unseen.in_fine_steps(one.point) for one in (before, final)]
     found = []
     for part in unseen.replay.parts:
         here = np.zeros(len(unseen.replay.log.t), dtype=bool)

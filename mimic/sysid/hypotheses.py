@@ -14,7 +14,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, errors_of, refine_steps
+from mimic.sysid.baseline import corrected, errors_of, refine_steps
 from mimic.sysid.evidence import (
     TriedEffect,
     cross_validated,
@@ -287,7 +287,7 @@ def _polished(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
     tick("final fit")
     problem = h.problem
     if "kt_heat" in h.names:
-        problem = corrected(problem.warmed_up(h.fitted.point, FINE, FINE_SEGMENT), h.fitted.point)
+        problem = corrected(problem.warmed_up(h.fitted.point), h.fitted.point)
     fitted = fit(problem, h.fitted.point, h.names, h.joints, most=1)
     for _ in range(MOST_PASSES):
         before = fitted
@@ -434,7 +434,7 @@ def as_read(h: Hypothesis, has: BoolArray) -> FloatArray:
     problem = h.problem
     angle = np.where(has, problem.encoder_steps, 0.0)
     point = h.fitted.point.with_effect("encoder_step", problem.machine, {"angle": angle})
-    both = (problem.in_steps_of_columns(point, FINE, FINE_SEGMENT), h.fitted.residual)
+    both = (problem.in_steps_of_columns(point), h.fitted.residual)
     chains = np.unique(problem.channel_chain)
     costs = [[problem.mean_squares(r, False)[problem.channel_chain == c].sum() for c in chains] for r in both]
     less = [c for c, rounded, smooth in zip(chains, *costs, strict=True) if rounded < smooth]

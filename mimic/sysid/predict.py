@@ -13,9 +13,9 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.baseline import FINE
 from mimic.sysid.logs import valid_samples
 from mimic.sysid.replay import Replay, physics_step
+from mimic.sysid.residuals import FINE
 from mimic.sysid.timing import AT_ROW, SENT, sending_times
 
 

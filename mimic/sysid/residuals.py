@@ -187,6 +187,15 @@ def normal_equations(
     return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)
 
 
+FINE = 5
+"""A fine replay has this many times more steps."""
+
+FINE_SEGMENT = 1.0
+"""Length of its segments [s]; they are few, so that short ones are faster."""
+
+MANY_SEGMENT = 3.0
+"""That of the many for central differences [s]: less time is spent on settling."""
+
 REMEMBERED = 4
 """Replays in fine steps that are kept: they are dear, and some points are asked for again."""
 
@@ -284,57 +293,46 @@ class Problem:
         """Return the residuals of these steps as they are, see `residuals`."""
         return self._whitened(self._replayed(self.replay, points))
 
-    def in_fine_steps(self, point: Point, times: int, segment: float) -> FloatArray:
+    def in_fine_steps(self, point: Point) -> FloatArray:
         """Return whitened residuals (T, C), extrapolated to steps of length zero.
 
-        From replays with so many and twice as many times more steps: what is left of their error goes with the step
+        From replays with ``FINE`` and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
-
-        Args:
-            point: Where.
-            times: How many times more steps.
-            segment: Length of their segments [s].
         """
-        return self.all_in_fine_steps([point], times, segment)[0]
+        return self.all_in_fine_steps([point])[0]
 
-    def all_in_fine_steps(self, points: Sequence[Point], times: int, segment: float) -> FloatArray:
+    def all_in_fine_steps(self, points: Sequence[Point]) -> FloatArray:
         """Return `in_fine_steps` of several points (N, T, C), replayed together."""
-        pairs = [self._known_pair(point, times, segment) for point in points]
+        pairs = [self._known_pair(point) for point in points]
         new = [i for i, pair in enumerate(pairs) if pair is None]
         if new:
             asked = [points[i] for i in new]
-            both = [(self.replay.finer(times * more, segment, len(asked)), asked) for more in (1, 2)]
+            both = [(self.replay.finer(FINE * more, FINE_SEGMENT, len(asked)), asked) for more in (1, 2)]
             for i, *pair in zip(new, *self._all_replayed(both), strict=True):
                 pairs[i] = np.stack(pair)
-                self._fine.append((points[i], (self.replay.late, self.replay.heat, (times, segment)), np.stack(pair)))
+                self._fine.append((points[i], (self.replay.late, self.replay.heat), np.stack(pair)))
         found = self._whitened(np.stack([pair for pair in pairs if pair is not None]))
         return 2.0 * found[:, 1] - found[:, 0]
 
-    def in_steps_of_columns(self, point: Point, times: int, segment: float) -> FloatArray:
+    def in_steps_of_columns(self, point: Point) -> FloatArray:
         """Return whitened residuals (T, C) in finer steps, without extrapolation: a third of the cost."""
-        made = self._known_pair(point, times, segment)
+        made = self._known_pair(point)
         if made is None:
-            return self._whitened(self._replayed(self.replay.finer(times, segment), [point])[0])
+            return self._whitened(self._replayed(self.replay.finer(FINE, FINE_SEGMENT), [point])[0])
         return self._whitened(made[0].copy())
 
-    def _known_pair(self, point: Point, times: int, segment: float) -> FloatArray | None:
+    def _known_pair(self, point: Point) -> FloatArray | None:
         """Return remembered residuals (2, T, C) in finer steps and in steps half as long, or None.
 
         They are in the units of the log, with the present targets and heat.
         """
-        for known, (late, heat, steps), made in self._fine:
-            same = late is self.replay.late and heat is self.replay.heat and steps == (times, segment)
-            if same and known.is_at(point):
+        for known, (late, heat), made in self._fine:
+            if late is self.replay.late and heat is self.replay.heat and known.is_at(point):
                 return made
         return None
 
     def columns_in_fine_steps(
-        self,
-        point: Point,
-        free_parameters: Sequence[FreeParameter],
-        times: int,
-        segment: float,
-        both_sides: bool = False,
+        self, point: Point, free_parameters: Sequence[FreeParameter], both_sides: bool = False
     ) -> list[FloatArray]:
         """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.
 
@@ -345,10 +343,10 @@ class Problem:
         points, groups, sizes = self.difference_points(point, free_parameters, NARROW if both_sides else WIDE)
         if not points:
             return []
-        finer = self.replay.finer(times, segment, len(points))
+        finer = self.replay.finer(FINE, MANY_SEGMENT if both_sides else FINE_SEGMENT, len(points))
         if not both_sides:
             moved = self._whitened(self._replayed(finer, points))
-            base = self.in_steps_of_columns(point, times, segment)
+            base = self.in_steps_of_columns(point)
             return self.columns(base, moved, groups, free_parameters, sizes)
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
         at = point.read(free_parameters)
@@ -361,9 +359,9 @@ class Problem:
         made = self._whitened(self._replayed(finer, [*points, *opposite]))
         return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
-    def warmed_up(self, point: Point, times: int, segment: float) -> Problem:
+    def warmed_up(self, point: Point) -> Problem:
         """Return the problem whose segments begin with motors as warm as a finer replay says; see `in_fine_steps`."""
-        fine = self.replay.finer(times, segment)
+        fine = self.replay.finer(FINE, FINE_SEGMENT)
         heat = np.sqrt(fine.mean_square_torque(stack([point], self.machine)))
         return self.changed(replay=self.replay.with_heat(heat))
 

@@ -17,7 +17,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.baseline import FINE, FINE_SEGMENT, corrected, refine_steps, refined
+from mimic.sysid.baseline import corrected, refine_steps, refined
 from mimic.sysid.evidence import (
     TriedEffect,
     cross_validated,
@@ -263,7 +263,7 @@ class Search:
         """Return the best set, and what was tried last where nothing was added to it."""
         if not self.settings.most_effects or baseline.explained:
             return baseline, ()
-        warm = baseline.problem.warmed_up(baseline.fitted.point, FINE, FINE_SEGMENT)
+        warm = baseline.problem.warmed_up(baseline.fitted.point)
         best, last = replace(baseline, problem=warm), ()
         beam = [best]
         for _ in range(self.settings.most_effects):

@@ -29,7 +29,7 @@ joints = ["hinge"]
 stiffness = 2.0
 """
 
-SPRING = ("--no-torque", "--effects", "spring")
+SPRING = ("--no-torque", "--effects", "spring", "--timestep", "0.005")
 QUICK = ("--seconds", "16", "--timestep", "0.001")
 
 
@@ -86,13 +86,13 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
 def test_logs_with_gains_of_their_own_are_explained_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for seed, gains in enumerate((("30", "1.5"), ("15", "0.8"), ("30", "1.5"), ("20", "1.0"))):
         options = ("--motion", "random", "--seed", str(seed), "--kp", gains[0], "--kd", gains[1])
-        words = ("--model", "robot.xml", "--effects", "hidden.toml", "--seconds", "10", "--timestep", "0.001")
+        words = ("--model", "robot.xml", "--effects", "hidden.toml", "--seconds", "7", "--timestep", "0.001")
         assert main(["log", "simulate", *words, "-o", f"{seed}.csv", *options]) == 0
         (here / f"{seed}.json").write_text("{}")  # nothing is said beside the log
     notes = [word for i, kp, kd in ((0, 30, 1.5), (1, 15, 0.8), (2, 30, 1.5), (3, 20, 1.0)) for word in (
         "--note", f"{i}.csv:kp={kp}", "--note", f"{i}.csv:kd={kd}")]  # fmt: skip
     files = ["0.csv", "1.csv", "2.csv", "--held-out", "3.csv"]
-    assert main(["calibrate", *files, "--model", "robot.xml", *notes, "-o", "out", *SPRING, "--timestep", "0.005"]) == 0
+    assert main(["calibrate", *files, "--model", "robot.xml", *notes, "-o", "out", *SPRING]) == 0
     data = json.loads((here / "out" / "calibration.json").read_text())
     assert data["found"] == ["spring"]
     assert [(log["name"], log["fitted"]) for log in data["logs"]] == [

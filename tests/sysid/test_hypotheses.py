@@ -95,17 +95,17 @@ def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: 
 
 def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
     problem, point = problem_of(pair, log_of(pair))
-    once = problem.in_fine_steps(point, 2, 1.0)
+    once = problem.in_fine_steps(point)
     made = problem.replay.replays
-    again = problem.in_fine_steps(point.moved([], np.zeros(0)), 2, 1.0)
+    again = problem.in_fine_steps(point.moved([], np.zeros(0)))
     assert np.array_equal(again, once, equal_nan=True)
     assert problem.replay.replays == made
-    other = problem.in_fine_steps(point.with_effect("coulomb", pair, {"level": 0.1}), 2, 1.0)
+    other = problem.in_fine_steps(point.with_effect("coulomb", pair, {"level": 0.1}))
     assert problem.replay.replays > made
     assert np.nanmax(np.abs(other - once)) > 1.0
     late = problem.changed(replay=problem.replay.with_late(np.full(len(problem.replay.sent), 0.01)))
-    assert np.nanmax(np.abs(late.in_fine_steps(point, 2, 1.0) - once)) > 1.0
-    assert np.array_equal(problem.in_fine_steps(point, 2, 1.0), once, equal_nan=True)
+    assert np.nanmax(np.abs(late.in_fine_steps(point) - once)) > 1.0
+    assert np.array_equal(problem.in_fine_steps(point), once, equal_nan=True)
 
 
 @pytest.mark.slow
@@ -113,15 +113,15 @@ def test_the_shorter_of_two_fine_replays_is_the_same_whether_both_were_made_or_n
     """What the extrapolation adds hardly depends on the point: so steps on the way take the shorter one alone."""
     problem, point = problem_of(pair, log_of(pair))
     near = point.moved([], np.zeros(0)).with_effect("coulomb", pair, {"level": 0.051})
-    alone = problem.in_steps_of_columns(point, 5, 1.0)
-    both = problem.in_fine_steps(point, 5, 1.0)
+    alone = problem.in_steps_of_columns(point)
+    both = problem.in_fine_steps(point)
     made = problem.replay.replays
-    assert np.array_equal(problem.in_steps_of_columns(point, 5, 1.0), alone, equal_nan=True)
+    assert np.array_equal(problem.in_steps_of_columns(point), alone, equal_nan=True)
     assert problem.replay.replays == made
-    there = problem.in_steps_of_columns(near, 5, 1.0)
+    there = problem.in_steps_of_columns(near)
     assert problem.replay.replays == made + 5
     moved = np.nanstd(there - alone)
-    assert np.nanstd(problem.in_fine_steps(near, 5, 1.0) - (there + both - alone)) < 0.1 * moved
+    assert np.nanstd(problem.in_fine_steps(near) - (there + both - alone)) < 0.1 * moved
 
 
 def test_cogging_is_looked_for_near_its_order(pair: MachineModel) -> None:
@@ -288,7 +288,7 @@ def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: M
     free_parameters = problem.free_parameters(point, {}, names)
     left = []
     for both_sides in (False, True):
-        columns = problem.columns_in_fine_steps(point, free_parameters, 5, 1.0, both_sides)
+        columns = problem.columns_in_fine_steps(point, free_parameters, both_sides)
         together = sum(value * column for value, column in zip(point.read(free_parameters), columns, strict=True))
         left.append(float(np.sqrt(np.nanmean(np.square(together)))))
     assert left[0] > 1.0
