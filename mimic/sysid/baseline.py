@@ -48,7 +48,7 @@ def compared(
     problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray]
 ) -> tuple[Problem, Fit]:
     """Return problem and baseline fit again, with coarse steps corrected by fine ones."""
-    joints = len(problem.machine.joints)
+    joints = problem.joints
     for _ in range(2):
         if (weighed := problem.weighed(fitted.residual)) is problem:
             break
@@ -171,7 +171,7 @@ REFITS = 4
 
 def errors_of(problem: Problem, residual: FloatArray) -> Errors:
     """Return the errors of each joint [rad or m] of a residual (T, C) in noise floors."""
-    joints = len(problem.machine.joints)
+    joints = problem.joints
     scale, residual = problem.noise[:joints], problem.in_floors(residual)
     train, held = (np.sqrt(problem.mean_squares(residual, side)[:joints]) * scale for side in (False, True))
     return Errors(train=train, held_out=held)
@@ -221,7 +221,7 @@ def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogError
 
 def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
     """Return the root mean square of the positions in some rows (J,), in the unit of the log."""
-    joints = len(problem.machine.joints)
+    joints = problem.joints
     inside = problem.in_floors(residual)[rows & (problem.blocks.index >= 0), :joints].astype(np.float64)
     return np.sqrt(np.nanmean(inside**2, axis=0)) * problem.noise[:joints]
 

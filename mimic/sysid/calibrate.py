@@ -281,7 +281,7 @@ def _effect_set(h: Hypothesis, coarse: BoolArray) -> EffectSet:
     effects = []
     for name in h.names:
         spec = CATALOGUE[name]
-        mask = h.joints.get(name, np.ones(len(problem.machine.joints), dtype=bool))
+        mask = h.joints.get(name, np.ones(problem.joints, dtype=bool))
         index = [-1] if spec.scope == "machine" else [int(j) for j in np.flatnonzero(mask)]
         if not index:
             continue

@@ -172,7 +172,7 @@ def too_little(gain: float, z: float, least: float) -> str:
 def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviation: FloatArray) -> BoolArray:
     """Return the joints (J,) where an effect's main parameter is significantly different from neutral."""
     spec = CATALOGUE[name]
-    there = np.zeros(len(problem.machine.joints), dtype=bool)
+    there = np.zeros(problem.joints, dtype=bool)
     sized = [p for p in spec.parameters if not p.fixed and not p.shape]
     if not sized:  # read off the log, not fitted
         values = [fitted.point.values[name, p.name] != neutral(name, p.name, problem.machine) for p in spec.parameters]
@@ -180,9 +180,8 @@ def present(problem: Problem, fitted: Fit, name: str, joints: BoolArray, deviati
     for i, free in enumerate(fitted.free_parameters):
         if free.key[0] != name or free.key[1] not in [p.name for p in sized]:
             continue
-        value = fitted.point.values[free.key][max(free.joint, 0)]
         none = float(neutral(*free.key, problem.machine)[max(free.joint, 0)])
-        if abs(value - none) > RULES.z * deviation[i]:
+        if abs(fitted.point.at(free) - none) > RULES.z * deviation[i]:
             there[slice(None) if free.joint < 0 else free.joint] = True
     if spec.scope != "joint":
         return there
@@ -201,7 +200,7 @@ def _missed(fitted: Fit, problem: Problem, name: str) -> FloatArray:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     inverse = np.linalg.pinv(hessian * scale[:, None] * scale, 1e-12) * scale[:, None] * scale
     readings = max(int(np.isin(problem.blocks.index, train).sum()), 1)
-    rows = np.zeros(len(problem.machine.joints))
+    rows = np.zeros(problem.joints)
     sized = [p.name for p in CATALOGUE[name].parameters if not p.fixed and not p.shape]
     for joint in range(len(rows)):
         own = [
@@ -225,7 +224,7 @@ def share_taken(problem: Problem, incumbent: Fit, fitted: Fit, channels: BoolArr
 
 def _better(problem: Problem, before: FloatArray, after: FloatArray) -> BoolArray:
     """Return the joints (J,) whose left-out blocks improve."""
-    joints = len(problem.machine.joints)
+    joints = problem.joints
     gain = np.log(np.maximum(before.sum(0), 1e-12) / np.maximum(after.sum(0), 1e-12))
     better = np.zeros(joints, dtype=bool)
     np.logical_or.at(better, problem.channel_joint, gain > 2 * RULES.gain)
@@ -241,10 +240,8 @@ def _pushed(problem: Problem, incumbent: Fit, fitted: Fit, there: BoolArray) -> 
     for free, bound in stopped(fitted, problem, RULES.beyond):
         if not CATALOGUE[free.key[0]].baseline or (free.joint >= 0 and not there[free.joint]):
             continue
-        if abs(incumbent.point.values[free.key][max(free.joint, 0)] - bound) > 1e-9:
-            label = f"{free.key[0]}.{free.key[1]}"
-            label += "" if free.joint < 0 else f" of {problem.machine.joints[free.joint]}"
-            return f"it pushes {label} onto its bound {bound:g}"
+        if abs(incumbent.point.at(free) - bound) > 1e-9:
+            return f"it pushes {free.called(problem.machine.joints)} onto its bound {bound:g}"
     return ""
 
 
@@ -257,8 +254,7 @@ def stopped(fitted: Fit, problem: Problem, least: float = 0.0) -> list[tuple[Fre
     hessian, gradient = fitted.sums.over(problem.blocks.train)
     found = []
     for i, free in enumerate(fitted.free_parameters):
-        joint = max(free.joint, 0)
-        value, none = fitted.point.values[free.key][joint], neutral(*free.key, problem.machine)[joint]
+        value, none = fitted.point.at(free), neutral(*free.key, problem.machine)[max(free.joint, 0)]
         beyond = gradient[i] / (hessian[i, i] + 1.0 / free.spread**2) / free.step
         for bound, sign in zip(free.bounds, (-1.0, 1.0), strict=True):
             counts = CATALOGUE[free.key[0]].baseline or abs(none - bound) > 1e-9
@@ -378,8 +374,8 @@ def late_targets(
                 gain=gain,
                 z=z,
                 improvement=improvement,
-                joints=np.ones(len(problem.machine.joints), dtype=bool),
-                allowed=np.ones(len(problem.machine.joints), dtype=bool),
+                joints=np.ones(problem.joints, dtype=bool),
+                allowed=np.ones(problem.joints, dtype=bool),
                 why=why,
                 timing=timing,
             )

@@ -420,7 +420,7 @@ def _chains(rows: Sequence[Stop], machine: MachineModel) -> BoolArray:
 def coarse_encoders(h: Hypothesis) -> BoolArray:
     """Return the joints (J,) with an encoder so coarse that it matters beside what is left."""
     problem = h.problem
-    count = len(problem.machine.joints)
+    count = problem.joints
     left = np.sqrt(problem.mean_squares(h.fitted.residual, False)[:count]) * problem.noise[:count]
     return problem.encoder_steps / np.sqrt(12.0) > LEAST_ROUNDING * left
 

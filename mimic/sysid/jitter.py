@@ -467,7 +467,7 @@ def _applied(problem: Problem, responses: FloatArray, late: FloatArray, channels
 
 def with_lateness(problem: Problem, point: Point, lates: Sequence[FloatArray]) -> FloatArray:
     """Return whitened residuals (N, T, C), 0 where masked, with each target delayed (K,) [s] in each replay."""
-    replay, joints = problem.replay, len(problem.machine.joints)
+    replay, joints = problem.replay, problem.joints
     made = replay.run(
         stack([point] * len(lates), problem.machine), len(lates), Targets.stacked([replay.delayed(x) for x in lates])
     )

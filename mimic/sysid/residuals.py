@@ -100,9 +100,13 @@ class Point:
             return False
         return all(np.array_equal(row, other.values[key]) for key, row in self.values.items())
 
+    def at(self, free: FreeParameter) -> float:
+        """Return the value of a free parameter."""
+        return self.values[free.key][max(free.joint, 0)]
+
     def read(self, free_parameters: Sequence[FreeParameter]) -> FloatArray:
         """Return the values of the free parameters."""
-        return np.array([self.values[k.key][max(k.joint, 0)] for k in free_parameters])
+        return np.array([self.at(k) for k in free_parameters])
 
 
 def stack(points: Sequence[Point], machine: MachineModel) -> dict[Key, FloatArray]:
@@ -225,7 +229,7 @@ class Problem:
             blocks: Blocks of the readings.
         """
         self.replay, self.machine, self.blocks = replay, replay.machine, blocks
-        joints = len(self.machine.joints)
+        self.joints = joints = len(self.machine.joints)
         self.channel_joint = np.arange(joints)
         self.noise = noise
         if replay.torque and torque_noise is not None:
@@ -250,12 +254,11 @@ class Problem:
 
     def of_beginning(self, rows: int) -> Problem:
         """Return the problem of the first readings, with this one's noise floors, scales and blocks."""
-        joints = len(self.machine.joints)
         replay = self.replay.of_beginning(rows)
         index = np.where(replay.counts, self.blocks.index[:rows], -1)
         blocks = Blocks(index=index, held_out=self.blocks.held_out[: max(int(index.max()), 0) + 1])
-        torque = self.noise[joints:] if self.channels > joints else None
-        part = Problem(replay, self.noise[:joints], torque, blocks)
+        torque = self.noise[self.joints :] if self.channels > self.joints else None
+        part = Problem(replay, self.noise[: self.joints], torque, blocks)
         part.pinned, part.encoder_steps, part._scales = self.pinned, self.encoder_steps, self._scales
         return part
 
@@ -377,7 +380,6 @@ class Problem:
 
     def _all_replayed(self, asked: Sequence[tuple[Replay, Sequence[Point]]]) -> list[FloatArray]:
         """Return the residuals of points by a replay (N, T, C), of each that is asked, side by side."""
-        joints = len(self.machine.joints)
         found, places, jobs = [], [], []
         for replay, points in asked:
             joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
@@ -391,16 +393,15 @@ class Problem:
                 places.append((joined, rows))
             found.append(joined)
         for (joined, rows), made in zip(places, self.replay.side_by_side(jobs), strict=True):
-            joined[rows, :, :joints] = made.residual
-            if self.channels > joints:
-                joined[rows, :, joints:] = made.torque_residual
+            joined[rows, :, : self.joints] = made.residual
+            if self.channels > self.joints:
+                joined[rows, :, self.joints :] = made.torque_residual
         return found
 
     def squares(self, points: Sequence[Point]) -> FloatArray:
         """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
-        joints = len(self.machine.joints)
         rows = self.blocks.fitted
-        return self.replay.squares(stack(points, self.machine), len(points), rows, self.noise[:joints]).sum(1)
+        return self.replay.squares(stack(points, self.machine), len(points), rows, self.noise[: self.joints]).sum(1)
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
@@ -460,8 +461,9 @@ class Problem:
 
     def with_torque_noise(self, least: FloatArray) -> Problem:
         """Return the problem with a noise floor of the torque channels of no less than this (J,)."""
-        joints = len(self.machine.joints)
-        return self.changed(noise=np.concatenate([self.noise[:joints], np.maximum(self.noise[joints:], least)]))
+        return self.changed(
+            noise=np.concatenate([self.noise[: self.joints], np.maximum(self.noise[self.joints :], least)])
+        )
 
     # ------------------------------------------------------------------ derivatives
 
@@ -484,7 +486,7 @@ class Problem:
                 if spec.scope == "machine":
                     found.append(self._free_parameter(point, name, p, -1))
                     continue
-                mask = joints.get(name, np.ones(len(self.machine.joints), dtype=bool))
+                mask = joints.get(name, np.ones(self.joints, dtype=bool))
                 mask = mask & self.machine.last if spec.tip else mask
                 found += [self._free_parameter(point, name, p, int(j)) for j in np.flatnonzero(mask)]
         return found
@@ -502,7 +504,7 @@ class Problem:
 
     def scale(self, unit: str, joint: int) -> float:
         """Return the machine's own scale of a unit at a joint; the mean over the joints for the whole machine."""
-        values = [scale_of(unit, *(float(row[j]) for row in self._scales)) for j in range(len(self.machine.joints))]
+        values = [scale_of(unit, *(float(row[j]) for row in self._scales)) for j in range(self.joints)]
         return float(np.mean(values)) if joint < 0 else values[joint]
 
     def groups(self, free_parameters: Sequence[FreeParameter]) -> list[list[int]]:
@@ -524,7 +526,7 @@ class Problem:
             by = np.zeros(len(free_parameters))
             for i in group:
                 high = free_parameters[i].bounds[1]
-                value = point.values[free_parameters[i].key][max(free_parameters[i].joint, 0)]
+                value = point.at(free_parameters[i])
                 size = share * free_parameters[i].step
                 by[i] = size if value + size <= high else -size
                 sizes[i] = by[i]

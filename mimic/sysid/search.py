@@ -158,7 +158,7 @@ def starting_points(
         rows = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
         if not rows:
             continue
-        point, joints = points[rows[0]][1], np.ones(len(problem.machine.joints), dtype=bool)
+        point, joints = points[rows[0]][1], np.ones(problem.joints, dtype=bool)
         if rows[0] in replayed and CATALOGUE[name].scope == "machine":
             point = points[min(rows, key=lambda i: float(left[i].sum()))][1]
         elif rows[0] in replayed:
@@ -181,7 +181,7 @@ def _mixed(
     name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem
 ) -> tuple[Point, BoolArray]:
     """Return the point at which each joint has the start that suits it best, or none, and which joints have one."""
-    joints = len(problem.machine.joints)
+    joints = problem.joints
     by_joint = np.zeros((len(points) + 1, joints))
     for row, square in enumerate((own, *squares)):
         np.add.at(by_joint[row], problem.channel_joint, square)
@@ -375,7 +375,7 @@ class Search:
                 quick[i] = refitted([(s.name, point)], 3)[0]
         tried = judged([s.name for s in starts], quick)
         hard = [t for t in tried if _astray(problem, fitted, t, tried)]
-        everywhere = np.ones(len(problem.machine.joints), dtype=bool)
+        everywhere = np.ones(problem.joints, dtype=bool)
         begins = {s.name: afresh(problem, s.point, everywhere) for s in starts}
         anew = refitted([(t.name, begins[t.name]) for t in hard], 6)
         for t, again in zip(hard, judged([t.name for t in hard], anew), strict=True):
@@ -477,7 +477,7 @@ def _astray(problem: Problem, incumbent: Fit, t: TriedEffect, tried: Sequence[Tr
 def _bent(fitted: Fit) -> bool:
     """Return whether a baseline parameter is at an unphysical bound."""
     for free in fitted.free_parameters:
-        value = fitted.point.values[free.key][max(free.joint, 0)]
+        value = fitted.point.at(free)
         if CATALOGUE[free.key[0]].baseline and value != 0.0 and min(abs(value - b) for b in free.bounds) < 1e-9:
             return True
     return False
