@@ -86,7 +86,7 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
 def test_logs_with_gains_of_their_own_are_explained_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for seed, gains in enumerate((("30", "1.5"), ("15", "0.8"), ("30", "1.5"), ("20", "1.0"))):
         options = ("--motion", "random", "--seed", str(seed), "--kp", gains[0], "--kd", gains[1])
-        words = ("--model", "robot.xml", "--effects", "hidden.toml", "--seconds", "7", "--timestep", "0.001")
+        words = ("--model", "robot.xml", "--effects", "hidden.toml", "--seconds", "10", "--timestep", "0.001")
         assert main(["log", "simulate", *words, "-o", f"{seed}.csv", *options]) == 0
         (here / f"{seed}.json").write_text("{}")  # nothing is said beside the log
     notes = [word for i, kp, kd in ((0, 30, 1.5), (1, 15, 0.8), (2, 30, 1.5), (3, 20, 1.0)) for word in (
@@ -126,10 +126,8 @@ def test_a_second_log_shows_whether_effects_hold(here: Path, capsys: pytest.Capt
 @pytest.mark.slow
 def test_a_wave_longer_than_the_motion_is_no_cogging(here: Path) -> None:
     assert simulated("-o", "log.parquet") == 0  # its spring is a wave of any long period
-    assert (
-        main(["calibrate", "log.parquet", "--model", "robot.xml", "-o", "out", "--no-torque", "--effects", "cogging"])
-        == 0
-    )
+    options = ("--no-torque", "--effects", "cogging", "--timestep", "0.005")
+    assert main(["calibrate", "log.parquet", "--model", "robot.xml", "-o", "out", *options]) == 0
     data = json.loads((here / "out" / "calibration.json").read_text())
     assert data["found"] == []
     assert data["stages"][-1]["candidates"][0]["name"] == "cogging"

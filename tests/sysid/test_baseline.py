@@ -66,7 +66,7 @@ def test_it_goes_on_as_long_as_that_pays() -> None:
         "delay": {"time": rng.uniform(0.004, 0.018)},
     }
     hidden = [EffectValues(name=n, joints=() if n == "delay" else robot.joints, values=v) for n, v in true.items()]
-    log = simulate_log(robot, motion.t, motion.q_des, EffectSet(tuple(hidden)), LogSettings(seed=4, timestep=0.0005))
+    log = simulate_log(robot, motion.t, motion.q_des, EffectSet(tuple(hidden)), LogSettings(seed=4, timestep=0.0025))
     log = replace(log, tau=None)
     problem = problem_of(log, as_logged(robot, log.metadata), CalibrateSettings())
     fitted = fit_baseline(problem, Point.of(BASELINE, problem.machine), BASELINE, {})

@@ -47,7 +47,7 @@ def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> Joi
         q_des = q_des[np.where(t % 2.0 < 1.0, rows - rows % 5, rows)]
     delay = EffectValues(name="delay", values={"time": 0.011})
     return replace(
-        simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4, timestep=0.0005)), tau=None
+        simulate_log(pair, t, q_des, EffectSet((delay, *hidden)), LogSettings(seed=4, timestep=0.001)), tau=None
     )
 
 
