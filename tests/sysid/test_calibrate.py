@@ -3,7 +3,6 @@
 import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -213,21 +212,6 @@ def test_nothing_is_fitted_to_a_joint_that_never_moves(arm: MachineModel) -> Non
     result = calibrate(still, arm, settings(most_effects=0))
     assert result.noise[0] == result.noise[1]
     assert [e.joints for e in result.effects] == [("elbow",)] * 3 + [()]
-
-
-@pytest.mark.slow
-def test_a_joint_alone_is_not_coupled_to_itself(tmp_path: Path) -> None:
-    """Where viscous friction stops at nothing, a coupling to itself would go on below."""
-    path = tmp_path / "one.xml"
-    path.write_text(
-        ARM.replace('<joint name="elbow" axis="0 1 0" armature="0.003" damping="0.04" frictionloss="0.05"/>', "")
-    )
-    one = read_machine(path, {"kp": 20.0, "kd": 0.8})
-    t, q_des = targets()
-    log = replace(simulate_log(one, t, q_des[:, :1], EffectSet(), LogSettings(seed=1)), tau=None)
-    stiffer = replace(log, metadata={"kp": 20.0, "kd": 1.0})
-    result = calibrate(stiffer, one, settings(effects=("coupling", "joint_delay", "quadratic_drag")))
-    assert {c.name for s in result.stages for c in s.candidates} <= {"quadratic_drag"}
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
+from mimic.sysid.evidence import late_targets
 from mimic.sysid.jitter import eased, timings
-from mimic.sysid.least_squares import fit
+from mimic.sysid.least_squares import fit, left_out
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.predict import simulate_log
 from mimic.sysid.replay import Replay
@@ -104,10 +105,12 @@ def test_joints_agree_on_jitter_of_which_each_by_itself_shows_less_than_its_nois
 
 @pytest.mark.slow
 def test_what_one_joint_shows_alone_is_no_late_target(pair: MachineModel) -> None:
-    sticky = EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2})
-    result = calibrated(pair, sticky)
-    assert found(result) == []
-    assert result.unexplained[0].verdict != "explained"
+    log = log_of(pair, EffectValues(name="stribeck", joints=("a",), values={"level": 0.15, "speed": 0.2}))
+    replay = Replay(pair, log, timestep=0.005)
+    problem = Problem(replay, np.full(2, 0.37e-3), None, make_blocks(log.t, replay.counts))
+    fitted = fit(problem, Point.of(BASELINE, pair), BASELINE, {}, most=4)
+    tried = late_targets(problem, fitted, left_out(fitted, problem)[0], BASELINE, {}, TIMING)
+    assert all(t.why for t in tried)
 
 
 def test_a_target_that_is_a_period_late_is_never_seen(pair: MachineModel) -> None:
