@@ -114,7 +114,7 @@ def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat
     moving = np.abs(np.diff(x, axis=0, append=x[-1:])).max(axis=1) > 1e-6
     best: Repeat | None = None
     for lag in range(width, len(x) - width):
-        same = (np.abs(x[lag:] - x[:-lag]) < 0.02).all(axis=1)
+        same = np.asarray((np.abs(x[lag:] - x[:-lag]) < 0.02).all(axis=1))
         if same.sum() < width:
             continue
         start, length = _longest(same)
