@@ -28,7 +28,7 @@ from mimic.records import JOINTS
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.checks import check_log
 
-SHORT = ProbeSettings(seconds=12.0, rate_hz=100.0, approach=0.3)
+SHORT = ProbeSettings(seconds=14.0, rate_hz=100.0, approach=0.3)
 """The shortest that calibration takes."""
 
 WIRING = load_wiring()
@@ -275,7 +275,7 @@ def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
 def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(description):
     """The emulated motors act at any time within a step, tell rounded words, and answer late now and then."""
     _, robot = made(description, "frames_late=0.004@+5-5.1")
-    settings = ProbeSettings(seconds=12.0, rate_hz=100.0, approach=0.3)
+    settings = ProbeSettings(seconds=14.0, rate_hz=100.0, approach=0.3)
     probed = probe(robot, probe_motion(description, settings), settings, Signals())
     machine = with_gains(hung_robot(description), probed.log.metadata)
     facts = check_log(probed.log, np.stack([machine.low, machine.high], -1))
