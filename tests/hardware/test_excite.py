@@ -116,7 +116,7 @@ def test_a_recorded_run_is_played_inside_the_ranges_and_begins_anew(description)
     t = np.arange(100) * 0.02
     q = np.random.default_rng(0).uniform(-4, 4, (100, 12))
     motion = recorded_motion(t, q, description, SHORT).q_des
-    assert motion.shape == (1200, 12)
+    assert motion.shape == (1400, 12)
     assert np.all((motion >= low) & (motion <= high))
     assert np.allclose(motion[0], np.clip(q[0], low, high))
     assert np.allclose(motion[198], motion[0])  # 1.98 s later
@@ -133,7 +133,7 @@ def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     log = log.of(machine.joints)
     limits = np.stack([machine.low, machine.high], -1)
     facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
-    assert len(facts.log.t) == 1200
+    assert len(facts.log.t) == 1400
     assert log.rate == pytest.approx(100.0, rel=1e-3)
     assert log.metadata["kp"] == SHORT.kp
     assert result.missing == 0.0
