@@ -252,6 +252,8 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
     """
     names = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs)))
     _refuse_contradictions(logs, names)
+    if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
+        logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
     parts, times, pieces = [], [], []
     row, at = 0, 0.0
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
@@ -321,10 +323,9 @@ def _refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> No
                 f"{one} has joints {', '.join(first.joints)}, but {other} has {', '.join(log.joints)};"
                 " give logs of one machine"
             )
-        for channel, what in (("q_des", "targets (q_des)"), ("force", "forces")):
-            if (getattr(first, channel) is None) != (getattr(log, channel) is None):
-                has, lacks = (one, other) if getattr(log, channel) is None else (other, one)
-                raise CalibrationError(f"{has} has {what}, but {lacks} has none; calibrate them apart")
+        if (first.q_des is None) != (log.q_des is None):
+            has, lacks = (one, other) if log.q_des is None else (other, one)
+            raise CalibrationError(f"{has} has targets (q_des), but {lacks} has none; calibrate them apart")
         for key in ("kp", "kd", VOLTAGE):
             if first.q_des is not None and (key in first.metadata) != (key in log.metadata):
                 has, lacks = (one, other) if key in first.metadata else (other, one)

@@ -56,6 +56,17 @@ def test_each_log_is_replayed_with_its_own_gains_and_payload(pendulum: MachineMo
         assert left(worse, pendulum)[1:].max() > 2e-3
 
 
+def test_a_log_without_feed_forward_beside_one_with_it_has_none(pendulum: MachineModel) -> None:
+    """A force acts like a shift of the target by it over Kp."""
+    log = swung(pendulum)
+    shift = 0.1 * np.sign(np.sin(3.0 * log.t[:, None]))
+    assert log.q_des is not None
+    pushed = replace(log, q_des=log.q_des - shift, force=20.0 * shift)
+    assert np.all(left([log, pushed], pendulum) < 2e-4)
+    assert np.all(left([pushed, log], pendulum) < 2e-4)
+    assert left([log, replace(pushed, force=None)], pendulum)[1] > 0.02
+
+
 def test_a_drive_that_is_switched_off_lets_its_joint_fall(pendulum: MachineModel) -> None:
     """The closed form: a pendulum without friction that is let go swings back to the height it came from."""
     free = replace(pendulum, drives=replace(pendulum.drives, friction=np.zeros(1)))
