@@ -240,7 +240,8 @@ def _film(
     seen: list[np.ndarray] = []
 
     def pictures() -> Iterator[np.ndarray]:
-        with RobotFilm(log, load_description(), width=width, height=height) as film:
+        robot = load_description(str(log.metadata.get("robot", "cyberdog2")))
+        with RobotFilm(log, robot, width=width, height=height) as film:
             for tick in ticks:
                 picture = film.picture(int(tick))
                 flat = picture.reshape(-1, 3) / 255.0
