@@ -1,5 +1,5 @@
-"""Points, residuals there and their derivatives: which numbers are fitted, what a change of each does, and the sums over
-blocks.
+"""Points, residuals there and their derivatives: which numbers are fitted, what a change of each does, and the sums
+over blocks.
 
 While the base is held, the legs (chains) do not influence each other. So the same parameter of all first joints is
 changed in one replay, and the column of each leg is read from that leg's own joints.
