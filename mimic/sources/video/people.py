@@ -1,12 +1,14 @@
 """How many people a video shows, and which of them is followed.
 
 The pose detector follows one person from frame to frame. From time to time a second detector looks for everybody; where
-one person was chosen, the rest of the picture is hidden from the first one.
+one person was chosen, the first one sees only the part of the picture around them.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +17,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.records import LANDMARKS, FloatArray
+from mimic.records import LANDMARKS, FloatArray, IntArray
 from mimic.sources.video.quiet import quiet_stderr
 
 Choice = Literal["left", "right", "largest"] | int
@@ -28,6 +30,8 @@ VISIBLE = 0.6
 """Both shoulders of a person must be at least this visible."""
 SMALLEST = 0.25
 """Smaller people than this share of the largest one are background."""
+FIRST = 2.0
+"""Who is followed is decided among the people that are seen in this time from the beginning [s]."""
 LOST = 3
 """After this many looks without the chosen person, as after a cut, they are chosen anew."""
 SAME = 0.5
@@ -36,8 +40,9 @@ MIN_LOOKS, MIN_SHARE = 2, 0.15
 """Several people are reported if this many looks and this share of them found more than one."""
 MARGIN = 0.35
 """What is shown around a chosen person, on each side [box heights]."""
-GREY = 128
-"""What hides the rest of the picture."""
+WIDE = 1.2
+"""A picture with a longer side than this many shorter ones is also searched in squares: people who are small in the
+whole of it are found there."""
 
 _SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
 _ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
@@ -90,8 +95,18 @@ def _apart(one: Person, other: Person) -> float:
     return float(np.linalg.norm(one.middle - other.middle)) / other.trunk
 
 
+def squares(width: int, height: int) -> list[tuple[int, int, int]]:
+    """Return left end, upper end and side [px] of the squares of a picture; each overlaps the next by half or more."""
+    side, longest = min(width, height), max(width, height)
+    if longest <= WIDE * side:
+        return []
+    count = 1 + math.ceil(2 * (longest - side) / side)
+    starts = [round(i * (longest - side) / (count - 1)) for i in range(count)]
+    return [(start, 0, side) if width > height else (0, start, side) for start in starts]
+
+
 class People:
-    """Finds everybody now and then, and hides all but a chosen person; use it in a ``with`` block."""
+    """Finds everybody now and then, and shows the detector only a chosen person; use it in a ``with`` block."""
 
     def __init__(self, model: Path, choice: Choice | None, name: str) -> None:
         """Prepare.
@@ -106,6 +121,7 @@ class People:
         self._choice: Choice | None = choice
         self._next, self._aspect = -np.inf, 1.0
         self._person: Person | None = None
+        self._crop: tuple[int, int, int, int] | None = None
         self._missed, self._settled = 0, False
         self._looks: list[tuple[float, list[Person]]] = []
         self._followed: list[int | None] = []
@@ -129,6 +145,28 @@ class People:
     ) -> None:
         self._everybody.close()
 
+    def choose(self, frames: Iterable[tuple[float, np.ndarray]]) -> None:
+        """Choose the person from the first seconds: not everybody is found in every picture.
+
+        Args:
+            frames: Times [s] and pictures of the clip from its beginning; they are read as far as needed.
+        """
+        assert self._choice is not None
+        looks: list[list[Person]] = []
+        for t, rgb in frames:
+            if t > FIRST:
+                break
+            if t >= EVERY_CHOSEN * len(looks):
+                self._aspect = rgb.shape[1] / rgb.shape[0]
+                looks.append(distinct(list(self._everybody_in(rgb))))
+        most = max(range(len(looks)), key=lambda i: len(looks[i]), default=0)
+        if not looks or not looks[most]:
+            return
+        self._person, self._settled = chosen(looks[most], self._choice), len(looks[most]) > 1
+        for people in reversed(looks[:most]):  # where they were at the beginning
+            near = [one for one in people if _apart(one, self._person) < 1.0]
+            self._person = near[0] if near else self._person
+
     def show(self, t: float, rgb: np.ndarray) -> np.ndarray:
         """Return what the detector may see of a frame at time t [s]: all of it, or the chosen person."""
         self._aspect = rgb.shape[1] / rgb.shape[0]
@@ -138,15 +176,39 @@ class People:
         if self._choice is None or self._person is None:
             return rgb
         height, width = rgb.shape[:2]
-        margin = MARGIN * (self._person.high[1] - self._person.low[1])
-        x0, y0 = np.clip(np.floor((self._person.low - margin) * height), 0, (width, height)).astype(int)
-        x1, y1 = np.clip(np.ceil((self._person.high + margin) * height), 0, (width, height)).astype(int)
-        shown = np.full_like(rgb, GREY)
-        shown[y0:y1, x0:x1] = rgb[y0:y1, x0:x1]
-        return shown
+        x0, y0, x1, y1 = self._crop = self._section(width, height)
+        return np.ascontiguousarray(rgb[y0:y1, x0:x1])
+
+    def in_picture(self, image: FloatArray, width: int, height: int) -> FloatArray:
+        """Return landmarks in what `show` gave (33, 2) as fractions of the picture, which has this size [px]."""
+        if self._crop is None:
+            return image
+        x0, y0, x1, y1 = self._crop
+        return (image * (x1 - x0, y1 - y0) + (x0, y0)) / (width, height)
+
+    def _section(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """Return the ends [px] of the part of a picture that shows the chosen person.
+
+        It stays where it is as long as it fits: the detector looks for the person where they were in it.
+        """
+        assert self._person is not None
+        low, high = self._person.low, self._person.high
+        margin = MARGIN * (high[1] - low[1])
+
+        def around(gap: float) -> IntArray:
+            ends = np.concatenate([np.floor((low - gap) * height), np.ceil((high + gap) * height)])
+            return np.clip(ends, 0, (width, height, width, height)).astype(np.int64)
+
+        if self._crop is not None:
+            inner, own = around(margin / 3), np.array(self._crop)
+            fits = (own[:2] <= inner[:2]).all() and (own[2:] >= inner[2:]).all()
+            if fits and own[3] - own[1] < 2 * (inner[3] - inner[1]):
+                return self._crop
+        x0, y0, x1, y1 = (int(end) for end in around(margin))
+        return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else (0, 0, width, height)
 
     def saw(self, image: FloatArray) -> None:
-        """Take the landmarks (33, 2) that the detector found in that frame; NaN if none."""
+        """Take the landmarks (33, 2) that the detector found in that frame, as fractions of it; NaN if none."""
         if not np.isfinite(image).all():
             return
         person = person_of(image, self._aspect)
@@ -159,11 +221,7 @@ class People:
             self._followed.append(near if away and away[near] < 2 * SAME else None)
 
     def _look(self, t: float, rgb: np.ndarray) -> None:
-        with quiet_stderr():
-            picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
-            found = self._everybody.detect(picture).pose_landmarks
-        seen = [pose for pose in found if min(pose[i].visibility for i in _SHOULDERS) >= VISIBLE]
-        people = distinct([person_of(np.array([(p.x, p.y) for p in pose]), self._aspect) for pose in seen])
+        people = distinct(list(self._everybody_in(rgb)))
         if len(self._followed) < len(self._looks):
             self._followed.append(None)
         self._looks.append((t, people))
@@ -179,6 +237,25 @@ class People:
         self._missed = 0 if near else self._missed + 1
         if near:
             self._person = nearest
+
+    def _everybody_in(self, rgb: np.ndarray) -> Iterator[Person]:
+        """Yield the people in a picture and in its squares; some of them twice."""
+        height, width = rgb.shape[:2]
+        for image in self._poses_in(rgb):
+            yield person_of(image, self._aspect)
+        for x, y, side in squares(width, height):
+            for image in self._poses_in(rgb[y : y + side, x : x + side]):
+                inner = [x > 0, y > 0], [x + side < width, y + side < height]
+                if not ((image.min(axis=0) < 0) & inner[0]).any() and not ((image.max(axis=0) > 1) & inner[1]).any():
+                    yield person_of((image * side + (x, y)) / (width, height), self._aspect)
+
+    def _poses_in(self, rgb: np.ndarray) -> list[FloatArray]:
+        """Return landmarks (33, 2) of everybody in a picture, fraction of its width and height."""
+        with quiet_stderr():
+            picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
+            found = self._everybody.detect(picture).pose_landmarks
+        seen = [pose for pose in found if min(pose[i].visibility for i in _SHOULDERS) >= VISIBLE]
+        return [np.array([(p.x, p.y) for p in pose]) for pose in seen]
 
     def sentences(self) -> list[str]:
         """Return what is to be said about several people in view.

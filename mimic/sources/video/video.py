@@ -17,7 +17,7 @@ from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.decoding import open_video, true_times
+from mimic.sources.video.decoding import Video, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_model import BUNDLE, pose_model
@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 7
+ALGORITHM = 8
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MISSING_FRAMES, MISSING_SHARE = 2, 0.01
@@ -147,10 +147,16 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
     model = pose_model(settings.pose_model)
     with open_video(path) as video, BlazePose(model) as detect, People(model, settings.person, path.name) as people:
+        if settings.person is not None:
+            with open_video(path) as beginning:
+                people.choose(_timed(beginning))
         for frame in video:
             stamps.append(frame.stamp_ms)
             change.append(frame.change)
-            rows.append(detect(people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)) or no_person)
+            shown = people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)
+            landmarks, image, score = detect(shown) or no_person
+            height, width = frame.rgb.shape[:2]
+            rows.append((landmarks, people.in_picture(image, width, height), score))
             people.saw(rows[-1][1])
             light.append(lightness(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
@@ -161,6 +167,14 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     looks = np.array(change), np.array(light), np.array(clothes)
     said = people.sentences()
     return _Detections(path.name, t, landmarks, image, score, *looks, video.size, video.frame_count, repaired, said)
+
+
+def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield the time since the first frame [s] and the picture of each frame."""
+    first = None
+    for frame in video:
+        first = frame.stamp_ms if first is None else first
+        yield (frame.stamp_ms - first) / 1e3, frame.rgb
 
 
 def _person_share(detections: _Detections, settings: PoseSettings) -> float:

@@ -12,7 +12,7 @@ import pytest
 from mimic.config.pose import PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.records import LANDMARKS
-from mimic.sources.video.people import Person, chosen, describe, distinct, person_of
+from mimic.sources.video.people import Person, chosen, describe, distinct, person_of, squares
 from mimic.sources.video.video import track_video
 
 
@@ -48,28 +48,56 @@ def test_several_people_are_said_with_the_times_and_who_is_followed():
     assert describe([(1.5 * i, one) for i in range(5)], [0] * 5, None) == []
 
 
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1080, 1920), (910, 480), (640, 480)])
+def test_squares_cover_a_picture_and_overlap_by_half(width, height):
+    found = squares(width, height)
+    starts = [x + y for x, y, _ in found]
+    side, longest = min(width, height), max(width, height)
+    assert {own for *_, own in found} == {side}
+    assert (starts[0], starts[-1]) == (0, longest - side)
+    assert max(np.diff(starts)) <= side / 2 + 1
+    assert squares(500, 480) == []
+
+
 @pytest.mark.parametrize("number", [0, 6])
 def test_numbers_that_nobody_has_are_refused(number):
     with pytest.raises(ConfigError, match="person is"):
         PoseSettings(person=number)
 
 
+def frames(path: Path, width: int) -> list[np.ndarray]:
+    """The first 60 frames, 480 pixels high."""
+    capture, found = cv2.VideoCapture(str(path)), []
+    while len(found) < 60 and (read := capture.read())[0]:
+        found.append(cv2.resize(read[1], (width, 480)))
+    return found
+
+
+def side_by_side(path: Path, left: list[np.ndarray], right: list[np.ndarray]) -> Path:
+    size = (left[0].shape[1] + right[0].shape[1], 480)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, size)
+    for pair in zip(left, right, strict=True):
+        writer.write(np.hstack(pair))
+    writer.release()
+    return path
+
+
 @pytest.fixture(scope="module")
 def two(clip: Callable[[str], Path], tmp_path_factory) -> Path:
     """A signer on the left and a rendered boxer on the right, for two seconds."""
+    left, right = frames(clip("real/01_asl_walk.mkv"), 640), frames(clip("rendered/boxing.mp4"), 640)
+    return side_by_side(tmp_path_factory.mktemp("people") / "two.mp4", left, right)
 
-    def frames(name: str) -> list[np.ndarray]:
-        capture, found = cv2.VideoCapture(str(clip(name))), []
-        while len(found) < 60 and (read := capture.read())[0]:
-            found.append(read[1])
-        return found
 
-    path = tmp_path_factory.mktemp("people") / "two.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (1280, 480))
-    for left, right in zip(frames("real/01_asl_walk.mkv"), frames("rendered/boxing.mp4"), strict=True):
-        writer.write(np.hstack([left, right]))
-    writer.release()
-    return path
+@pytest.mark.slow
+def test_somebody_far_away_beside_somebody_near_is_seen_and_can_be_followed(clip, tmp_path):
+    """A man whose trunk is a third as high as the signer's; in the whole picture the detector finds only her."""
+    left, right = frames(clip("real/multiview/cam02.mp4"), 270), frames(clip("real/01_asl_walk.mkv"), 640)
+    pose = track_video(side_by_side(tmp_path / "far.mp4", left, right), PoseSettings(person="left"))
+    x = pose.image[:, [pose.index("left_shoulder"), pose.index("right_shoulder")], 0].mean(axis=1)
+    assert np.isfinite(x).all()
+    assert x.max() < 270 / 910
+    assert any("2 people are in view" in text and "the left one is followed" in text for text in pose.warnings)
 
 
 @pytest.mark.slow
