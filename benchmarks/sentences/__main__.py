@@ -26,11 +26,17 @@ def main() -> None:
     parser.add_argument("--llm-url", help="endpoint with OpenAI's chat completions API")
     parser.add_argument("--llm-model", help="name of the model there")
     parser.add_argument("--llm-timeout", type=float, default=120.0, help="timeout of an answer [s]")
+    parser.add_argument("--llm-tokens", type=int, default=8000, help="longest answer that is asked for")
     parser.add_argument("--first", type=int, help="only the first sentences of each half")
     parser.add_argument("--show", choices=["seen", "all", "none"], default="none", help="print outcomes of sentences")
     parser.add_argument("--out", type=Path, help="write every outcome as JSON")
     options = parser.parse_args()
-    settings = LanguageSettings(llm_url=options.llm_url, llm_model=options.llm_model, llm_timeout=options.llm_timeout)
+    settings = LanguageSettings(
+        llm_url=options.llm_url,
+        llm_model=options.llm_model,
+        llm_timeout=options.llm_timeout,
+        llm_tokens=options.llm_tokens,
+    )
     reach = Reach()
     counts: dict[str, Counter[str]] = {"seen": Counter(), "held out": Counter()}
     rows = []

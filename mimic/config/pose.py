@@ -73,11 +73,14 @@ class LanguageSettings:
     """Name of the language model."""
     llm_timeout: float = 120.0
     """Timeout of an answer [s]."""
+    llm_tokens: int = 8000
+    """Longest answer that is asked for [tokens]; fewer keep a small local model from rambling."""
     longest: float = 60.0
     """Maximum length of the motion [s]."""
 
     def __post_init__(self) -> None:
         check_range("llm-timeout", self.llm_timeout, 0.1, 3600.0, "s")
+        check_range("llm-tokens", self.llm_tokens, 100, 100_000)
         check_range("longest", self.longest, 1.0, 600.0, "s")
 
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 CORRECTIONS = 3
 """How often a model may correct its answer."""
-ANSWER_TOKENS = 8000
-"""Longest answer that is asked for."""
 LONGEST_SENTENCE = 2000
 """Characters of a sentence at most."""
 LARGEST_BODY = 4_000_000
@@ -171,7 +169,7 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     client: OpenAI = openai.OpenAI(
         base_url=settings.llm_url, api_key=key or "none", timeout=settings.llm_timeout, max_retries=2
     )
-    options: dict[str, Any] = {"temperature": 0.2, "max_tokens": ANSWER_TOKENS}
+    options: dict[str, Any] = {"temperature": 0.2, "max_tokens": settings.llm_tokens}
 
     def ask(messages: Any) -> str:
         while True:

@@ -294,8 +294,17 @@ def test_an_endpoint_that_wants_max_completion_tokens_and_no_temperature_gets_th
     endpoint.answers = [strict]
     motion = plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned"))
     assert len(motion.frames) == len(frames)
+    assert endpoint.sent[0]["max_tokens"] == 8000
     assert endpoint.sent[-1]["max_completion_tokens"] == 8000
     assert len(endpoint.sent) == 4  # each option is refused once, for the first question only
+
+
+def test_the_length_of_an_answer_can_be_limited(endpoint, reach, frames):
+    endpoint.answers = ["described", as_json(frames)]
+    plan(SENTENCE, reach, LanguageSettings(llm_url=endpoint.url, llm_model="canned", llm_tokens=600))
+    assert [request["max_tokens"] for request in endpoint.sent] == [600, 600]
+    with pytest.raises(ConfigError, match="llm-tokens"):
+        LanguageSettings(llm_tokens=0)
 
 
 @pytest.mark.parametrize("payload", [b"<html>hello</html>", {"choices": []}, {"choices": None}, {"choices": [{}]}])
