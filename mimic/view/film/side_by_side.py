@@ -184,10 +184,12 @@ def save_video(
     slow = slowed_down(targets)
     video_frames = None if video is None else _video_frames(video, pose, times, height, stamps, slow)
 
+    band = text_band(height)
+
     def frames() -> Iterator[np.ndarray]:
-        with RobotFilm(log, description, width=height, height=height, targets=targets, pose=pose) as film:
+        with RobotFilm(log, description, width=height, height=height - band, targets=targets, pose=pose) as film:
             for done, tick in enumerate(ticks, start=1):
-                robot = film.picture(int(tick))
+                robot = np.pad(film.picture(int(tick)), ((0, band), (0, 0), (0, 0)))
                 frame = "" if pose is None else _frame_text(clock[tick : tick + 1], pose.t)
                 _caption(robot, log, int(tick), float(clock[tick]), frame, errors[tick])
                 yield robot if video_frames is None else np.hstack([next(video_frames), robot])
@@ -258,15 +260,20 @@ def _caption(picture: np.ndarray, log: RunLog, tick: int, moment: float, frame: 
     write_texts(picture, texts)
 
 
+def text_band(height: int) -> int:
+    """Return the height [px] of the band of text at the bottom of a picture of this height."""
+    return 2 * round(height * 0.03) + round(22 * height / 900)
+
+
 def write_texts(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -> None:
-    """Write coloured text on a dark bar at the bottom of a picture."""
+    """Write coloured text on a dark band at the bottom of a picture."""
     import cv2
 
     height = picture.shape[0]
     scale, line = height / 900, max(1, round(height / 480))
     edge = round(height * 0.03)
     x, y = edge, height - edge
-    bar = picture[height - 2 * edge - round(22 * scale) :]
+    bar = picture[height - text_band(height) :]
     bar[:] = (0.35 * bar + 0.65 * np.array([30, 34, 40])).astype(np.uint8)
     for text, colour in texts:
         cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, scale, colour, line, cv2.LINE_AA)

@@ -8,7 +8,7 @@ from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import read_frames
 from mimic.view.film.offscreen import NoOffscreenGL
-from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video
+from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video, text_band
 from mimic.view.scene.timing import shared_time
 
 HEIGHT, FPS = 64, 10
@@ -61,6 +61,8 @@ def test_film_shows_the_person_waiting_and_then_in_step(
     clock = shared_time(log)
     assert len(frames) == len(done) == done[-1][1] == round((clock[-1] - clock[0]) * FPS)
     assert frames[0][1].shape == (HEIGHT, 96 + HEIGHT, 3)
+    edge = frames[0][1][HEIGHT - text_band(HEIGHT) + 1, 96 + 2 :]
+    assert edge.std(axis=0).max() < 2  # the text has a band of its own: nothing of the robot is under it
     stamps = np.array([stamp for stamp, _ in frames])
     np.testing.assert_allclose(np.diff(stamps), 1 / FPS, atol=1e-3)
     grey = np.array([rgb[:6, :10].mean() for _, rgb in frames])
