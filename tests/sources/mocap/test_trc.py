@@ -14,22 +14,25 @@ from mimic.records import PoseTrack
 from mimic.sources.mocap.load import track_mocap
 
 ROWS = 30
-HALPE = (
+_HALPE = (
     "RHip RKnee RAnkle RBigToe RSmallToe RHeel LHip LKnee LAnkle LBigToe LSmallToe LHeel Neck Head Nose RShoulder "
     "RElbow RWrist LShoulder LElbow LWrist"
-).split()
+)
+HALPE = _HALPE.split()
 """Pose2Sim with a body model of 26 points, in its order."""
-OPENPOSE = (
+_OPENPOSE = (
     "Neck RShoulder RElbow RWrist LShoulder LElbow LWrist midHip RHip RKnee RAnkle LHip LKnee LAnkle LBigToe "
     "LSmallToe LHeel RBigToe RSmallToe RHeel"
-).split()
+)
+OPENPOSE = _OPENPOSE.split()
 """OpenCap before its markers are added."""
-STUDY = (
+_STUDY = (
     "r.ASIS L.ASIS r.PSIS L.PSIS r_knee r_mknee r_ankle r_mankle r_toe r_5meta r_calc L_knee L_mknee L_ankle "
     "L_mankle L_toe L_calc L_5meta r_shoulder L_shoulder C7 r_thigh1 r_thigh2 r_thigh3 L_thigh1 L_thigh2 L_thigh3 "
     "r_sh1 r_sh2 r_sh3 L_sh1 L_sh2 L_sh3 RHJC LHJC r_lelbow r_melbow r_lwrist r_mwrist L_lelbow L_melbow L_lwrist "
     "L_mwrist"
-).split()
+)
+STUDY = _STUDY.split()
 """Markers that OpenCap and Pose2Sim add, each with _study behind it."""
 LAYOUTS = {
     "Pose2Sim": (HALPE, "openpose"),
@@ -121,7 +124,8 @@ def test_a_bad_file_is_refused_in_one_line_and_nothing_is_written(name, tmp_path
 
 
 def test_joint_angles_of_opencap_are_named_and_refused(tmp_path, capsys):
-    (tmp_path / "walk.mot").write_text("Coordinates\nversion=1\nnRows=1\nnColumns=2\nendheader\ntime\tpelvis_tilt\n0\t1\n")
+    text = "Coordinates\nversion=1\nnRows=1\nnColumns=2\nendheader\ntime\tpelvis_tilt\n0\t1\n"
+    (tmp_path / "walk.mot").write_text(text)
     assert main(["retarget", str(tmp_path / "walk.mot"), "-o", str(tmp_path / "t.parquet")]) == 2
     assert "OpenSim joint angles" in "".join(capsys.readouterr())
     assert [found.name for found in tmp_path.iterdir()] == ["walk.mot"]
