@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import CATALOGUE, UnknownEffect
@@ -202,6 +203,24 @@ def test_effects_that_do_not_exist_are_reported_before_anything_is_fitted(arm: M
         with pytest.raises(UnknownEffect, match="coulomb, viscous"):
             calibrate(clean_log(arm), arm, wrong, lambda text, replays: told.append(text))
     assert not told
+
+
+def test_linear_algebra_runs_in_one_thread_meanwhile(arm: MachineModel) -> None:
+    """Threads that wait for each other on a busy computer take longer than the small systems here."""
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    def tell(text: str, replays: int) -> None:
+        seen.extend(threads())
+        raise KeyboardInterrupt
+
+    seen: list[int] = []
+    before = threads()
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(clean_log(arm), arm, settings(), tell)
+    assert set(seen) == {1}
+    assert threads() == before
 
 
 @pytest.mark.slow
