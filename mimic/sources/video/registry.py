@@ -45,7 +45,7 @@ def download_wheel(
                 yield next(place.glob("*.whl"), place)
                 return
             reasons.append(f"{program}: {error}")
-    raise RegistryError("; ".join(reasons) or "neither pip nor uv is installed")
+    raise RegistryError("; ".join(reasons) or "neither pip nor uv is in this environment or on the path")
 
 
 def _programs() -> Iterator[tuple[str, list[str]]]:
