@@ -58,6 +58,7 @@ def calibrate(
     from mimic.dynamics.effect_set import EffectSet
     from mimic.sysid.calibrate import calibrate as explain
     from mimic.sysid.calibrate import check_names
+    from mimic.sysid.logs import refuse_contradictions
 
     settings, reporter = settings or CalibrateSettings(), reporter or SilentReporter()
     if out is not None:
@@ -70,12 +71,18 @@ def calibrate(
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
     names, said = _names(given), _said(notes, given)
-    checks, machines, warnings = [], [], []
+    checks, machines, warnings, read = [], [], [], []
     with reporter.activity("replays") as show:
         for one, called, told in zip(given, names, said, strict=True):
             show(f"reading {called}" if len(given) > 1 else "reading the log", 0)
             try:
-                check, machine, found = checked_log(one, model, show, told)
+                read.append(_read(one, told))
+            except CalibrationError as wrong:
+                raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
+        refuse_contradictions(read, names)  # before a log is held against the model, which names one log only
+        for one, called in zip(read, names, strict=True):
+            try:
+                check, machine, found = checked_log(one, model, show)
             except CalibrationError as wrong:
                 raise CalibrationError(f"{called}: {wrong}" if len(given) > 1 else str(wrong)) from None
             checks.append(check)
@@ -152,11 +159,19 @@ def _said(notes: Sequence[str], logs: Sequence[str | Path | JointLog]) -> list[d
     return said
 
 
+def _read(log: str | Path | JointLog, notes: Mapping[str, Any]) -> JointLog:
+    """Return a log; notes override its metadata."""
+    from mimic.io.joint_log import read_log
+
+    if isinstance(log, (str, Path)):
+        return read_log(Path(log), notes)
+    return replace(log, metadata={**log.metadata, **notes}) if notes else log
+
+
 def checked_log(
     log: str | Path | JointLog,
     model: str | Path | MachineModel | None,
     show: Activity,
-    notes: Mapping[str, Any] | None = None,
 ) -> tuple[LogCheck, MachineModel, list[str]]:
     """Return a log that can be used, its machine, and warnings about them.
 
@@ -164,20 +179,15 @@ def checked_log(
         log: The log.
         model: The machine.
         show: Receives progress.
-        notes: What is said of the log beside its metadata, which it overrides.
 
     Raises:
         CalibrationError, AssetError: If one of them cannot be used.
     """
     import numpy as np
 
-    from mimic.io.joint_log import read_log
     from mimic.sysid.checks import check_log
 
-    if isinstance(log, (str, Path)):
-        log = read_log(Path(log), notes)
-    elif notes:
-        log = replace(log, metadata={**log.metadata, **notes})
+    log = _read(log, {})
     machine = machine_of(model, log.metadata)
     log = log.of(machine.joints)
     show("checking the log", 0)

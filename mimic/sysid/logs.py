@@ -251,7 +251,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
         CalibrationError: If they contradict each other.
     """
     names = tuple(names) or tuple(f"log {i + 1}" for i in range(len(logs)))
-    _refuse_contradictions(logs, names)
+    refuse_contradictions(logs, names)
     if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
         logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
     parts, times, pieces = [], [], []
@@ -310,19 +310,24 @@ def single(log: JointLog, machine: MachineModel) -> Part:
     )
 
 
-def _refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> None:
+def refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> None:
     """Refuse logs that are not of one machine, or do not say the same things.
+
+    Args:
+        logs: As they were read; their joints may be in any order.
+        names: Of the logs, for messages.
 
     Raises:
         CalibrationError: With the names of two that differ.
     """
     first, one = logs[0], names[0]
     for log, other in zip(logs[1:], names[1:], strict=True):
-        if log.joints != first.joints:
+        if set(log.joints) != set(first.joints):
             raise CalibrationError(
                 f"{one} has joints {', '.join(first.joints)}, but {other} has {', '.join(log.joints)};"
                 " give logs of one machine"
             )
+        log = log.of(first.joints)
         if (first.q_des is None) != (log.q_des is None):
             has, lacks = (one, other) if log.q_des is None else (other, one)
             raise CalibrationError(f"{has} has targets (q_des), but {lacks} has none; calibrate them apart")

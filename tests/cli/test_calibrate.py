@@ -157,6 +157,11 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["calibrate"], "no log is given"),
         (["calibrate", "log.csv", "--held-out", "log.csv"], "log.csv is given twice"),
+        (
+            ["calibrate", "log.csv", "knee.csv", "--model", "robot.xml"],
+            "log.csv has joints hinge, but knee.csv has knee",
+        ),
+        (["calibrate", "log.csv", "--held-out", "forces.csv"], "log.csv has targets (q_des), but forces.csv has none"),
         (["calibrate", "log.csv", "--note", "kp"], "--note kp: expected KEY=VALUE"),
         (["calibrate", "log.csv", "--note", "b.csv:kp=1"], "b.csv is none of the logs: log.csv"),
         (["calibrate", "log.csv", "--model", "robot.xml", "--note", "kp=-1"], "what is said of log.csv: kp is -1"),
@@ -186,7 +191,10 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
 def test_what_cannot_work_is_said_and_nothing_is_written(
     here: Path, capsys: pytest.CaptureFixture[str], words: list[str], reason: str
 ) -> None:
-    (here / "log.csv").write_text("t,q.hinge,q_des.hinge\n0,0,0\n0.005,0,0.1\n0.01,0,0.2\n")
+    rows = "0,0,0\n0.005,0,0.1\n0.01,0,0.2\n"
+    (here / "log.csv").write_text(f"t,q.hinge,q_des.hinge\n{rows}")
+    (here / "knee.csv").write_text(f"t,q.knee,q_des.knee\n{rows}")
+    (here / "forces.csv").write_text(f"t,q.hinge,force.hinge\n{rows}")
     before = sorted(here.rglob("*"))
     assert main(words) == 2
     assert reason in capsys.readouterr().err
