@@ -25,7 +25,7 @@ from mimic.train.mirror import with_mirrored
 from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
-from mimic.train.warm_start import take_over
+from mimic.train.warm_start import compare_contracts, take_over
 
 log = logging.getLogger(__name__)
 
@@ -149,6 +149,7 @@ def train(
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and from_policy:
+        compare_contracts(resume, contract)
         take_over(runner.alg.actor, resume, learn.resume_std)
         env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
         critic_alone = learn.critic_updates

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -12,13 +14,45 @@ import torch
 from onnx import numpy_helper
 
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import FRAME_SIZE
+from mimic.policy.contract import FRAME_SIZE, METADATA_KEY, PolicyContract
+
+log = logging.getLogger(__name__)
 
 SEEN = 10**9
 """Observations that count as seen by the normalisation taken over, so that new ones hardly move it."""
 
 SPREAD = 0.2
 """Spread of the actions with which the training begins, where the settings give none."""
+
+MEANING = ("robot", "joints", "default_q", "action_scale", "action_clip", "dt", "terms")
+"""Fields of the contract without which the numbers of a network mean something else."""
+
+WAY_OF_PLAYING = ("kp", "kd", "clock_hz", "clock_fade", "interpolate")
+"""Fields that a training can get used to."""
+
+
+def compare_contracts(path: Path, contract: PolicyContract) -> None:
+    """Tell how a policy was played otherwise than it will be.
+
+    Args:
+        path: An ONNX policy as this package writes it; of one without a contract nothing is known.
+        contract: Of the training.
+
+    Raises:
+        AssetError: If the file is no ONNX file.
+        ConfigError: If its observations or actions mean something else.
+    """
+    stored = {entry.key: entry.value for entry in _loaded(path).metadata_props}.get(METADATA_KEY)
+    there, here = json.loads(stored or "{}"), json.loads(contract.to_json())
+    for name in (*MEANING, *WAY_OF_PLAYING):
+        if there.get(name, here[name]) == here[name]:
+            continue
+        if name in MEANING:
+            raise ConfigError(
+                f"{path.name} has {name} {there[name]}; the settings have {here[name]}, and the network would mean "
+                "something else; use the settings of its training"
+            )
+        log.info("%s was trained with %s %s and goes on with %s", path.name, name, there[name], here[name])
 
 
 def take_over(actor: Any, path: Path, spread: float = 0.0) -> None:
@@ -63,16 +97,20 @@ def take_over(actor: Any, path: Path, spread: float = 0.0) -> None:
 
 def _network(path: Path) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
     """Return mean and scale (inputs,) of the observation, and the weights (out, in) and biases (out,) of each layer."""
-    try:
-        graph = onnx.load(str(path)).graph
-    except Exception as reason:  # protobuf has errors of its own
-        raise AssetError(f"{path} is no ONNX file ({reason})") from reason
+    graph = _loaded(path).graph
     values = {i.name: numpy_helper.to_array(i).copy() for i in graph.initializer}
     nodes = [n for n in graph.node if n.op_type != "Elu"]
     if [n.op_type for n in nodes[:2]] != ["Sub", "Div"] or {n.op_type for n in nodes[2:]} != {"Gemm"}:
         raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in graph.node)}")
     mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])
     return mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]]
+
+
+def _loaded(path: Path) -> Any:
+    try:
+        return onnx.load(str(path))
+    except Exception as reason:  # protobuf has errors of its own
+        raise AssetError(f"{path} is no ONNX file ({reason})") from reason
 
 
 def _sizes(shapes: list[tuple[int, ...]]) -> str:

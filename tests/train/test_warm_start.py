@@ -73,6 +73,21 @@ def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
         train(tmp_path, mdp, learn, resume=policy)
 
 
+def test_a_policy_whose_actions_mean_something_else_is_refused(policy, tmp_path):
+    with pytest.raises(ConfigError, match=r"policy\.onnx has action_scale \[0\.5, .*; the settings have \[0\.25, "):
+        train(tmp_path, dataclasses.replace(MDP, action_scale=0.25), LEARN, resume=policy)
+
+
+def test_what_is_played_otherwise_than_before_is_said(policy, tmp_path, caplog):
+    with caplog.at_level("INFO", logger="mimic.train"):
+        train(tmp_path, dataclasses.replace(MDP, clock_hz=3.0, interpolate=False), LEARN, resume=policy)
+    said = [line for line in caplog.messages if "was trained with" in line]
+    assert said == [
+        f"policy.onnx was trained with clock_hz {MDP.clock_hz} and goes on with 3.0",
+        "policy.onnx was trained with interpolate True and goes on with False",
+    ]
+
+
 def test_what_is_no_policy_is_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(AssetError, match="no ONNX file"):
