@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -66,11 +66,10 @@ def play(
             if robot is None
             else "--sim and --robot are two robots; give one of them"
         )
-    if sim and bus is not None:
-        asked = [f.name for f in fields(bus) if getattr(bus, f.name) != f.default]
-        options = " and ".join(f"--{name.replace('_', '-')}" for name in asked)
-        if options:
-            raise ConfigError(f"{options}: for a real robot only; give --robot instead of --sim, or leave it out")
+    if sim and (asked := _options(bus)):
+        raise ConfigError(f"{asked}: for a real robot only; give --robot instead of --sim, or leave it out")
+    if robot is not None and (asked := _options(model)):
+        raise ConfigError(f"{asked}: for the simulated robot only; give --sim instead of --robot, or leave it out")
     if sum(given is not None for given in (source, text, camera)) > 1:
         raise ConfigError("a file, --text and --camera are different inputs; give one of them")
     if video is not None and (robot is not None or camera is not None):
@@ -107,6 +106,14 @@ def play(
     played: Path | str = source if text is None else text  # type: ignore[assignment]
     saved = play_source(played, settings, run=run, effects=model, out=out, film=video, reporter=ConsoleReporter())
     return show_simulated(saved, played.name if isinstance(played, Path) else played, view)
+
+
+def _options(settings: Any) -> str:
+    """Return the options, as typed, that a group of settings or None has beside its defaults."""
+    if settings is None:
+        return ""
+    changed = [f for f in fields(settings) if getattr(settings, f.name) != f.default]
+    return " and ".join(f"--{'no-' * (f.default is True)}{f.name.replace('_', '-')}" for f in changed)
 
 
 def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> None:
