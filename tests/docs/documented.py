@@ -31,7 +31,7 @@ NOT_RUN = {
     r"^mimic emulate|--robot socketcand": "two terminals; tests/flows/test_robot_rehearsal.py rehearses it",
     r"^mimic (walk_poses\.npz|wham_output\.pkl|motion\.c3d)": "files of other programs; tests/sources/mocap makes such",
     r"--camera 0": "needs a camera",
-    r"--llm-url": "needs a language model",
+    r"--llm-url|^python -m llama_cpp": "needs a language model",
     r"^mimic lead": "renders a film, or needs a display; tests/flows/test_lead.py runs a short one",
     r"^mimic evaluate": "takes minutes; tests/evaluation runs short ones",
     r"^mimic calibrate": "takes minutes; examples/calibrate_any_machine.py runs a short one",
