@@ -26,7 +26,7 @@ class RewardWeights:
     low: float = -0.3
     action_rate: float = -0.012
     unrest: float = -0.5
-    """Changes of the action while the robot is asked to stand."""
+    """Changes of the action while the robot is asked to stand and does not topple."""
     torque: float = -2e-4
     heat: float = -0.015
     """Sum of the squares of all torques, which heats the windings."""

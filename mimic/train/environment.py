@@ -43,7 +43,7 @@ from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1
+CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1
 """Width of what the critic sees beyond the observation."""
 
 
@@ -425,6 +425,7 @@ class WorldsEnv(VecEnv):
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
+            self._drift * 3,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,

@@ -31,7 +31,7 @@ class Facts:
     mean_velocity_error: torch.Tensor
     """The same with the measured velocity averaged over half a gait cycle, which takes out the sway (N, 2) [m/s]."""
     drift: torch.Tensor
-    """Velocity error averaged over a second: what the robot ends up beside where it was sent (N, 2) [m/s]."""
+    """Velocity error averaged over two seconds: what the robot ends up beside where it was sent (N, 2) [m/s]."""
     gait: torch.Tensor
     """How far stepping is asked for, 0 standing to 1 (N,)."""
     toppling: torch.Tensor
@@ -77,6 +77,9 @@ class Facts:
 MOST_HEAT = 150.0
 """More than this sum of squared torques is not counted [N^2 m^2]: standing up and catching a push cost less."""
 
+MOST_UNREST = 2.0
+"""More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
+
 
 def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription) -> dict[str, torch.Tensor]:
     """Return each unweighted term (N,)."""
@@ -111,6 +114,7 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     speed = 0.2 * torch.exp(-mean / 0.15) + 0.2 * torch.exp(-mean / 0.02) + 0.25 * torch.exp(-mean / 0.004)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     square = f.heading_error.square()
+    changes = f.action_change.square().sum(-1)
     turning = (
         0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
     )
@@ -129,8 +133,8 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
         "terminations": f.terminations_met,
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
-        "action_rate": f.action_change.square().sum(-1),
-        "unrest": f.action_change.square().sum(-1) * (1 - f.gait) * f.rising.ge(1),
+        "action_rate": changes,
+        "unrest": changes.clamp(max=MOST_UNREST) * (1 - f.gait) * f.rising.ge(1) * ~f.toppling,
         "torque": f.torque.square().sum(-1),
         "heat": f.torque.square().sum(-1).clamp(max=MOST_HEAT),
         "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),

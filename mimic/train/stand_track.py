@@ -16,7 +16,7 @@ from mimic.train.rewards import Facts, reward_terms
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
 
-DRIFT_SECONDS = 1.0
+DRIFT_SECONDS = 2.0
 """Time constant of the averaged velocity error [s]."""
 
 GRACE_STEPS = 30

@@ -251,7 +251,18 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
     assert rewards(1.0, 1440).min() > 0
 
 
-def test_drift_is_the_velocity_error_over_a_second(description):
+def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(description):
+    settings = {"reward_scale": 1.0, "refining_share_at_first": 1.0, "upright_share": 1.0, "upright_share_at_first": 1.0}
+    for size, cost in ((0.1, 12 * 0.1**2), (5.0, 2.0)):
+        env = make(description, rewards=only(unrest=-1.0), stand_share=1.0, **settings)
+        fresh = env.episode_length_buf == 0
+        _, reward, done, _ = env.step(torch.full((FEW.worlds, 12), size))
+        counted = reward[(done == 0) & ~fresh]
+        assert all(v == pytest.approx(-cost, rel=1e-5) or v == 0.0 for v in counted.tolist())
+        assert counted.min() < 0.0
+
+
+def test_drift_is_the_velocity_error_over_two_seconds(description):
     env = make(
         description,
         rewards=only(drift=-1.0),
@@ -270,7 +281,7 @@ def test_drift_is_the_velocity_error_over_a_second(description):
         alive = (done == 0) & (before > 0)
         if before.min() == 0:
             mean[before.numpy() == 0] = 0.0
-        mean += (velocity - mean) * env.contract.dt
+        mean += (velocity - mean) * env.contract.dt / 2.0
         mean[done.numpy() > 0] = 0.0
         wanted = np.linalg.norm(mean, axis=-1)
         if alive.any():
