@@ -25,6 +25,7 @@ from mimic.policy.runtime import cached_policy
 from mimic.robot.description import load_description
 from mimic.view.report.robustness import draw_heat_map
 
+HERE = Path(__file__).resolve().parent
 BEGIN, END = "<!-- measured: benchmarks/policy_report.py -->", "<!-- end of measured -->"
 
 
@@ -180,6 +181,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
     )
     rise = stored(given.stand_up, "summary") if given.stand_up else evaluate_stand_up(given.policy, StandUpSettings())
     calm = stored(given.calm, "summary") if given.calm else evaluate_calm(given.policy, CalmSettings())
+    fastest = cached_policy(str(given.policy)).contract.velocity_max[0]
     episodes, points = len(next(iter(table["episodes"].values()))["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [
@@ -188,7 +190,8 @@ def report(given: argparse.Namespace, robot: str) -> None:
             f"`mimic evaluate {given.policy} --table`, {episodes} episodes a row, all of the paper's terminations.",
             paper_table(table),
             "### Walking",
-            "The robot as described, three walks each, 3 to 12 s after the start. Faster than 0.3 m/s was not trained.",
+            "The robot as described, three walks each, 3 to 12 s after the start. Faster than "
+            f"{fastest:g} m/s was not trained.",
             walking_table(table),
             "### Calm",
             f"`mimic evaluate {given.policy} --calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
@@ -211,9 +214,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
         sys.exit(f"{given.write} lacks the lines {BEGIN} and {END}")
     before, after = page.split(BEGIN)[0], page.split(END)[1]
     given.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
-    images = given.write.parent / "images"
-    images.mkdir(exist_ok=True)
-    draw_heat_map(robust, images / "robustness.png")
+    draw_heat_map(robust, HERE.parent / "docs" / "images" / "robustness.png")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import time
@@ -270,6 +271,7 @@ def _row(job: Job, report: Mapping[str, Any], metrics: Mapping[str, Any], warnin
     person = report.get("pose") or {}
     seen = person["frames_with_person"] / person["frames"] if person else None
     values = {name: report.get(name) for name in ROW if name in report}
+    minutes = metrics["minutes_to_limit"]  # JSON has no infinity
     return {
         **dict.fromkeys(ROW),
         **values,
@@ -285,7 +287,7 @@ def _row(job: Job, report: Mapping[str, Any], metrics: Mapping[str, Any], warnin
         "standing_share": metrics["standing_share"],
         "falls": metrics["falls"],
         "knee_torque_rms_nm": metrics["torque_nm"]["knee_rms"],
-        "minutes_to_limit": metrics["minutes_to_limit"],
+        "minutes_to_limit": minutes if math.isfinite(minutes) else None,
         "notes": "; ".join(warnings),
         "folder": f"{ITEMS}/{_folder(job).name}",
         "sha256": store.sha256_of(job.source),

@@ -21,7 +21,7 @@ BEFORE, LAST = 50 + 10 + 20 + 5, 75
 def sitter(fixed_policy, contract):
     """Return a policy that sits down."""
     policy = fixed_policy(answer=lambda call: np.full(12, 0.25))
-    policy.contract = dataclasses.replace(contract, task="sit_down", neutral_toes=(0.1,) * 6)
+    policy.contract = dataclasses.replace(contract, task="sit_down", neutral_toes=(0.1,) * 6, clock_fade=0.0)
     return policy
 
 
@@ -68,8 +68,8 @@ def test_it_keeps_its_heading_and_is_asked_for_nothing(play, memory_plant, fixed
 
 def test_it_begins_with_a_history_of_its_own(play, memory_plant, fixed_policy, sitter, track):
     play(memory_plant(), fixed_policy(answer=lambda call: np.full(12, 0.1)), track(20), SHORT, sit_down=sitter)
-    frames = sitter.seen[0].reshape(3, -1)
-    assert np.array_equal(frames[0], frames[2])
+    frames = sitter.seen[0].reshape(sitter.contract.history, -1)
+    assert np.array_equal(frames[0], frames[-1])
     assert not frames[0][18:30].any()  # no action before
     assert np.allclose(frames[0][-2:], [0.0, 1.0])  # its clock begins
 

@@ -36,7 +36,7 @@ def columns(name):
 def test_noise_is_on_joints_and_axes_only_and_stays_with_its_frame(seen):
     policy, given = seen(Senses(noise_q=0.01, noise_axes=0.05))
     for _ in range(300):
-        policy.act(np.ones(3 * FRAME_SIZE))
+        policy.act(np.ones(policy.contract.observation_size))
     noise = np.array(given) - 1.0
     noisy = np.zeros(FRAME_SIZE)
     noisy[columns("joint_position")] = 0.01
@@ -54,17 +54,17 @@ def test_a_seed_draws_the_same_noise(seen):
     again, _ = seen(SENSES["the paper's noise"], 5)
     other, _ = seen(SENSES["the paper's noise"], 6)
     for policy in (first, again, other):
-        policy.act(np.zeros(3 * FRAME_SIZE))
+        policy.act(np.zeros(policy.contract.observation_size))
     assert np.array_equal(given[0], given[1])
     assert not np.array_equal(given[0], given[2])
 
 
 def test_the_deaf_see_no_velocity_and_everything_else(seen):
     policy, given = seen(Senses(deaf=True))
-    policy.act(np.ones(3 * FRAME_SIZE))
+    policy.act(np.ones(policy.contract.observation_size))
     heard = np.ones(FRAME_SIZE)
     heard[columns("velocity_command")] = 0.0
-    assert np.array_equal(given[0], np.tile(heard, (3, 1)))
+    assert np.array_equal(given[0], np.tile(heard, (policy.contract.history, 1)))
 
 
 def test_the_table_plays_all_of_them_the_paper_s_first():

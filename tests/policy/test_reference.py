@@ -23,22 +23,27 @@ def test_the_network_answers_as_its_reference_says(file):
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
     contract, known = json.loads(metadata[METADATA_KEY]), json.loads(metadata[REFERENCE_KEY])
-    frames = None
+    frames, gait = None, 0.0
     q, quat, action = np.array(known["inputs"]["q"]), np.array(known["inputs"]["quat"]), np.zeros(12)
     for k in range(STEPS):
         w, x, y, z = quat[k]
         heading = np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z))
         error = (known["inputs"]["heading"][k] - heading + np.pi) % (2 * np.pi) - np.pi
         clock = 2 * np.pi * contract["clock_hz"] * contract["dt"] * k
+        velocity, error = known["inputs"]["velocity"][k], min(max(error, -1.0), 1.0)
+        walks = np.hypot(*velocity) > contract["walk_speed"]
+        turns = abs(error) > contract["walk_turn"] * (1 - gait / 2)
+        fade = contract["clock_fade"]
+        gait = np.clip(gait + (1 if walks or turns else -1) * contract["dt"] / fade, 0, 1) if fade else 1.0
         frame = [
             *(q[k] - contract["default_q"]),
             *(-2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))),
             *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
             *action,
-            *known["inputs"]["velocity"][k],
-            min(max(error, -1.0), 1.0),
+            *velocity,
+            error,
             *known["inputs"]["toes"][k],
-            *(np.sin(clock), np.cos(clock)),
+            *(gait * np.sin(clock), gait * np.cos(clock)),
         ]
         frames = [frame] * contract["history"] if frames is None else [*frames[1:], frame]
         observation = np.concatenate(frames)
