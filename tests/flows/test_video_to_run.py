@@ -90,7 +90,7 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_400_hz(played, t
     sits = log.phase == PHASES.index("sit_down")  # a policy that remembers less, whose observation is shorter
     assert np.isfinite(log.observation[~sits]).all()
     width = load_policy(None, load_description(), task="sit_down").contract.observation_size
-    assert np.isfinite(log.observation[sits][:, : width]).all()
+    assert np.isfinite(log.observation[sits][:, :width]).all()
 
 
 def test_the_toes_that_were_asked_for_are_the_targets(played, targets):

@@ -252,9 +252,16 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
 
 
 def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(description):
-    settings = {"reward_scale": 1.0, "refining_share_at_first": 1.0, "upright_share": 1.0, "upright_share_at_first": 1.0}
     for size, cost in ((0.1, 12 * 0.1**2), (5.0, 2.0)):
-        env = make(description, rewards=only(unrest=-1.0), stand_share=1.0, **settings)
+        env = make(
+            description,
+            rewards=only(unrest=-1.0),
+            reward_scale=1.0,
+            refining_share_at_first=1.0,
+            upright_share=1.0,
+            upright_share_at_first=1.0,
+            stand_share=1.0,
+        )
         fresh = env.episode_length_buf == 0
         _, reward, done, _ = env.step(torch.full((FEW.worlds, 12), size))
         counted = reward[(done == 0) & ~fresh]
