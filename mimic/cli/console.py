@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -26,7 +27,7 @@ from mimic.flows.reporter import Progress as Steps
 console = Console(highlight=False)
 
 LINE_INTERVAL = 20.0
-"""Without a terminal, long work prints a line this often [s]."""
+"""Without a terminal, long work prints a line this often, also while it reports nothing new [s]."""
 
 
 class ConsoleReporter:
@@ -44,8 +45,8 @@ class ConsoleReporter:
     def progress(self, what: str) -> Iterator[Steps]:
         """Yield a function that shows the steps done and their total as a bar."""
         if not console.is_terminal:
-            lines = _Lines()
-            yield lambda done, total=None: lines.put(f"{what}: {done} of {total}" if total else f"{what}: {done}")
+            with _lines() as put:
+                yield lambda done, total=None: put(f"{what}: {done} of {total}" if total else f"{what}: {done}")
             return
         columns = (
             TextColumn("{task.description:<12}"),
@@ -66,8 +67,8 @@ class ConsoleReporter:
             return f"{text}, {count} {unit} so far" if count else text
 
         if not console.is_terminal:
-            lines = _Lines()
-            yield lambda text, count: lines.put(line(text, count))
+            with _lines() as put:
+                yield lambda text, count: put(line(text, count))
             return
         columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
         with Progress(*columns, console=console, transient=True) as progress:
@@ -75,17 +76,27 @@ class ConsoleReporter:
             yield lambda text, count: progress.update(task, description=escape(line(text, count)))
 
 
-class _Lines:
-    """Prints the newest of many lines now and then."""
+@contextmanager
+def _lines() -> Iterator[Callable[[str], None]]:
+    """Yield a function that takes many lines; the newest is printed now and then."""
+    newest: list[str] = []
+    began, over = time.monotonic(), threading.Event()
 
-    def __init__(self) -> None:
-        self._began = self._printed = time.monotonic()
+    def show() -> None:
+        while not over.wait(LINE_INTERVAL):
+            if newest:
+                note(f"{time.monotonic() - began:6.0f} s  {newest[-1]}")
 
-    def put(self, text: str) -> None:
-        now = time.monotonic()
-        if now - self._printed >= LINE_INTERVAL:
-            self._printed = now
-            note(f"{now - self._began:6.0f} s  {text}")
+    def put(text: str) -> None:
+        newest[:] = [text]
+
+    thread = threading.Thread(target=show, daemon=True, name="progress")
+    thread.start()
+    try:
+        yield put
+    finally:
+        over.set()
+        thread.join()
 
 
 def note(text: str) -> None:
