@@ -251,17 +251,21 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
     assert rewards(1.0, 1440).min() > 0
 
 
+def upright(description, **settings):
+    """Worlds in which every robot starts upright, with rewards at their full weight and size."""
+    return make(
+        description,
+        reward_scale=1.0,
+        refining_share_at_first=1.0,
+        upright_share=1.0,
+        upright_share_at_first=1.0,
+        **settings,
+    )
+
+
 def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(description):
     for size, cost in ((0.1, 12 * 0.1**2), (5.0, 2.0)):
-        env = make(
-            description,
-            rewards=only(unrest=-1.0),
-            reward_scale=1.0,
-            refining_share_at_first=1.0,
-            upright_share=1.0,
-            upright_share_at_first=1.0,
-            stand_share=1.0,
-        )
+        env = upright(description, rewards=only(unrest=-1.0), stand_share=1.0)
         fresh = env.episode_length_buf == 0
         _, reward, done, _ = env.step(torch.full((FEW.worlds, 12), size))
         counted = reward[(done == 0) & ~fresh]
@@ -270,15 +274,7 @@ def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(descripti
 
 
 def test_drift_is_the_velocity_error_over_two_seconds(description):
-    env = make(
-        description,
-        rewards=only(drift=-1.0),
-        reward_scale=1.0,
-        refining_share_at_first=1.0,
-        still_share=1.0,
-        upright_share=1.0,
-        upright_share_at_first=1.0,
-    )
+    env = upright(description, rewards=only(drift=-1.0), still_share=1.0)
     assert not env.moves.velocity.any()
     mean, compared = np.zeros((FEW.worlds, 2)), 0
     for _ in range(12):
