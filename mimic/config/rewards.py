@@ -27,6 +27,8 @@ class RewardWeights:
     action_rate: float = -0.012
     unrest: float = -0.5
     """Changes of the action while the robot is asked to stand and does not topple."""
+    shuffle: float = 0.0
+    """Speed of hind toes on the ground meanwhile [m/s]. Off: what it does is in docs/experiments/policy.md."""
     torque: float = -2e-4
     heat: float = -0.015
     """Sum of the squares of all torques, which heats the windings."""
@@ -46,7 +48,18 @@ TASK_TERMS = ("velocity", "toes", "toes_fine", "gait")
 """Reward terms of what a standing robot does."""
 
 
-REFINING_TERMS = ("drift", "unrest", "heat", "slip", "foot_shift", "terminations", "flight", "overload", "joint_speed")
+REFINING_TERMS = (
+    "drift",
+    "unrest",
+    "shuffle",
+    "heat",
+    "slip",
+    "foot_shift",
+    "terminations",
+    "flight",
+    "overload",
+    "joint_speed",
+)
 """Reward terms that hardly count before the robot stands. With all of them from the beginning a world loses more by
 each step than by falling, and a policy learns to fall at once; that was tried."""
 

@@ -88,6 +88,19 @@ class CapturedPPO(PPO):
         else:
             self._epoch = Replayed(self._whole_epoch, self.device)
 
+    def begin_policy(self) -> None:
+        """Let the policy learn from now on, after a time in which only the critic did.
+
+        Adam has then averaged gradients of zero, and makes its first steps three times as large as the learning rate,
+        which itself had no reason to fall. A policy with little spread does not survive that. So its averages begin
+        anew, and the rate at its smallest. Source: docs/experiments/policy.md.
+        """
+        self.policy_share = 1.0
+        self.learning_rate = RATE_RANGE[0]
+        for parameter in self.actor.parameters():
+            for moment in self.optimizer.state.get(parameter, {}).values():
+                moment.zero_()
+
     # ------------------------------------------------------------------ rollout
 
     def act(self, obs: TensorDict) -> torch.Tensor:

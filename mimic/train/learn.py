@@ -138,8 +138,10 @@ def train(
 
     def progressed(share: float) -> None:
         nonlocal critic_alone
-        critic_alone = max(critic_alone - 1, 0)
-        runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
+        if critic_alone:
+            critic_alone -= 1
+            if not critic_alone:
+                runner.alg.begin_policy()  # type: ignore[attr-defined]
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
         if learn.reaching:

@@ -115,6 +115,7 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     square = f.heading_error.square()
     changes = f.action_change.square().sum(-1)
+    resting = (1 - f.gait) * f.rising.ge(1) * ~f.toppling
     turning = (
         0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
     )
@@ -134,7 +135,8 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": changes,
-        "unrest": changes.clamp(max=MOST_UNREST) * (1 - f.gait) * f.rising.ge(1) * ~f.toppling,
+        "unrest": changes.clamp(max=MOST_UNREST) * resting,
+        "shuffle": (f.hind_speed * planted).mean(-1) * resting,
         "torque": f.torque.square().sum(-1),
         "heat": f.torque.square().sum(-1).clamp(max=MOST_HEAT),
         "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),

@@ -155,6 +155,7 @@ class StandTrackEnv(WorldsEnv):
             "still/planted": (f.contact.all(-1) * still).sum() / stills,
             "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
             "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
+            "still/shuffle": ((f.hind_speed * f.contact).mean(-1) * still).sum() / stills,
             "still/toppling": (f.toppling * still).sum() / stills,
             "walk/speed_share": (self._mean_velocity[:, 0] * asked * tracking).sum()
             / (asked.square() * tracking).sum().clamp(min=1e-3),

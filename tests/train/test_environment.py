@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
 from mimic.records import JointCommand
 from mimic.robot.description import with_timestep
 from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.model import TOES
 from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -271,6 +273,25 @@ def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(descripti
         counted = reward[(done == 0) & ~fresh]
         assert all(v == pytest.approx(-cost, rel=1e-5) or v == 0.0 for v in counted.tolist())
         assert counted.min() < 0.0
+
+
+def test_shuffling_costs_the_speed_of_toes_on_the_ground(description):
+    env = upright(description, rewards=only(shuffle=-1.0), stand_share=1.0)
+    model = env.worlds.mj_model
+    data, jacobian, compared = mujoco.MjData(model), np.zeros((3, model.nv)), 0
+    for _ in range(12):
+        _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
+        for world in torch.nonzero((done == 0) & (reward < 0)).flatten().tolist():
+            data.qpos[:], data.qvel[:] = env.worlds.qpos[world], env.worlds.qvel[world]
+            mujoco.mj_forward(model, data)
+            speeds = []
+            for name in TOES[2:]:
+                mujoco.mj_jacSite(model, data, jacobian, None, model.site(name).id)
+                on_ground = data.site(name).xpos[2] - description.toe_radius < 0.003
+                speeds.append(np.linalg.norm((jacobian @ data.qvel)[:2]) * on_ground)
+            assert -reward[world].item() == pytest.approx(np.mean(speeds), rel=0.02, abs=1e-3)
+            compared += 1
+    assert compared > 10
 
 
 def test_drift_is_the_velocity_error_over_two_seconds(description):

@@ -65,6 +65,15 @@ def test_the_critic_changes_while_it_learns_alone(policy, tmp_path):
     assert (saved[0] - saved[1]).abs().max() > 1e-4
 
 
+def test_the_first_step_of_the_policy_is_as_small_as_the_smallest_learning_rate(policy, tmp_path):
+    def first_layer(folder):
+        return torch.load(folder / "last.pt", weights_only=False)["actor_state_dict"]["mlp.0.weight"]
+
+    train(tmp_path, MDP, dataclasses.replace(LEARN, iterations=31, critic_updates=30), resume=policy)
+    step = (first_layer(tmp_path) - first_layer(policy.parent)).abs().max().item()
+    assert 0.5e-5 < step < 1.1e-5
+
+
 @pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "123-16-8-12"), ({"history": 2}, "123-16-8-12")])
 def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
     learn = dataclasses.replace(LEARN, **{k: v for k, v in changes.items() if k == "hidden"})
