@@ -31,7 +31,7 @@ from mimic.control.plant import Plant
 from mimic.dynamics.robot_model import Variation, draw_variation
 from mimic.errors import PlantError
 from mimic.evaluation.episode import play_episode
-from mimic.evaluation.policy import TIMING, command_script, forward_speed, stands_at_end
+from mimic.evaluation.policy import TIMING, command_script, forward_speed, standing_track, stands_at_end
 from mimic.metrics import run_metrics, stand_up_time
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick
@@ -43,6 +43,9 @@ STEP = 5e-4
 
 STIFFNESS, RELAXATION = 3e4, 0.01
 """Of a contact point [N/m], and the time in which it comes to rest [s]."""
+
+SETTLED = 2.0
+"""Speed and drift count from this time on [s]."""
 
 RUB = 0.02
 """Speed at which dry friction has three quarters of its size [rad/s]."""
@@ -230,18 +233,22 @@ class DrakePlant:
         """Do nothing; a simulated robot has nothing to release."""
 
 
-def episode(plant: Plant, policy: Policy, seconds: float, seed: int, **asked: Any) -> dict[str, Any]:
-    """Return the figures of one episode in which a robot stands up and reaches for goals."""
+def episode(
+    plant: Plant, policy: Policy, seconds: float, seed: int, *, still: bool = False, **asked: Any
+) -> dict[str, Any]:
+    """Return the figures of one episode in which a robot stands up and reaches for goals, or stands still."""
     d = plant.description
     rng = np.random.default_rng([seed, 5])
     track = command_script(d, seconds - TIMING.stand_up - TIMING.blend, rng, **asked)
-    result = play_episode(plant, policy, track, TIMING)
+    result = play_episode(plant, policy, standing_track(policy, seconds) if still else track, TIMING)
     figures = run_metrics(result.log, d)
+    there = result.log.p_WB[result.log.t >= SETTLED, :2]
     return {
         "stands": stands_at_end(result, d),
         "stood_up_s": float(stand_up_time(result.log, d)),
         "toe_error_m": 1e-2 * figures["toe_error_cm"]["mean"],
-        "forward_m_s": forward_speed(result.log, 2.0),
+        "forward_m_s": forward_speed(result.log, SETTLED),
+        "moved_m": float(np.linalg.norm(there[-1] - there[0])) if len(there) else float("nan"),
         "knee_rms_nm": figures["torque_nm"]["knee_rms"],
     }
 
@@ -266,6 +273,7 @@ def main(argv: list[str] | None = None) -> int:
     table2 = replace(Randomisation(), restitution=NOMINAL.restitution)
     jobs: list[tuple[str, Randomisation, int, float, dict[str, Any]]] = [
         *(("randomised", table2, i, options.seconds, {}) for i in range(options.robots)),
+        *(("still", table2, i, options.seconds, {"still": True}) for i in range(few)),
         *(("goals", NOMINAL, i, options.seconds, {"speed": 0.0, "turn": 0.0}) for i in range(few)),
         *((f"walk {v:+.1f}", NOMINAL, i, 12.0, {"speed": v, "turn": 0.0}) for v in (-0.3, 0.3) for i in range(few)),
     ]
@@ -285,6 +293,7 @@ def main(argv: list[str] | None = None) -> int:
                 f"{kind:12s} {engine:7s} {len(stood):3d} of {len(own):3d} stand;"
                 f" up after {np.median([r['stood_up_s'] for r in own]):.2f} s;"
                 f" toes {100 * np.mean([r['toe_error_m'] for r in stood] or [np.nan]):.2f} cm;"
+                f" moved {np.mean([r['moved_m'] for r in stood] or [np.nan]):.2f} m;"
                 f" forward {np.mean([r['forward_m_s'] for r in stood] or [np.nan]):+.3f} m/s;"
                 f" knees {np.mean([r['knee_rms_nm'] for r in stood] or [np.nan]):.2f} N m"
             )
