@@ -22,6 +22,7 @@ from mujoco.batch import Batch
 from mimic.dynamics.law import Law, Parameters
 from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
+from mimic.dynamics.stopwatch import stop_stopwatch
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.logs import Part, enabled, rows_of, single
@@ -440,6 +441,7 @@ class Replay:
     def _batch(self, size: int) -> Batch:
         if size not in self._batches:
             model = self._model()
+            stop_stopwatch()
             self._batches.clear()
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
