@@ -28,7 +28,7 @@ class RewardWeights:
     unrest: float = -0.5
     """Changes of the action while the robot is asked to stand and does not topple."""
     shuffle: float = 0.0
-    """Speed of hind toes on the ground meanwhile [m/s]. Off: what it does is in docs/experiments/policy.md."""
+    """Speed of hind toes on the ground meanwhile [m/s]. Off: tried once, in a training that went wrong."""
     torque: float = -2e-4
     heat: float = -0.015
     """Sum of the squares of all torques, which heats the windings."""
