@@ -165,8 +165,8 @@ def go2_log(path: Path) -> JointLog:
     )
 
 
-def servo_logs(folder: Path, kp: float = SERVO_GAINS["kp"]) -> dict[str, JointLog]:
-    """Return the STS3250 logs by motion; the gain of the servo is declared [N m/rad]."""
+def servo_logs(folder: Path, kp: float = SERVO_GAINS["kp"], kd: float = SERVO_GAINS["kd"]) -> dict[str, JointLog]:
+    """Return the STS3250 logs by motion; the gains of the servo are declared [N m/rad, N m s/rad]."""
     made = {}
     for path in sorted(folder.glob("*.json")):
         raw = json.loads(path.read_text(encoding="utf-8"))
@@ -177,7 +177,7 @@ def servo_logs(folder: Path, kp: float = SERVO_GAINS["kp"]) -> dict[str, JointLo
             q=columns["position"][:, None],
             q_des=columns["goal_position"][:, None],
             extra={"enabled": columns["torque_enable"]},
-            metadata={**SERVO_GAINS, "kp": kp, "source": "Rhoban/bam, data_raw_feetech"},
+            metadata={"kp": kp, "kd": kd, "source": "Rhoban/bam, data_raw_feetech"},
         )
     return made
 

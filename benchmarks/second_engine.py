@@ -30,6 +30,7 @@ from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
 from mimic.dynamics.robot_model import Variation, draw_variation
 from mimic.errors import PlantError
+from mimic.evaluation.calm import SETTLED
 from mimic.evaluation.episode import play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed, standing_track, stands_at_end
 from mimic.metrics import run_metrics, stand_up_time
@@ -43,9 +44,6 @@ STEP = 5e-4
 
 STIFFNESS, RELAXATION = 3e4, 0.01
 """Of a contact point [N/m], and the time in which it comes to rest [s]."""
-
-SETTLED = 2.0
-"""Speed and drift count from this time on [s]."""
 
 RUB = 0.02
 """Speed at which dry friction has three quarters of its size [rad/s]."""
@@ -239,8 +237,11 @@ def episode(
     """Return the figures of one episode in which a robot stands up and reaches for goals, or stands still."""
     d = plant.description
     rng = np.random.default_rng([seed, 5])
-    track = command_script(d, seconds - TIMING.stand_up - TIMING.blend, rng, **asked)
-    result = play_episode(plant, policy, standing_track(policy, seconds) if still else track, TIMING)
+    if still:
+        track = standing_track(policy, seconds)
+    else:
+        track = command_script(d, seconds - TIMING.stand_up - TIMING.blend, rng, **asked)
+    result = play_episode(plant, policy, track, TIMING)
     figures = run_metrics(result.log, d)
     there = result.log.p_WB[result.log.t >= SETTLED, :2]
     return {

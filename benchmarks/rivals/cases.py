@@ -99,10 +99,7 @@ def emps_case(folder: Path) -> Case:
 def servo_case(folder: Path) -> Case:
     """Return three logs of the STS3250 to fit and the one that moves up and down to judge by."""
     drive = SERVO_DRIVE
-    logs = tuple(
-        replace(log, metadata={**log.metadata, "kp": drive["kp"], "kd": drive["kd"]})
-        for log in servo_logs(folder / "sts3250").values()
-    )
+    logs = tuple(servo_logs(folder / "sts3250", drive["kp"], drive["kd"]).values())
     text = SERVO_MJCF.replace("-9 9", f"-{drive['torque']} {drive['torque']}")
     text = text.replace('armature="0.005"', f'armature="{drive["armature"]}"')
     machine = _compiled(text)

@@ -22,7 +22,7 @@ from mujoco.batch import Batch
 from mimic.dynamics.law import Law, Parameters
 from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
-from mimic.dynamics.stopwatch import stop_stopwatch
+from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.logs import Part, enabled, rows_of, single
@@ -220,6 +220,7 @@ class Replay:
             sending: When targets were sent; without, when the row was written that first shows them.
             parts: Logs that this one is made of, with the drives of each; without, it is one, with the machine's.
         """
+        disable_timers()
         self.parts: tuple[Part, ...] = tuple(parts) or (single(log, machine),)
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
@@ -441,7 +442,6 @@ class Replay:
     def _batch(self, size: int) -> Batch:
         if size not in self._batches:
             model = self._model()
-            stop_stopwatch()
             self._batches.clear()
             self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]

@@ -25,6 +25,11 @@ def policy(tmp_path_factory):
     return train(tmp_path_factory.mktemp("first"), MDP, LEARN)
 
 
+def first_layer(folder, network="actor"):
+    saved = torch.load(folder / "last.pt", weights_only=False)
+    return saved[f"{network}_state_dict"]["mlp.0.weight"]
+
+
 def answers(path, description, observations):
     plays = Policy(path, description)
     return np.array([plays.act(row) for row in observations])
@@ -43,13 +48,12 @@ def test_a_training_that_goes_on_from_a_policy_begins_as_that_policy_acts(policy
 def test_only_the_critic_learns_at_first_and_then_both(policy, tmp_path):
     def weights(name, updates):
         train(tmp_path / name, MDP, dataclasses.replace(LEARN, iterations=2, critic_updates=updates), resume=policy)
-        saved = torch.load(tmp_path / name / "last.pt", weights_only=False)
-        return saved["actor_state_dict"]["mlp.0.weight"], saved["critic_state_dict"]["mlp.0.weight"]
+        return first_layer(tmp_path / name), first_layer(tmp_path / name, "critic")
 
     actor, critic = weights("critic", 5)
     both, _ = weights("both", 0)
     one, _ = weights("one", 1)
-    first = torch.load(policy.parent / "last.pt", weights_only=False)["actor_state_dict"]["mlp.0.weight"]
+    first = first_layer(policy.parent)
     assert torch.equal(actor, first)
     assert not torch.equal(both, first)
     assert not torch.equal(one, first)
@@ -61,14 +65,11 @@ def test_the_critic_changes_while_it_learns_alone(policy, tmp_path):
     saved = []
     for name, rate in (("still", 1e-12), ("learns", 1e-3)):
         train(tmp_path / name, MDP, dataclasses.replace(LEARN, learning_rate=rate), resume=policy)
-        saved.append(torch.load(tmp_path / name / "last.pt", weights_only=False)["critic_state_dict"]["mlp.0.weight"])
+        saved.append(first_layer(tmp_path / name, "critic"))
     assert (saved[0] - saved[1]).abs().max() > 1e-4
 
 
 def test_the_first_step_of_the_policy_is_as_small_as_the_smallest_learning_rate(policy, tmp_path):
-    def first_layer(folder):
-        return torch.load(folder / "last.pt", weights_only=False)["actor_state_dict"]["mlp.0.weight"]
-
     train(tmp_path, MDP, dataclasses.replace(LEARN, iterations=31, critic_updates=30), resume=policy)
     step = (first_layer(tmp_path) - first_layer(policy.parent)).abs().max().item()
     assert 0.5e-5 < step < 1.1e-5
