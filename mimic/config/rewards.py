@@ -26,7 +26,7 @@ class RewardWeights:
     low: float = -0.3
     action_rate: float = -0.012
     unrest: float = -0.5
-    """Changes of the action while the robot is asked to stand and does not topple."""
+    """Changes of the hind legs' action while the robot is asked to stand and does not topple."""
     shuffle: float = 0.0
     """Speed of hind toes on the ground meanwhile [m/s]. Off: tried once, in a training that went wrong."""
     torque: float = -2e-4

@@ -13,6 +13,10 @@ import torch
 from mimic.config.training import DisturbanceRanges
 
 
+QUIET_PUSH = 0.25
+"""Factor on the pushes of quiet worlds."""
+
+
 def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     """Return the product of quaternions wxyz (..., 4)."""
     a, v, b, u = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
@@ -30,7 +34,8 @@ def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = Fal
 class Disturbances:
     """Mounting error of the IMU, lost commands, and a pull on a front toe, for each world and episode."""
 
-    def __init__(self, ranges: DisturbanceRanges, worlds: int, dt: float, device: str) -> None:
+    def __init__(self, ranges: DisturbanceRanges, worlds: int, dt: float, device: str, quiet: torch.Tensor) -> None:
+        """Take the ranges; ``quiet`` (N,) is True for worlds in which nothing happens but small pushes."""
         self._ranges, self._dt, self._n, self._device = ranges, dt, worlds, device
         self.mount = torch.zeros(worlds, 4, device=device)
         """Rotation from the IMU as it should be to the IMU as it is mounted, wxyz (N, 4)."""
@@ -41,9 +46,17 @@ class Disturbances:
         self.toe = torch.zeros(worlds, 2, device=device)
         """1 for the front toe that is pulled, left or right (N, 2)."""
         self._from = torch.zeros(worlds, device=device)
-        self.share = torch.ones(1, device=device)
-        """Factor on whatever is drawn (1,)."""
+        self._part = 1.0 - quiet.float()
+        self._push_part = torch.where(quiet, QUIET_PUSH, 1.0)
+        self.share, self.push_share = torch.ones(worlds, device=device), torch.ones(worlds, device=device)
+        """Factors on whatever is drawn here, and on pushes (N,)."""
+        self.set_share(1.0)
         self.mount[:, 0] = 1.0
+
+    def set_share(self, share: float) -> None:
+        """Let worlds that are not quiet see this share of everything."""
+        self.share.copy_(share * self._part)
+        self.push_share.copy_(share * self._push_part)
 
     def reset(self, mask: torch.Tensor) -> None:
         """Draw anew where ``mask``."""

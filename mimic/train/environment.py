@@ -43,7 +43,7 @@ from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1
+CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
 """Width of what the critic sees beyond the observation."""
 
 
@@ -69,7 +69,9 @@ class WorldsEnv(VecEnv):
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
         self._feet = Feet(description, device)
-        self.disturbances = Disturbances(settings.disturbances, settings.worlds, description.dt, device)
+        self.disturbances = Disturbances(
+            settings.disturbances, settings.worlds, description.dt, device, self.worlds.quiet
+        )
         self._constants()
         self._buffers()
         self._graph: Any = None
@@ -364,7 +366,7 @@ class WorldsEnv(VecEnv):
         r = self.settings.randomisation
         every = round(r.push_interval / self.contract.dt)
         due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > self.settings.stand_up_steps)
-        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.share
+        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.push_share
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(torch.where(due[:, None], kick, torch.zeros_like(kick)))
 
@@ -384,7 +386,7 @@ class WorldsEnv(VecEnv):
             put(command, start.command)
         for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._drift, self._gait):
             put(buffer, torch.zeros_like(buffer))
-        put(self._noise, self._uniform(self.settings.noise_least, 1.0))
+        put(self._noise, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
         low, high = self._delay_range
         put(self._delay, torch.randint_like(self._delay, low, high + 1))
         if w.motors is not None:
@@ -443,6 +445,7 @@ class WorldsEnv(VecEnv):
             self.disturbances.lost_share * 10,
             self._gait[:, None],
             self._noise[:, None],
+            w.quiet.float()[:, None],
         ]
         seen = torch.cat(
             [self._policy_obs, *extras], -1

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from mimic.config.training import LearnSettings, MdpSettings
+from mimic.config.training import STD_SHARE, LearnSettings, MdpSettings
 from mimic.errors import ConfigError
 from mimic.io.store import plain, save_json
 from mimic.policy.contract import PolicyContract
@@ -144,6 +144,11 @@ def train(
                 runner.alg.begin_policy()  # type: ignore[attr-defined]
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
+        if learn.std_end:
+            fall = min(share / STD_SHARE, 1.0)
+            widest = (learn.resume_std or learn.init_std) ** (1 - fall) * learn.std_end**fall
+            with torch.no_grad():
+                runner.alg.actor.distribution.log_std_param.clamp_(max=math.log(widest))  # type: ignore
         if learn.reaching:
             runner.alg.reaching_coef = learn.reaching * max(1 - share / learn.reaching_share, 0.0)  # type: ignore
         if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:

@@ -35,7 +35,9 @@ class Facts:
     gait: torch.Tensor
     """How far stepping is asked for, 0 standing to 1 (N,)."""
     toppling: torch.Tensor
-    """True where the capture point has left the feet (N,)."""
+    """True where the capture point has left the feet of a robot that may be pushed (N,)."""
+    settled: torch.Tensor
+    """True where the robot should stand, whatever its heading (N,)."""
     heading_error: torch.Tensor
     """Wrapped (N,) [rad]."""
     rising: torch.Tensor
@@ -77,8 +79,15 @@ class Facts:
 MOST_HEAT = 150.0
 """More than this sum of squared torques is not counted [N^2 m^2]: standing up and catching a push cost less."""
 
-MOST_UNREST = 2.0
+MOST_UNREST = 6.0
 """More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
+
+
+MOST_DRIFT = 0.15
+"""More than this drift is not counted [m/s]: a step that catches a push costs less."""
+
+MOST_SHUFFLE = 0.3
+"""A hind toe that moves faster than this on the ground costs no more [m/s]."""
 
 
 def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription) -> dict[str, torch.Tensor]:
@@ -106,7 +115,8 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     lifted = torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
     lifted = (0.25 + 0.75 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     stepping = torch.where(swing > 0, lifted, planted)
-    standing_still = torch.maximum(planted, settings.catching * f.toppling[:, None])
+    both_planted = planted.prod(-1, keepdim=True)
+    standing_still = torch.maximum(both_planted, settings.catching * f.toppling[:, None])
     stepping = f.gait[:, None] * stepping + (1 - f.gait[:, None]) * standing_still
     # without the widest bell toes that are 20 cm off never came nearer
     reaching = 0.2 * torch.exp(-toes / 0.2) + 0.4 * torch.exp(-toes / 0.04) + 0.4 * torch.exp(-toes / 0.01)
@@ -115,7 +125,8 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     speed = speed + 0.35 * torch.exp(-f.velocity_error.square().sum(-1) / 0.05)
     square = f.heading_error.square()
     changes = f.action_change.square().sum(-1)
-    resting = (1 - f.gait) * f.rising.ge(1) * ~f.toppling
+    # by the command, or a robot that turns away a little would be asked to step, and need not rest
+    resting = torch.maximum(1 - f.gait, f.settled.float()) * f.rising.ge(1) * ~f.toppling
     turning = (
         0.15 * (1 + torch.cos(f.heading_error)) + 0.35 * torch.exp(-square / 0.5) + 0.35 * torch.exp(-square / 0.03)
     )
@@ -128,15 +139,15 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
         "toes": reaching * standing * f.tracking,
         "toes_fine": torch.exp(-toes / 0.001) * standing * f.tracking,
         "gait": stepping.mean(-1) * standing,
-        "drift": f.drift.norm(dim=-1) * f.tracking,
+        "drift": f.drift.norm(dim=-1).clamp(max=MOST_DRIFT) * f.tracking,
         "slip": f.slip,
         "foot_shift": f.foot_shift,
         "terminations": f.terminations_met,
         "flight": (f.clearance.amin(-1) > 0.01).float(),
         "low": f.low,
         "action_rate": changes,
-        "unrest": changes.clamp(max=MOST_UNREST) * resting,
-        "shuffle": (f.hind_speed * planted).mean(-1) * resting,
+        "unrest": f.action_change[:, 6:].square().sum(-1).clamp(max=MOST_UNREST) * resting,
+        "shuffle": (f.hind_speed.clamp(max=MOST_SHUFFLE) * planted).mean(-1) * resting,
         "torque": f.torque.square().sum(-1),
         "heat": f.torque.square().sum(-1).clamp(max=MOST_HEAT),
         "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),

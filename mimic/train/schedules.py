@@ -89,6 +89,9 @@ class MoveSchedule:
     FIRST = 1.04
     """The first command comes no earlier than this [s]: just after standing up."""
 
+    SETTLES = 2.0
+    """A robot that is asked to stand has turned to its heading by this time [s]."""
+
     def __init__(self, contract: PolicyContract, settings: MdpSettings, device: str) -> None:
         n = settings.worlds
         self._settings, self._dt = settings, contract.dt
@@ -98,14 +101,23 @@ class MoveSchedule:
         """Desired heading, world (N,) [rad]."""
         self._rate = torch.zeros(n, device=device)
         self._left = torch.zeros(n, device=device)
+        self._since = torch.zeros(n, device=device)
+
+    @property
+    def settled(self) -> torch.Tensor:
+        """True where a robot has been asked to stand for so long that it should (N,)."""
+        stands = (self.velocity == 0.0).all(-1) & (self._rate == 0.0)
+        return stands & (self._since > self.SETTLES)
 
     def advance(self) -> None:
         """Let one control step pass."""
         s, n = self._settings, len(self._left)
         self._left.sub_(self._dt)
+        self._since.add_(self._dt)
         due = self._left <= 0
         low, high = s.command_seconds
         self._left.copy_(torch.where(due, low + (high - low) * self._rand(), self._left))
+        self._since.copy_(torch.where(due, torch.zeros_like(self._since), self._since))
         stands = self._rand() < s.stand_share
         speed = torch.randint(1, 4, (n,), device=self._left.device) * 0.1
         speed = torch.where(self._rand() < s.fast_share, s.fastest * self._rand(), speed)
@@ -127,6 +139,7 @@ class MoveSchedule:
         self._rate.copy_(torch.where(mask, torch.zeros_like(self._rate), self._rate))
         first = self.FIRST + (self._settings.command_seconds[1] - self.FIRST) * self._rand()
         self._left.copy_(torch.where(mask, first, self._left))
+        self._since.copy_(torch.where(mask, torch.zeros_like(self._since), self._since))
 
     def _rand(self) -> torch.Tensor:
         return torch.rand_like(self._left)

@@ -59,7 +59,7 @@ class StandTrackEnv(WorldsEnv):
         s = self.settings
         share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * ramp
         self.worlds.set_share(share)
-        self.disturbances.share.fill_(share)
+        self.disturbances.set_share(share)
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _command(self) -> None:
@@ -107,6 +107,7 @@ class StandTrackEnv(WorldsEnv):
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = (dq - self._dq_before) / self.contract.dt
         ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
+        toppling = self._toppled = self._toppling(hind)
         return Facts(
             height=height,
             up=up,
@@ -114,7 +115,8 @@ class StandTrackEnv(WorldsEnv):
             mean_velocity_error=self._mean_velocity - self.moves.velocity,
             drift=self._drift,
             gait=self._gait,
-            toppling=self._toppling(hind),
+            toppling=toppling & ~w.quiet,
+            settled=self.moves.settled,
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes - self.goals.now,
@@ -149,18 +151,23 @@ class StandTrackEnv(WorldsEnv):
     def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
         tracking = f.tracking
         count = tracking.sum().clamp(min=1.0)
-        still, asked = tracking * (f.gait == 0), self.moves.velocity[:, 0]
+        quiet = self.worlds.quiet.float()
+        still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
         stills = still.sum().clamp(min=1.0)
         return {
             "still/planted": (f.contact.all(-1) * still).sum() / stills,
             "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
             "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
             "still/shuffle": ((f.hind_speed * f.contact).mean(-1) * still).sum() / stills,
-            "still/toppling": (f.toppling * still).sum() / stills,
+            "still/toppling": (self._toppled * still).sum() / stills,
             "walk/speed_share": (self._mean_velocity[:, 0] * asked * tracking).sum()
             / (asked.square() * tracking).sum().clamp(min=1e-3),
             "walk/lift": (f.clearance.amax(-1) * tracking * (f.gait == 1)).sum()
             / (tracking * (f.gait == 1)).sum().clamp(min=1.0),
+            "quiet/velocity_error": (f.velocity_error.norm(dim=-1) * tracking * quiet).sum()
+            / (tracking * quiet).sum().clamp(min=1.0),
+            "quiet/drift": (f.drift.norm(dim=-1) * still).sum() / stills,
+            "quiet/falls": (f.fallen.float() * tracking * quiet).sum() / (tracking * quiet).sum().clamp(min=1.0),
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,

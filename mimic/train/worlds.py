@@ -22,7 +22,8 @@ import numpy as np
 import torch
 import warp as wp
 
-from mimic.config.training import MdpSettings
+from mimic.config.play import Randomisation
+from mimic.config.training import UNDISTURBED, MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed, ReplayedWarp
 from mimic.dynamics.machine import SOLREF_STEPS
 from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_model, vary_model
@@ -73,6 +74,19 @@ class _Support:
     size: torch.Tensor
 
 
+@wp.kernel
+def _smooth_friction(  # type: ignore[no-untyped-def]
+    qvel: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    friction: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    damping: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    speed: float,
+    total: wp.array2d(dtype=float),  # type: ignore[valid-type]
+):
+    """Write the damping with which a joint's viscous torque is that of its dry friction too, at its speed of now."""
+    world, dof = wp.tid()
+    total[world, dof] = damping[world, dof] + friction[world, dof] / (wp.abs(qvel[world, dof]) + speed)
+
+
 class Worlds:
     """The physics of all worlds; its tensors are views of Warp's memory, written in place."""
 
@@ -94,6 +108,9 @@ class Worlds:
         model.opt.ls_iterations = settings.linesearch_iterations
         if settings.sparse:
             model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+        self._friction_speed = settings.friction_speed if self.motors is None else 0.0
+        if self._friction_speed:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
         self.mj_model = model
         n = settings.worlds
         data = mujoco.MjData(model)
@@ -108,6 +125,7 @@ class Worlds:
             contacts = settings.contacts + math.ceil(SPARE_CONTACTS / n)
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=settings.rows)
             self._randomise(description, settings, n, seed, fields)
+            self._own_damping = wp.clone(self.model.dof_damping)
             self.qpos = wp.to_torch(self.data.qpos)
             self.qvel = wp.to_torch(self.data.qvel)
             self.warmstart = wp.to_torch(self.data.qacc_warmstart)
@@ -132,16 +150,19 @@ class Worlds:
     ) -> None:
         rng = np.random.default_rng([seed, 17])
         other = np.random.default_rng([seed, 18])
+        quiet = round(settings.quiet_share * min(n, VARIANTS))
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
-        features, slopes, variations, d = [], [], [], settings.disturbances
+        features, slopes, variations = [], [], []
         grounds: list[tuple[float, float]] = []
         if self.motors is not None:
             self.motors.draw(count, np.random.default_rng([seed, 19]))
         for i in range(count):
-            v = draw_variation(settings.randomisation, description.timestep, rng)
+            d = UNDISTURBED if i < quiet else settings.disturbances
+            ranges = Randomisation() if i < quiet else settings.randomisation
+            v = draw_variation(ranges, description.timestep, rng)
             v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
             vary_model(varied, nominal, v)
             if self.motors is not None:
@@ -169,6 +190,7 @@ class Worlds:
             tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
         if self.motors is not None:
             self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
+        self.quiet = torch.as_tensor(index < quiet, device=self.device)
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
@@ -256,8 +278,16 @@ class Worlds:
     def _run(self) -> None:
         for k in range(self.decimation):
             wp.copy(self.data.ctrl, self._substep_ctrl[k])
+            if self._friction_speed:
+                self._rub()
             mjw.step(self.model, self.data)
         mjw.kinematics(self.model, self.data)
+
+    def _rub(self) -> None:
+        """Set the damping of all joints so that it holds their dry friction."""
+        m, d = self.model, self.data
+        inputs = [d.qvel, m.dof_frictionloss, self._own_damping, self._friction_speed]
+        wp.launch(_smooth_friction, dim=d.qvel.shape, inputs=inputs, outputs=[m.dof_damping])
 
     def step(self) -> None:
         """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
