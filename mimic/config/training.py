@@ -174,7 +174,7 @@ class MdpSettings:
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     friction_speed: float = 0.1
-    """Joint speed at which half of the dry friction acts [rad/s]: f dq / (|dq| + this), integrated implicitly as damping
+    """Joint speed at which half of the dry friction acts [rad/s]: f dq / (|dq| + this), implicit as damping
     is. 0 takes MuJoCo's own constraints, 12 of the 16 rows that the solver has on average, as the evaluation does."""
     contacts: int = 8
     """Most contacts of a world on average, since all worlds share one store; robots that lie have 4."""
@@ -184,7 +184,7 @@ class MdpSettings:
     """Constraint Jacobians in sparse form; the same physics, other kernels."""
     quiet_share: float = 0.4
     """Share of the worlds that are quiet: a robot of the paper's Table II on level ground that nobody pulls, with small
-    pushes. Among disturbed worlds alone standing still is never seen, and not learned."""
+    pushes. Among disturbed worlds alone standing still is hardly seen, and not learned. The task sit_down has none."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
     command_margin: float = 0.09
@@ -294,7 +294,7 @@ class LearnSettings:
     resume_std: float = 0.0
     """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
     std_end: float = 0.0
-    """Largest spread of the actions at the end: it falls geometrically from resume_std, or else init_std, over the first
+    """Largest spread of the actions at the end: it falls from resume_std, or else init_std, over the first
     STD_SHARE of the training; 0 leaves the spread to the learner."""
     critic_updates: int = 100
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none."""

@@ -12,7 +12,6 @@ import torch
 
 from mimic.config.training import DisturbanceRanges
 
-
 QUIET_PUSH = 0.25
 """Factor on the pushes of quiet worlds."""
 

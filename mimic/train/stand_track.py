@@ -151,7 +151,7 @@ class StandTrackEnv(WorldsEnv):
     def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
         tracking = f.tracking
         count = tracking.sum().clamp(min=1.0)
-        quiet = self.worlds.quiet.float()
+        quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float()
         still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
         stills = still.sum().clamp(min=1.0)
         return {

@@ -83,8 +83,8 @@ def _smooth_friction(  # type: ignore[no-untyped-def]
     total: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ):
     """Write the damping with which a joint's viscous torque is that of its dry friction too, at its speed of now."""
-    world, dof = wp.tid()
-    total[world, dof] = damping[world, dof] + friction[world, dof] / (wp.abs(qvel[world, dof]) + speed)
+    world, dof = wp.tid()  # type: ignore[misc]
+    total[world, dof] = damping[world, dof] + friction[world, dof] / (wp.abs(qvel[world, dof]) + speed)  # type: ignore[operator]
 
 
 class Worlds:
@@ -150,7 +150,7 @@ class Worlds:
     ) -> None:
         rng = np.random.default_rng([seed, 17])
         other = np.random.default_rng([seed, 18])
-        quiet = round(settings.quiet_share * min(n, VARIANTS))
+        quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
         count = min(n, VARIANTS)
@@ -191,6 +191,7 @@ class Worlds:
         if self.motors is not None:
             self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
         self.quiet = torch.as_tensor(index < quiet, device=self.device)
+        """True for the worlds of MdpSettings.quiet_share (N,)."""
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)

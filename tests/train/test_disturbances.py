@@ -27,6 +27,7 @@ RANGES = dataclasses.replace(
 def make(description, **changes: object) -> StandTrackEnv:
     settings = MdpSettings(
         worlds=1,
+        friction_speed=0.0,
         noise_q=0.0,
         noise_axes=0.0,
         upright_share=0.0,

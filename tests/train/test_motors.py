@@ -27,6 +27,7 @@ EXACT = MdpSettings(
     randomisation=NOMINAL,
     disturbances=UNDISTURBED,
     disturbance_share_at_first=1.0,
+    quiet_share=0.0,
     solver_iterations=100,
     timestep=STEP,
 )
