@@ -82,7 +82,6 @@ MOST_HEAT = 150.0
 MOST_UNREST = 6.0
 """More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
 
-
 MOST_DRIFT = 0.15
 """More than this drift is not counted [m/s]: a step that catches a push costs less."""
 
