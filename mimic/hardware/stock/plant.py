@@ -144,6 +144,11 @@ class StockRobot:
             CLEAR_TIMEOUT,
             "error 0x02 of the robot does not clear; switch it off and on. Is another program sending to it?",
         )
+        self._await(  # the first message may come later than those of the motors
+            lambda: link.now() - self._report["imu_came"] <= self._limits.imu_age,
+            ENTER_TIMEOUT,
+            "the robot was not moved: no orientation comes from the robot",
+        )
         self._check()
         self._missed[:] = 0
         self._began = self._ended = self._due = link.now()
