@@ -57,6 +57,17 @@ class DisturbanceRanges:
     """When it begins [s]."""
     drag_seconds: float = 3.0
     """How long it lasts [s]."""
+    lead_share: float = 0.2
+    """Share of all episodes, quiet worlds' too, in which a hand takes a front toe instead and walks off with it in any
+    direction, and the robot is asked to do what it is when it is led (`mimic.policy.leading`)."""
+    lead_speed: tuple[float, float] = (0.0, 0.3)
+    """How fast the hand walks [m/s]."""
+    lead_most: tuple[float, float] = (4.0, 10.0)
+    """Strongest pull of the hand [N]; what would take more slips through the fingers."""
+    lead_stiffness: float = 60.0
+    """Pull for each metre that the toe is behind the hand [N/m]."""
+    lead_seconds: tuple[float, float] = (2.0, 10.0)
+    """How long until it lets go [s]."""
 
 
 UNDISTURBED = DisturbanceRanges(
@@ -68,6 +79,7 @@ UNDISTURBED = DisturbanceRanges(
     imu_tilt=(0.0, 0.0),
     lost_share=(0.0, 0.0),
     drag=(0.0, 0.0),
+    lead_share=0.0,
 )
 """Nothing happens."""
 
@@ -97,6 +109,10 @@ class SitDownSettings:
     crash_speed: float = 0.8
     """An episode ends where the trunk touches the ground faster than this [m/s]."""
     rewards: SitDownWeights = field(default_factory=SitDownWeights)
+
+
+LEAST_LEVEL = 0.3
+"""Smallest level of a disturbed world."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -185,6 +201,12 @@ class MdpSettings:
     quiet_share: float = 0.4
     """Share of the worlds that are quiet: a robot of the paper's Table II on level ground that nobody pulls, with small
     pushes. Among disturbed worlds alone standing still is hardly seen, and not learned. The task sit_down has none."""
+    level_up: float = 0.04
+    """A disturbed world has a level, a factor on what disturbs it in an episode. It grows by this, at most to 1, with
+    each episode that is lived to its end."""
+    level_down: float = 0.0
+    """… and falls by this, at least to LEAST_LEVEL, when the robot does; 0 leaves every level at 1. With 0.12,
+    the one tried, levels went down to 0.4, and hard pushes were learned less well (docs/experiments/policy.md)."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
     command_margin: float = 0.09
@@ -242,6 +264,8 @@ class MdpSettings:
         check_range("fastest", self.fastest, 0.1, 3.0, "m/s")
         check_range("friction-speed", self.friction_speed, 0.0, 10.0, "rad/s")
         check_range("quiet-share", self.quiet_share, 0.0, 1.0)
+        check_range("level-up", self.level_up, 0.0, 1.0)
+        check_range("level-down", self.level_down, 0.0, 1.0)
         check_range("clock-fade", self.clock_fade, 0.0, 5.0, "s")
         check_range("episode-steps", self.episode_steps, 100, 100_000)
         check_range("solver-iterations", self.solver_iterations, 1, 200)

@@ -25,17 +25,12 @@ from mimic.control.safety_rules import FALLEN
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
 from mimic.geometry import heading_from_quat, wrap_angle
+from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.policy.runtime import Policy
 from mimic.records import Command, FloatArray, RobotState, Tick
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import TOES
 from mimic.robot.rigid_body import rigid_body_model
-
-MOST_AHEAD = 0.6
-"""A turn is not asked for further ahead of the robot than this [rad]."""
-
-BACKWARD = np.deg2rad(120.0)
-"""Pulled from further behind than this it walks backward; otherwise it turns its belly to the pull [rad]."""
 
 STRETCHED = 0.02
 """Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
@@ -114,22 +109,16 @@ class HandLeading:
 
     def newest(self) -> Command | None:
         """Return what the pull asks for; None when the time is over."""
-        s = self._settings
         self._left -= self._dt
         if self._left < 0:
             return None
         forward, left = turned(self.pull[:2], -self._now)
-        size = math.hypot(forward, left)
-        share = min(max((size - s.threshold) / (s.full - s.threshold), 0.0), 1.0)
-        way, away = 1.0, math.atan2(left, forward)
-        if abs(away) > BACKWARD:
-            way, away = -1.0, away - math.copysign(math.pi, away)
+        speed, rate, share = answer_to_pull(forward, left, self._settings, np)
         if share > 0:
-            self._turned += share * float(np.clip(2.0 * away, -s.turn_rate, s.turn_rate)) * self._dt
+            self._turned += float(rate) * self._dt
             behind = float(wrap_angle(self._now - (self._began or 0.0) - self._turned))
             self._turned += behind - float(np.clip(behind, -MOST_AHEAD, MOST_AHEAD))
-        v = np.array([way * s.speed * share * max(math.cos(away), 0.0), 0.0])
-        return Command(v=v, heading=self._turned, p_BE=self._toes)
+        return Command(v=np.array([float(speed), 0.0]), heading=self._turned, p_BE=self._toes)
 
 
 def turned(vector: FloatArray, angle: float) -> tuple[float, float]:

@@ -34,7 +34,9 @@ def main() -> int:
         keys = ("elapsed_s", "reward", "episode", "std", "collect_s", "learn_s", "learning_rate")
         groups = ("all/", "track/", "sit_down/", "still/", "walk/")
         short = {k: row[k] for k in keys} | {k.split("/")[1]: v for k, v in row.items() if k.startswith(groups)}
-        short |= {k: v for k, v in row.items() if k.startswith("quiet/")}  # by their whole names, which others share
+        short |= {
+            k: v for k, v in row.items() if k.startswith(("quiet/", "led/"))
+        }  # by their whole names, which others share
         figures = " ".join(f"{k}={v:.3g}" for k, v in short.items())
         sys.stderr.write(f"{update} {row['steps'] / 1e6:.0f}M {figures}\n")
         sys.stderr.flush()

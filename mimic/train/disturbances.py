@@ -10,7 +10,7 @@ import math
 
 import torch
 
-from mimic.config.training import DisturbanceRanges
+from mimic.config.training import LEAST_LEVEL, MdpSettings
 
 QUIET_PUSH = 0.25
 """Factor on the pushes of quiet worlds."""
@@ -33,58 +33,113 @@ def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = Fal
 class Disturbances:
     """Mounting error of the IMU, lost commands, and a pull on a front toe, for each world and episode."""
 
-    def __init__(self, ranges: DisturbanceRanges, worlds: int, dt: float, device: str, quiet: torch.Tensor) -> None:
-        """Take the ranges; ``quiet`` (N,) is True for worlds in which nothing happens but small pushes."""
-        self._ranges, self._dt, self._n, self._device = ranges, dt, worlds, device
-        self.mount = torch.zeros(worlds, 4, device=device)
+    def __init__(self, settings: MdpSettings, dt: float, device: str, quiet: torch.Tensor) -> None:
+        """Take the settings; ``quiet`` (N,) is True for worlds in which nothing happens but small pushes and hands."""
+        n = settings.worlds
+        self._ranges, self._dt, self._n, self._device = settings.disturbances, dt, n, device
+        self._up, self._down = settings.level_up, settings.level_down
+        self.mount = torch.zeros(n, 4, device=device)
         """Rotation from the IMU as it should be to the IMU as it is mounted, wxyz (N, 4)."""
-        self.lost_share = torch.zeros(worlds, 1, device=device)
+        self.lost_share = torch.zeros(n, 1, device=device)
         """Probability that a command does not arrive (N, 1)."""
-        self.force = torch.zeros(worlds, 3, device=device)
-        """Pull of this episode, world axes (N, 3) [N]."""
-        self.toe = torch.zeros(worlds, 2, device=device)
+        self.force = torch.zeros(n, 3, device=device)
+        """Steady pull of this episode, world axes (N, 3) [N]."""
+        self.toe = torch.zeros(n, 2, device=device)
         """1 for the front toe that is pulled, left or right (N, 2)."""
-        self._from = torch.zeros(worlds, device=device)
-        self._part = 1.0 - quiet.float()
-        self._push_part = torch.where(quiet, QUIET_PUSH, 1.0)
-        self.share, self.push_share = torch.ones(worlds, device=device), torch.ones(worlds, device=device)
-        """Factors on whatever is drawn here, and on pushes (N,)."""
+        self.led = torch.zeros(n, dtype=torch.bool, device=device)
+        """True where a hand comes in this episode instead of the steady pull (N,)."""
+        self.hand_velocity = torch.zeros(n, 2, device=device)
+        """How the hand walks, world axes (N, 2) [m/s]."""
+        self.pull = torch.zeros(n, 2, 3, device=device)
+        """Force on each front toe now, world axes (N, 2, 3) [N]."""
+        self.level = torch.ones(n, device=device)
+        """Factor on what disturbs a world (N,); see MdpSettings.level_up."""
+        self._most, self._hand = torch.zeros(n, device=device), torch.zeros(n, 2, device=device)
+        self._from, self._seconds = torch.zeros(n, device=device), torch.zeros(n, device=device)
+        self.held = torch.zeros(n, dtype=torch.bool, device=device)
+        """True while the hand holds the toe (N,)."""
+        self.came = torch.zeros(n, dtype=torch.bool, device=device)
+        """True from when it has taken the toe to the end of the episode (N,)."""
+        self.behind = torch.zeros(n, device=device)
+        """How far the toe is from the hand (N,) [m]."""
+        self._leads = settings.disturbances.lead_share * (settings.task == "stand_track")
+        self._quiet = quiet
+        self._grown = torch.ones((), device=device)
         self.set_share(1.0)
         self.mount[:, 0] = 1.0
 
     def set_share(self, share: float) -> None:
-        """Let worlds that are not quiet see this share of everything."""
-        self.share.copy_(share * self._part)
-        self.push_share.copy_(share * self._push_part)
+        """Let worlds see this share of everything."""
+        self._grown.fill_(share)
 
-    def reset(self, mask: torch.Tensor) -> None:
-        """Draw anew where ``mask``."""
+    @property
+    def share(self) -> torch.Tensor:
+        """Factor on whatever is drawn here (N,)."""
+        return self._grown * torch.where(self._quiet, 0.0, self.level)
+
+    @property
+    def push_share(self) -> torch.Tensor:
+        """Factor on pushes (N,)."""
+        return self._grown * torch.where(self._quiet, QUIET_PUSH, self.level)
+
+    def reset(self, mask: torch.Tensor, survived: torch.Tensor) -> None:
+        """Draw anew where ``mask`` (N,); a world's level follows from whether its robot survived (N,)."""
         r = self._ranges
 
         def put(buffer: torch.Tensor, value: torch.Tensor) -> None:
             buffer.copy_(torch.where(mask.view(-1, *[1] * (buffer.dim() - 1)), value, buffer))
 
+        if self._down:
+            level = self.level + torch.where(survived, self._up, -self._down)
+            put(self.level, level.clamp(LEAST_LEVEL, 1.0))
         axis = torch.randn(self._n, 3, device=self._device)
         axis = axis / axis.norm(dim=-1, keepdim=True).clamp(min=1e-6)
         half = (self.share * self._uniform(*r.imu_tilt))[:, None] * (math.pi / 360)
         put(self.mount, torch.cat([torch.cos(half), torch.sin(half) * axis], -1))
         put(self.lost_share, (self.share * self._uniform(*r.lost_share))[:, None])
-        angle = self._uniform(-math.pi, math.pi)
+        led = self._uniform(0.0, 1.0) < self._leads
+        put(self.led, led)
         size = self.share * self._uniform(*r.drag) * (self._uniform(0.0, 1.0) < r.drag_share)
-        put(self.force, torch.stack([size * torch.cos(angle), size * torch.sin(angle), torch.zeros_like(size)], -1))
+        put(
+            self.force, torch.cat([self._any_direction() * torch.where(led, 0.0, size)[:, None], size[:, None] * 0], -1)
+        )
+        put(self.hand_velocity, self._any_direction() * self._uniform(*r.lead_speed)[:, None])
+        put(self._most, self._grown * self._uniform(*r.lead_most))
+        put(self._seconds, torch.where(led, self._uniform(*r.lead_seconds), r.drag_seconds))
         left = (self._uniform(0.0, 1.0) < 0.5).float()
         put(self.toe, torch.stack([left, 1 - left], -1))
         put(self._from, self._uniform(*r.drag_from))
+        for flag in (self.held, self.came):
+            put(flag, torch.zeros_like(flag))
 
     def arrives(self) -> torch.Tensor:
         """Return whether the command of this control step arrives (N, 1)."""
         return torch.rand_like(self.lost_share) >= self.lost_share
 
-    def pull(self, step: torch.Tensor) -> torch.Tensor:
-        """Return the force on each front toe (N, 2, 3) [N] at a control step of the episode (N,)."""
+    def advance(self, step: torch.Tensor, toes: torch.Tensor) -> None:
+        """Let the pull be that of a control step.
+
+        Args:
+            step: Control step of the episode (N,).
+            toes: Front toes, world axes (N, 2, 3) [m].
+        """
         since = step * self._dt - self._from
-        now = (since >= 0) & (since < self._ranges.drag_seconds)
-        return self.toe[..., None] * (self.force * now[:, None])[:, None, :]
+        now = (since >= 0) & (since < self._seconds)
+        toe = (toes[..., :2] * self.toe[..., None]).sum(1)
+        moved = self._hand + self.hand_velocity * self._dt
+        self._hand.copy_(torch.where(self.held[:, None], moved, toe))
+        self.held.copy_(now & self.led)
+        self.came.logical_or_(self.held)
+        away = self._hand - toe
+        self.behind.copy_(away.norm(dim=-1))
+        hand = away * (self._most / self.behind.clamp(min=1e-6)).clamp(max=self._ranges.lead_stiffness)[:, None]
+        hand = torch.cat([hand, torch.zeros_like(hand[:, :1])], -1)
+        force = torch.where(self.led[:, None], hand, self.force) * now[:, None]
+        self.pull.copy_(self.toe[..., None] * torch.nan_to_num(force)[:, None, :])
 
     def _uniform(self, low: float, high: float) -> torch.Tensor:
         return low + (high - low) * torch.rand(self._n, device=self._device)
+
+    def _any_direction(self) -> torch.Tensor:
+        angle = self._uniform(-math.pi, math.pi)
+        return torch.stack([torch.cos(angle), torch.sin(angle)], -1)

@@ -69,9 +69,7 @@ class WorldsEnv(VecEnv):
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
         self._feet = Feet(description, device)
-        self.disturbances = Disturbances(
-            settings.disturbances, settings.worlds, description.dt, device, self.worlds.quiet
-        )
+        self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
         self._constants()
         self._buffers()
         self._graph: Any = None
@@ -134,7 +132,7 @@ class WorldsEnv(VecEnv):
         self._reaching = zeros(2, 2, 3)
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
-        self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
+        self._time_out = torch.ones(n, dtype=torch.bool, device=device)  # nobody has fallen yet
         self._mean_velocity, self._drift = zeros(2), zeros(2)
         start = weights_at(0.0, self._rewards, self.settings.regularisation, self._shares(0.0))
         self._weights = torch.tensor(start, device=device)
@@ -247,8 +245,10 @@ class WorldsEnv(VecEnv):
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
-        force = self.disturbances.pull(self.episode_length_buf)
-        lever = w.site_xpos[:, self._toe_sites[:2]] - w.xipos[:, self._front_knees]
+        toes = w.site_xpos[:, self._toe_sites[:2]]
+        self.disturbances.advance(self.episode_length_buf, toes)
+        force = self.disturbances.pull
+        lever = toes - w.xipos[:, self._front_knees]
         moment = torch.linalg.cross(lever, force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
 
@@ -393,7 +393,7 @@ class WorldsEnv(VecEnv):
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
         put(self._upright_start, start.upright)
         put(self.phase_at_start, self._first_phase(start))
-        self.disturbances.reset(mask)
+        self.disturbances.reset(mask, self._time_out)
         put(self._q_before, start.q)
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
@@ -441,7 +441,7 @@ class WorldsEnv(VecEnv):
             w.features,
             quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
             quat_rotate(self._quat_WB, self._floor_up, inverse=True),
-            (self.disturbances.pull(self.episode_length_buf)[..., :2] * 0.2).reshape(n, 4),
+            (self.disturbances.pull[..., :2] * 0.2).reshape(n, 4),
             self.disturbances.lost_share * 10,
             self._gait[:, None],
             self._noise[:, None],

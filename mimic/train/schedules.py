@@ -7,9 +7,11 @@ import math
 import numpy as np
 import torch
 
+from mimic.config.leading import LeadingSettings
 from mimic.config.training import MdpSettings
 from mimic.geometry import smoothstep
 from mimic.policy.contract import PolicyContract
+from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
 
@@ -18,6 +20,10 @@ POOL = 20_000
 
 PAPER_GOAL_SECONDS = 3.0
 """Time between two goals in the paper [s]."""
+
+
+LEADING = LeadingSettings()
+"""How a robot that is led answers a pull."""
 
 
 class GoalSchedule:
@@ -99,7 +105,10 @@ class MoveSchedule:
         """Desired base velocity in the heading frame (N, 2) [m/s]."""
         self.heading = torch.zeros(n, device=device)
         """Desired heading, world (N,) [rad]."""
+        self.wanted = torch.zeros(n, 2, device=device)
+        """Velocity that the robot is judged by: the desired one, and sideways that of the hand that leads it (N, 2)."""
         self._rate = torch.zeros(n, device=device)
+        self._felt = torch.zeros(n, 2, device=device)
         self._left = torch.zeros(n, device=device)
         self._since = torch.zeros(n, device=device)
 
@@ -131,11 +140,40 @@ class MoveSchedule:
         rate = torch.where(keeps | jumps, torch.zeros_like(speed), s.turn_rate * (2 * self._rand() - 1))
         self._rate.copy_(torch.where(due, rate, self._rate))
         self.heading.copy_(torch.where(due, self.heading + turn, self.heading) + self._rate * self._dt)
+        self.wanted.copy_(self.velocity)
+
+    def lead(self, led: torch.Tensor, pull: torch.Tensor, hand: torch.Tensor, heading: torch.Tensor) -> None:
+        """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.control.leading).
+
+        Args:
+            led: True where it does, until the end of the episode (N,).
+            pull: Pull on the toe now, world axes (N, 2) [N].
+            hand: Velocity of the hand, world axes (N, 2) [m/s].
+            heading: Heading of the robot (N,) [rad].
+        """
+        s = LEADING
+        self._felt.add_((pull - self._felt) * (self._dt / (s.smoothing + self._dt)) * led[:, None])
+        cosine, sine = torch.cos(heading), torch.sin(heading)
+        forward = cosine * self._felt[:, 0] + sine * self._felt[:, 1]
+        left = cosine * self._felt[:, 1] - sine * self._felt[:, 0]
+        speed, rate, share = answer_to_pull(forward, left, s, torch)
+        led_now = torch.stack([speed, torch.zeros_like(speed)], -1)
+        self.velocity.copy_(torch.where(led[:, None], led_now, self.velocity))
+        sideways = share * (cosine * hand[:, 1] - sine * hand[:, 0])
+        self.wanted.copy_(torch.where(led[:, None], torch.stack([speed, sideways], -1), self.velocity))
+        self._rate.copy_(torch.where(led, rate, self._rate))
+        ahead = torch.arctan2(torch.sin(self.heading - heading), torch.cos(self.heading - heading))
+        near = heading + ahead.clamp(-MOST_AHEAD, MOST_AHEAD)
+        self.heading.copy_(torch.where(led & (share > 0), near, self.heading))
+        self._since.copy_(torch.where(led & (share > 0), torch.zeros_like(self._since), self._since))
+        self._left.copy_(torch.where(led, self._settings.command_seconds[1], self._left))
 
     def reset(self, mask: torch.Tensor, heading: torch.Tensor) -> None:
         """Stand still at this heading (N,) [rad] where ``mask``."""
         self.heading.copy_(torch.where(mask, heading, self.heading))
         self.velocity.copy_(torch.where(mask[:, None], torch.zeros_like(self.velocity), self.velocity))
+        for buffer in (self.wanted, self._felt):
+            buffer.copy_(torch.where(mask[:, None], torch.zeros_like(buffer), buffer))
         self._rate.copy_(torch.where(mask, torch.zeros_like(self._rate), self._rate))
         first = self.FIRST + (self._settings.command_seconds[1] - self.FIRST) * self._rand()
         self._left.copy_(torch.where(mask, first, self._left))

@@ -67,6 +67,8 @@ class StandTrackEnv(WorldsEnv):
         first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
         self.goals.advance(self._tracking(), first, self._toes)
         self.moves.advance()
+        d = self.disturbances
+        self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
     def _evaluate(
         self, finite: torch.Tensor, low: torch.Tensor
@@ -92,7 +94,7 @@ class StandTrackEnv(WorldsEnv):
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
-        astray = velocity - self.moves.velocity - self._drift
+        astray = velocity - self.moves.wanted - self._drift
         self._drift.add_(astray * (self.contract.dt / DRIFT_SECONDS)).mul_(tracking[:, None])
         grounded = low[:, self._grounding].amin(-1) < 0.002
         fallen = tracking & (grounded | (height < self.description.training.height_fallen) | (up < 0.3))
@@ -111,8 +113,8 @@ class StandTrackEnv(WorldsEnv):
         return Facts(
             height=height,
             up=up,
-            velocity_error=velocity - self.moves.velocity,
-            mean_velocity_error=self._mean_velocity - self.moves.velocity,
+            velocity_error=velocity - self.moves.wanted,
+            mean_velocity_error=self._mean_velocity - self.moves.wanted,
             drift=self._drift,
             gait=self._gait,
             toppling=toppling & ~w.quiet,
@@ -152,6 +154,7 @@ class StandTrackEnv(WorldsEnv):
         tracking = f.tracking
         count = tracking.sum().clamp(min=1.0)
         quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float()
+        d = self.disturbances
         still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
         stills = still.sum().clamp(min=1.0)
         return {
@@ -168,6 +171,9 @@ class StandTrackEnv(WorldsEnv):
             / (tracking * quiet).sum().clamp(min=1.0),
             "quiet/drift": (f.drift.norm(dim=-1) * still).sum() / stills,
             "quiet/falls": (f.fallen.float() * tracking * quiet).sum() / (tracking * quiet).sum().clamp(min=1.0),
+            "led/falls": (f.fallen & d.held).float().sum() / d.held.float().sum().clamp(min=1.0),
+            "led/behind": (d.behind * d.held).sum() / d.held.float().sum().clamp(min=1.0),
+            "all/level": (d.level * ~self.worlds.quiet).sum() / (~self.worlds.quiet).float().sum().clamp(min=1.0),
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,

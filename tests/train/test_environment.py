@@ -6,15 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from mimic.config.leading import HandSettings
 from mimic.config.play import NOMINAL, Solver
 from mimic.config.rewards import FinishFactors, RewardWeights
-from mimic.config.training import UNDISTURBED, MdpSettings
-from mimic.dynamics.robot_model import restitution_damping
+from mimic.config.training import LEAST_LEVEL, UNDISTURBED, MdpSettings
+from mimic.dynamics.robot_model import load_model, restitution_damping
 from mimic.policy.contract import FRAME_SIZE, ObservationBuilder, joint_command
 from mimic.records import JointCommand
 from mimic.robot.description import with_timestep
 from mimic.robot.leg_kinematics import front_toes
 from mimic.robot.model import TOES
+from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -209,13 +211,13 @@ def test_smooth_friction_moves_the_robot_as_dry_friction_does(description):
     def moved(speed: float, friction: float) -> np.ndarray:
         ranges = dataclasses.replace(NOMINAL, joint_friction=(friction, friction))
         lying = {"upright_share": 0.0, "upright_share_at_first": 0.0}
-        env = make(description, friction_speed=speed, randomisation=ranges, solver_iterations=50, **lying)
+        env = make(description, worlds=24, friction_speed=speed, randomisation=ranges, solver_iterations=50, **lying)
         for step in range(10):
-            env.step(0.3 * actions(step))
+            env.step(0.3 * actions(step, 24))
         return env.worlds.qpos[:, 7:].numpy().copy()
 
     dry, smooth, none = moved(0.0, 0.2), moved(MdpSettings().friction_speed, 0.2), moved(0.0, 0.0)
-    away, without = np.abs(smooth - dry).mean(), np.abs(none - dry).mean()
+    away, without = (np.median(np.abs(other - dry).mean(axis=1)) for other in (smooth, none))
     assert without > 0.003
     assert away < 0.4 * without
 
@@ -237,6 +239,65 @@ def test_quiet_worlds_are_the_papers_robots_and_nobody_pulls_them(description):
     assert d.force[~quiet].norm(dim=-1).numpy() == pytest.approx(8.0, rel=1e-5)
     assert env.worlds.slope_quat[quiet, 0].numpy() == pytest.approx(1.0)
     assert d.push_share[quiet].max() < d.push_share[~quiet].min() == 1.0
+
+
+def test_a_world_gets_harder_with_each_episode_survived_and_easier_with_each_fall(description):
+    disturbances = dataclasses.replace(UNDISTURBED, drag=(10.0, 10.0), drag_share=1.0)
+    env = make(description, quiet_share=0.5, level_up=0.1, level_down=0.2, disturbances=disturbances)
+    d, quiet = env.disturbances, env.worlds.quiet
+    everyone, nobody = torch.ones(FEW.worlds, dtype=torch.bool), torch.zeros(FEW.worlds, dtype=torch.bool)
+    seen = []
+    for survived in (nobody, nobody, everyone):
+        d.reset(everyone, survived)
+        seen.append(d.force[~quiet].norm(dim=-1).numpy().copy())
+    assert np.array(seen) == pytest.approx(np.repeat([[8.0], [6.0], [7.0]], 3, axis=1), rel=1e-5)
+    assert d.push_share[~quiet].numpy() == pytest.approx(0.7)
+    for _ in range(9):
+        d.reset(everyone, nobody)
+    assert d.level.min() == pytest.approx(LEAST_LEVEL)
+    before = d.level.clone()
+    d.reset(nobody, everyone)
+    assert torch.equal(d.level, before)
+
+
+def test_a_hand_pulls_as_that_of_the_simulation_does(description):
+    """The same toe path before both: standing still, then faster than the hand, then far behind."""
+    hand = HandSettings(toe="right", direction=0.0, speed=0.2, most=6.0, stiffness=60.0, begin=2.0, way=0.8)
+    ranges = dataclasses.replace(
+        UNDISTURBED,
+        lead_share=1.0,
+        lead_speed=(hand.speed, hand.speed),
+        lead_most=(hand.most, hand.most),
+        lead_seconds=(hand.way / hand.speed, hand.way / hand.speed),
+        drag_from=(hand.begin, hand.begin),
+    )
+    env = make(description, disturbances=ranges)
+    d, dt = env.disturbances, description.dt
+    model = load_model(description)
+    data = mujoco.MjData(model)
+    data.qpos[3] = 1.0
+    mujoco.mj_forward(model, data)
+    reference = Hand(model, hand)
+    side = int(d.toe[0, 1])
+    site = model.site(TOES[1]).id
+    steps = torch.ones(FEW.worlds)
+    unit = d.hand_velocity[0].numpy() / np.linalg.norm(d.hand_velocity[0].numpy())
+    pulls, wanted = [], []
+    for step in range(round((hand.end + 0.2) / dt)):
+        way = np.interp(step * dt, [2.5, 3.0, 4.0, 6.0], [0.0, 0.3, 0.3, 0.35])
+        toes = torch.zeros(FEW.worlds, 2, 3)
+        toes[0, side, :2] = torch.as_tensor(unit * way)
+        d.advance(step * steps, toes)
+        pulls.append(float(d.pull[0, side, :2] @ torch.as_tensor(unit, dtype=torch.float32)))
+        data.time, data.site_xpos[site] = step * dt + 1e-6, [way, 0.0, 0.3]
+        reference(model, data)
+        wanted.append(data.xfrc_applied[model.site_bodyid[site], 0])
+        assert not d.pull[0, 1 - side].any()
+    assert max(wanted) == pytest.approx(hand.most)
+    assert min(wanted) < -1.0
+    assert pulls == pytest.approx(wanted, abs=0.05)
+    assert d.came.all()
+    assert not d.held.any()
 
 
 def test_a_robot_is_to_rest_once_it_has_had_time_to_turn(description):
