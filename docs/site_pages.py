@@ -29,7 +29,6 @@ ADDED = {
     "examples/videos/README.md": "examples/videos.md",
     "policies/sit_down.md": "policies/sit_down.md",
     "policies/stand_track.md": "policies/stand_track.md",
-    "policies/walk_track.md": "policies/walk_track.md",
 }
 """Where the site has a Markdown file from outside docs/. README.md stands for the site's own first page."""
 

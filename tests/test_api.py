@@ -68,5 +68,5 @@ def test_a_policy_is_found_by_its_name_from_any_folder(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     for name in ("stand_track", "stand_track.onnx", "policies/stand_track.onnx"):
         assert mimic.load_policy(name).contract.task == "stand_track"
-    with pytest.raises(mimic.MimicError, match="stand_track, walk_track, sit_down"):
+    with pytest.raises(mimic.MimicError, match="stand_track, sit_down"):
         mimic.load_policy("elsewhere/stand_track.onnx")

@@ -42,7 +42,7 @@ def evaluate(
     Parameters
     ----------
     policy
-        ONNX file with its contract inside, or a shipped policy: stand_track, walk_track, sit_down.
+        ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
     table
         Instead, the columns of the paper's Table III, beside the paper's.
     robustness

@@ -59,7 +59,7 @@ class Policy:
         return np.asarray(action, dtype=np.float64)[0]
 
 
-SHIPPED = ("stand_track", "walk_track", "sit_down")
+SHIPPED = ("stand_track", "sit_down")
 """Names of the policies that come with mimic."""
 
 
