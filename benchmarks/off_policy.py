@@ -1,19 +1,22 @@
 """A trial of off-policy learning in the training worlds, to compare with PPO: soft actor-critic as in FastSAC.
 
-    python -m benchmarks.off_policy OUT worlds=4096 history=10 minutes=10 seed=1 snapshots=[4,7] --updates 8 --every 200
+    python -m benchmarks.off_policy OUT worlds=4096 history=10 minutes=10 seed=1 snapshots=[4,7] --student 1
 
 ``name=value`` sets a field of MdpSettings or LearnSettings as in ``python -m mimic.train``; of the latter seed, device,
-minutes, snapshots, reaching, reaching_share and mixed_precision count. Writes OUT/policy.onnx and OUT/settings.json.
+minutes, snapshots, reaching, reaching_share, mirror and mixed_precision count. Writes OUT/policy.onnx and
+OUT/settings.json; with ``--student`` also OUT/student.onnx, a network as PPO has it that imitates the policy;
+``python -m mimic.train --resume`` goes on from that.
 
 Source of the method: Seo et al. 2025, "Learning sim-to-real humanoid locomotion in 15 minutes", and the values of its
-public code. Here both critics learn from the mean of the two target distributions. The network of a policy has layer
-normalisation, so that ``mimic.train --resume`` cannot go on from it.
+public code. Here both critics learn from the mean of the two target distributions, the entropy that is asked for falls,
+and the policy pays for answers that are not mirror images of each other.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import itertools
 import json
 import logging
 import math
@@ -37,6 +40,7 @@ from mimic.io.store import plain, save_json
 from mimic.policy.contract import PolicyContract
 from mimic.robot.description import load_description
 from mimic.train.learn import settings_hash
+from mimic.train.mirror import mirrored_actions, mirrored_observations
 from mimic.train.onnx_file import write_policy
 from mimic.train.overrides import with_overrides
 from mimic.train.runner import Ranks, TrainingDiverged
@@ -46,8 +50,14 @@ log = logging.getLogger(__name__)
 
 LOG_STD = (-5.0, 0.0)
 """Range of the logarithm of the policy's spread, before tanh."""
+ENTROPY_SHARE = 0.8
+"""Share of the time in which the entropy that is asked for falls."""
 WARM_UP = 10
 """Control steps before learning begins."""
+STUDENT_RATE = (1e-3, 1e-4)
+"""Learning rate of a student at the beginning and at the end."""
+STUDENT_SPREAD = 0.1
+"""Spread of the noise on its actions, so that it also sees where PPO will take it."""
 SEEN_MOST = 10.0
 """Normalised observations are clipped to plus and minus this."""
 
@@ -74,6 +84,10 @@ class SacSettings:
     """At the beginning; learned."""
     target_entropy: float = 0.0
     """Of the policy, for each action, in units of actions: 0 is a spread of 0.24."""
+    target_entropy_end: float = -1.2
+    """… and from ENTROPY_SHARE of the time on, falling evenly until then: -1.2 is a spread of 0.07."""
+    student: float = 0.0
+    """Minutes, after the others, in which a network without layer normalisation learns to imitate the policy."""
     reach: float = 20.0
     """Returns are between plus and minus this."""
     atoms: int = 101
@@ -159,6 +173,7 @@ class Learner:
         bound: Largest action of each kind (actions,), on the device.
         settings: How it learns.
         shown: To how many of the first actions the policy is pulled by examples.
+        mirror: Weight of the loss that asks the policy for mirrored actions in mirrored states.
         half: Networks of the updates in bfloat16.
     """
 
@@ -171,9 +186,11 @@ class Learner:
         settings: SacSettings,
         *,
         shown: int = 0,
+        mirror: float = 0.0,
         half: bool = False,
     ) -> None:
         s, device, actions = settings, bound.device, len(bound)
+        self._mirror = mirror
         self.settings, self.device, self._worlds, self._shown, self._half = s, device, worlds, shown, half
         self._seen_mean, self._seen_var = torch.zeros(seen, device=device), torch.ones(seen, device=device)
         self._spread, self._count = torch.ones(seen, device=device), torch.zeros((), device=device)
@@ -204,6 +221,7 @@ class Learner:
         self._shown_now = torch.zeros(worlds, 2 * shown, device=device)
         self._result = torch.zeros(3, worlds, device=device)
         self.shown_weight = torch.zeros((), device=device)
+        self.target_entropy = torch.full((), s.target_entropy, device=device)
         self.figures = torch.zeros(4, device=device)
         """Critic loss, entropy of the policy for each action, spread of its actions, mean return that it expects."""
         self._updates = 0
@@ -251,7 +269,7 @@ class Learner:
         self._seen_mean.add_(share * away)
         self._seen_var.add_(share * (var - self._seen_var + (1 - share) * away.square()))
         self._spread.copy_(self._seen_var.sqrt() + 0.01)
-        actions = self.actor.draw(self._normalised(now))[0]
+        actions = self.actor.draw(self.normalised(now))[0]
         self._put("seen", now)
         if self._shown:
             self._put("shown", self._shown_now)
@@ -267,8 +285,10 @@ class Learner:
 
     # ------------------------------------------------------------------ updates
 
-    def _normalised(self, seen: torch.Tensor) -> torch.Tensor:
-        return ((seen.float() - self._seen_mean) / self._spread).clamp(-SEEN_MOST, SEEN_MOST)
+    def normalised(self, seen: torch.Tensor) -> torch.Tensor:
+        """Return the critic's observations, or their first numbers (batch, k), as the networks take them."""
+        k = seen.shape[1]
+        return ((seen.float() - self._seen_mean[:k]) / self._spread[:k]).clamp(-SEEN_MOST, SEEN_MOST)
 
     def sample(self) -> dict[str, torch.Tensor]:
         """Return transitions drawn evenly; ``next`` is the critic's observation one step later, not normalised."""
@@ -313,12 +333,12 @@ class Learner:
 
     def _critic_update(self) -> None:
         b = self.sample()
-        wanted, density = self._target(b, self._normalised(b["next"]))
-        found = self._logits(self.critics, self._normalised(b["seen"]), b["action"]).log_softmax(-1)
+        wanted, density = self._target(b, self.normalised(b["next"]))
+        found = self._logits(self.critics, self.normalised(b["seen"]), b["action"]).log_softmax(-1)
         cross = -(wanted * found).sum(-1).mean(0)
         loss = (b["known"] * cross).sum() / b["known"].sum().clamp(min=1.0)
         self._step(self._critic_steps, 2 * loss)
-        lacking = density.mean() + self.settings.target_entropy * len(self.actor.bound)
+        lacking = density.mean() + self.target_entropy * len(self.actor.bound)
         self._step(self._alpha_steps, -self._log_alpha.exp() * lacking)
         with torch.no_grad():
             for slow, fast in zip(self._targets.parameters(), self.critics.parameters(), strict=True):
@@ -327,13 +347,19 @@ class Learner:
 
     def _policy_update(self) -> None:
         b = self.sample()
-        seen = self._normalised(b["seen"])
+        seen = self.normalised(b["seen"])
         actions, density, mean, spread = self._drawn(seen)
         value = (self._logits(self.critics, seen, actions).softmax(-1) @ self._support).mean(0)
         loss = (self._log_alpha.exp().detach() * density - value).mean()
         if self._shown:
             shown, counts = b["shown"].float().chunk(2, -1)
             loss = loss + self.shown_weight * (counts * (mean[:, : self._shown] - shown).square()).mean()
+        if self._mirror:
+            image = mirrored_observations(b["seen"][:, : self.actor.inputs].float())
+            with self._autocast():
+                middle, _ = self.actor.squashed(self.normalised(image))
+            there = torch.tanh(middle) * self.actor.bound
+            loss = loss + self._mirror * (there - mirrored_actions(mean.detach())).square().mean()
         self._step(self._actor_steps, loss)
         with torch.no_grad():
             entropy = -density.mean() / len(self.actor.bound)
@@ -349,7 +375,7 @@ def bounds(contract: PolicyContract, device: str) -> torch.Tensor:
     return (torch.maximum(high - q, q - low) / scale).clamp(max=contract.action_clip)
 
 
-def export(actor: Actor, env: StandTrackEnv, contract: PolicyContract, path: Path) -> None:
+def export(actor: Actor | Student, env: StandTrackEnv, contract: PolicyContract, path: Path) -> None:
     """Write the policy as ONNX with its contract in the metadata."""
     import onnx
 
@@ -362,6 +388,61 @@ def export(actor: Actor, env: StandTrackEnv, contract: PolicyContract, path: Pat
     graph = onnx.load_model_from_string(buffer.getvalue())
     graph.producer_name = "mimic"
     write_policy(graph, contract, env.description, path)
+
+
+class Student(nn.Module):
+    """A network as PPO has it: observation normalisation, ELU, nothing after the last layer."""
+
+    mean: torch.Tensor
+    scale: torch.Tensor
+
+    def __init__(self, actor: Actor, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        self.inputs = actor.inputs
+        sizes = (actor.inputs, *hidden, len(actor.bound))
+        pairs = list(itertools.pairwise(sizes))
+        layers = [m for a, b in pairs for m in (nn.Linear(a, b), nn.ELU())][:-1]
+        self.layers = nn.Sequential(*layers)
+        self.register_buffer("mean", actor.mean[: actor.inputs].clone()[None])
+        self.register_buffer("scale", actor.spread[: actor.inputs].clone()[None])
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        return self.layers((observation - self.mean) / self.scale)
+
+
+def imitate(actor: Actor, env: StandTrackEnv, hidden: tuple[int, ...], minutes: float, every: int) -> Student:
+    """Return a student that acts as the policy does, in the states to which its own actions lead."""
+    student = Student(actor, hidden).to(env.device)
+    on_gpu = str(env.device).startswith("cuda")
+    rate = torch.tensor(STUDENT_RATE[0], device=env.device)
+    steps = torch.optim.Adam(student.parameters(), lr=rate, capturable=on_gpu, fused=on_gpu or None)
+    seen = torch.zeros(env.num_envs, actor.inputs, device=env.device)
+    missed = torch.zeros((), device=env.device)
+
+    def update() -> torch.Tensor:
+        with torch.no_grad():
+            wanted = actor(seen)
+        found = student(seen)
+        loss = (found - wanted).square().mean()
+        parameters = list(student.parameters())
+        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+            parameter.grad = gradient
+        steps.step()
+        missed.copy_(loss.detach())
+        return found.detach()
+
+    learn, begin, step = Guarded(update, str(env.device)), time.monotonic(), 0
+    while (elapsed := time.monotonic() - begin) < 60 * minutes:
+        seen.copy_(env.get_observations()["policy"])
+        share = elapsed / (60 * minutes)
+        rate.fill_(STUDENT_RATE[0] ** (1 - share) * STUDENT_RATE[1] ** share)
+        actions = learn()
+        env.step(actions + STUDENT_SPREAD * torch.randn_like(actions))
+        step += 1
+        if step % every == 0:
+            line = f"student {step} elapsed_s={elapsed:.3g} off={math.sqrt(float(missed)):.3g}"
+            sys.stderr.write(line + "\n")
+    return student
 
 
 class Progress:
@@ -437,12 +518,16 @@ def train(folder: Path, mdp: MdpSettings, learn: LearnSettings, sac: SacSettings
     if not torch.equal(obs["critic"][:, :inputs], obs["policy"]):
         raise SystemExit("the critic's observation does not begin with the actor's, as this trial needs it")
     bound, shown = bounds(contract, device), 6 if learn.reaching else 0
-    learner = Learner(mdp.worlds, inputs, seen, bound, sac, shown=shown, half=learn.mixed_precision)
+    learner = Learner(
+        mdp.worlds, inputs, seen, bound, sac, shown=shown, mirror=learn.mirror, half=learn.mixed_precision
+    )
     progress, begin, due, step = Progress(mdp.worlds, device), time.monotonic(), sorted(learn.snapshots), 0
     try:
         while (elapsed := time.monotonic() - begin) < 60 * learn.minutes:
             left = 1 - elapsed / (60 * learn.minutes * learn.reaching_share)
             learner.shown_weight.fill_(learn.reaching * max(left, 0.0))
+            fallen = min(elapsed / (60 * learn.minutes * ENTROPY_SHARE), 1.0)
+            learner.target_entropy.fill_(sac.target_entropy + fallen * (sac.target_entropy_end - sac.target_entropy))
             actions = learner.act(obs["critic"], obs["reaching"].flatten(1) if shown else None)
             if step >= WARM_UP:
                 learner.learn()
@@ -457,6 +542,9 @@ def train(folder: Path, mdp: MdpSettings, learn: LearnSettings, sac: SacSettings
     except KeyboardInterrupt:
         sys.stderr.write(f"stopped by Ctrl-C at control step {step}\n")
     export(learner.actor, env, contract, folder / "policy.onnx")
+    if sac.student:
+        student = imitate(learner.actor, env, learn.hidden, sac.student, every)
+        export(student, env, contract, folder / "student.onnx")
     return folder / "policy.onnx"
 
 
