@@ -71,16 +71,18 @@ def paper_table(result: dict[str, Any]) -> str:
     )
 
 
-def walking_table(result: dict[str, Any]) -> str:
-    by_speed: dict[float, list[str]] = {}
-    for walk in result["walking"]:
-        reached = "–" if walk["reached_m_s"] is None else f"{walk['reached_m_s']:+.2f}"
-        by_speed.setdefault(walk["asked_m_s"], []).append(
-            reached + (f", {walk['fell']:.0%} fell" if walk["fell"] else "")
-        )
+def walking_table(found: list[dict[str, Any]], unit: str) -> str:
+    by_asked: dict[float, list[str]] = {}
+    for row in found:
+        value, height = row[f"reached_{unit}"], row["step_height_m"]
+        fell = f", {row['fell']:.0%} fell" if row["fell"] else ""
+        cells = by_asked.setdefault(row[f"asked_{unit}"], [])
+        cells += [("–" if value is None else f"{value:+.2f}") + fell]
+        cells += ["–" if height is None else f"{100 * height:.1f}"]
+    still, moving = ((f"reached, arms {arms}", "steps [cm]") for arms in ("still", "moving"))
     return rows(
-        ("asked [m/s]", "reached, arms still", "reached, arms moving"),
-        [(f"{speed:+.2f}", *reached) for speed, reached in by_speed.items()],
+        (f"asked [{unit.replace('_', '/')}]", *still, *moving),
+        [(f"{asked:+.2f}", *cells) for asked, cells in by_asked.items()],
     )
 
 
@@ -192,7 +194,9 @@ def report(given: argparse.Namespace, robot: str) -> None:
             "### Walking",
             "The robot as described, three walks each, 3 to 12 s after the start. Faster than "
             f"{fastest:g} m/s was not trained.",
-            walking_table(table),
+            walking_table(table["walking"], "m_s"),
+            "On the spot, the same for turns:",
+            walking_table(table["turning"], "rad_s"),
             "### Calm",
             f"`mimic evaluate {given.policy} --calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
             "100 for each push.",

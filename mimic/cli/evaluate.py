@@ -162,13 +162,10 @@ def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, o
     first = result["table"][settings.senses[0]]
     rows = {name: _figures(row["columns"]) for name, row in first.items()}
     matrix(f"With {settings.senses[0]}, by what ends an episode", rows)
-    speeds: dict[str, dict[str, str]] = {}
-    for walk in result["walking"]:
-        reached = "-" if walk["reached_m_s"] is None else f"{walk['reached_m_s']:+.2f}"
-        falls = f", {walk['fell']:.0%} fell" if walk["fell"] else ""
-        speeds.setdefault(f"{walk['asked_m_s']:+.2f}", {})[f"arms {walk['arms']}"] = reached + falls
-    if speeds:
-        matrix("Speed reached by speed asked [m/s], without noise", speeds)
+    for kind, unit, what in (("walking", "m_s", "Speed [m/s]"), ("turning", "rad_s", "Turning rate [rad/s]")):
+        reached = _reached(result[kind], unit)
+        if reached:
+            matrix(f"{what} reached by what was asked, and height of the steps, without noise", reached)
     last = first["contacts"]["unweighted"]
     table(
         f"With {settings.senses[0]}, unweighted means after the 50th step, ended by contacts",
@@ -183,6 +180,18 @@ def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, o
         }
         | {"written": str(out)},
     )
+
+
+def _reached(rows: list[dict[str, Any]], unit: str) -> dict[str, dict[str, str]]:
+    """Return the cells of what was reached, by what was asked and by what the arms did."""
+    cells: dict[str, dict[str, str]] = {}
+    for row in rows:
+        value, height = row[f"reached_{unit}"], row["step_height_m"]
+        text = "-" if value is None else f"{value:+.2f}"
+        text += f", {100 * height:.1f} cm" if height is not None else ""
+        text += f", {row['fell']:.0%} fell" if row["fell"] else ""
+        cells.setdefault(f"{row[f'asked_{unit}']:+.2f}", {})[f"arms {row['arms']}"] = text
+    return cells
 
 
 def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettings, out: Path) -> None:

@@ -234,7 +234,7 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
 
     ``table`` and ``episodes`` hold, for each of the settings' senses and then the statue, each set of terminations.
     ``walking`` holds the speed reached by speed asked, as the velocity column does not show walking: a policy that
-    ignores the command beats the paper's.
+    ignores the command beats the paper's; ``turning`` the same for turns on the spot.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
@@ -262,4 +262,4 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
     paper = {name: {"mean": mean, "std": std} for name, (mean, std) in PAPER.items()}
     seeds = range(settings.seed, settings.seed + min(settings.walks, settings.episodes))
     walking = evaluate_walking(policy_path, seeds, settings.robot, workers=settings.workers, progress=progress)
-    return {"policy": policy_path.name, "paper": paper, "table": table, "walking": walking, "episodes": episodes}
+    return {"policy": policy_path.name, "paper": paper, "table": table, **walking, "episodes": episodes}

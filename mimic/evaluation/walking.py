@@ -1,4 +1,4 @@
-"""Speed reached by speed asked, with still and with moving arms; asked also beyond what a policy was trained for."""
+"""Speed and turning reached by what is asked, with still and with moving arms; asked also beyond what was trained."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mimic.config.play import EffectsSettings
 from mimic.evaluation.disturbance_axes import START
 from mimic.evaluation.episode import play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed
+from mimic.geometry import heading_from_quat
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import CommandTrack, FloatArray
+from mimic.records import LEGS, CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SPEEDS = (-0.6, -0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45, 0.6)
 """Asked speeds [m/s], forward positive."""
+
+TURNS = (-1.0, -0.5, 0.5, 1.0)
+"""Asked turning rates [rad/s], to the left positive."""
 
 ARMS = ("still", "moving")
 """Front toes at rest in the neutral place, or on the way to random goals."""
@@ -29,21 +34,63 @@ SECONDS = 12.0
 """Length of a walk, standing up included [s]."""
 
 WALKS_FROM = 3.0
-"""The speed is measured from here on [s]."""
+"""Speed and turning are measured from here on [s]."""
+
+LEAST_LIFT = 0.001
+"""A hind toe that is higher than this is off the ground [m]; the contact lets it sink in by less."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
     speed: float
+    turn: float
     arms: str
     seed: int
     robot: EffectsSettings
+
+
+class _Lifts:
+    """Notes how high the hind toes are at each physics step."""
+
+    def __init__(self, model: mujoco.MjModel, description: RobotDescription) -> None:
+        self._toes = [model.geom(name).id for name in description.names.shapes("toe", legs=LEGS[2:])]
+        self._rows: list[tuple[float, FloatArray]] = []
+
+    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._rows.append((data.time, data.geom_xpos[self._toes, 2] - model.geom_size[self._toes, 0]))
+
+    def heights(self, begin: float) -> list[float]:
+        """Return the greatest height of the toe in each swing after ``begin`` [s], in m."""
+        rows = [heights for t, heights in self._rows if t > begin]
+        return swing_heights(np.array(rows)) if rows else []
+
+
+def swing_heights(clearance: FloatArray) -> list[float]:
+    """Return the greatest height of each whole swing [m], for the heights of toes above the ground (steps, toes)."""
+    found = []
+    for heights in clearance.T:
+        up = heights > LEAST_LIFT
+        starts = np.flatnonzero(~up[:-1] & up[1:]) + 1
+        ends = np.flatnonzero(up[:-1] & ~up[1:]) + 1
+        ends = ends[ends > starts[0]] if len(starts) else ends[:0]
+        found += [float(heights[a:b].max()) for a, b in zip(starts, ends, strict=False)]
+    return found
+
+
+def turning_rate(log: RunLog, begin: float) -> float:
+    """Return the mean rate of the heading after ``begin`` [s] in rad/s; NaN for a run that was over before."""
+    rows = log.t > begin
+    if rows.sum() < 2:
+        return float("nan")
+    heading = np.unwrap(heading_from_quat(log.quat_WB[rows]))
+    return float((heading[-1] - heading[0]) / np.ptp(log.t[rows]))
 
 
 def _asked(job: _Job, description: RobotDescription, neutral: FloatArray) -> CommandTrack:
     seconds = SECONDS - TIMING.stand_up - TIMING.blend
     rng = np.random.default_rng([job.seed, 5])
     track = command_script(description, seconds, rng, speed=job.speed, turn=0.0)
+    track = replace(track, heading=job.turn * track.t)
     if job.arms == "moving":
         return track
     return replace(track, p_BE=np.broadcast_to(neutral, track.p_BE.shape).copy())
@@ -55,20 +102,24 @@ def _play(job: _Job, policy_path: str) -> dict[str, Any]:
     description = replace(described, commands=beyond)  # or faster commands would be clamped to the trained ones
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     plant = SimulatedPlant(description, ranges=START, seed=job.seed, samples=False, **plant_options(job.robot))
+    lifts = _Lifts(plant.model, description)
+    plant.watch(lifts)
     result = play_episode(plant, policy, _asked(job, description, neutral), TIMING)
     return {
-        "asked_m_s": job.speed,
-        "arms": job.arms,
-        "seed": job.seed,
-        "reached_m_s": forward_speed(result.log, WALKS_FROM),
+        "speed": forward_speed(result.log, WALKS_FROM),
+        "turn": turning_rate(result.log, WALKS_FROM),
+        "lifts": lifts.heights(WALKS_FROM),
         "fell": result.fell_at is not None,
     }
 
 
 def evaluate_walking(
     policy_path: Path, seeds: range, robot: EffectsSettings, *, workers: int = 0, progress: Progress | None = None
-) -> list[dict[str, Any]]:
-    """Return for each asked speed and each of ARMS the mean speed reached [m/s], its error and the share of falls.
+) -> dict[str, list[dict[str, Any]]]:
+    """Return how a policy walks and turns, each with each of ARMS; no rows without a seed.
+
+    ``walking`` has a row for each of SPEEDS, ``turning`` one for each of TURNS, on the spot: the mean of what was
+    reached, the largest error, the share of walks that ended in a fall, and the median height of a step [m].
 
     Args:
         policy_path: The policy.
@@ -77,22 +128,30 @@ def evaluate_walking(
         workers: Processes; 0 takes one for each core.
         progress: Called with the walks done and in all.
     """
-    jobs = [_Job(speed=v, arms=arms, seed=seed, robot=robot) for v in SPEEDS for arms in ARMS for seed in seeds]
+    asked = [(v, 0.0) for v in SPEEDS] + [(0.0, w) for w in TURNS]
+    cells = [(v, w, arms) for v, w in asked for arms in ARMS]
+    jobs = [_Job(speed=v, turn=w, arms=arms, seed=seed, robot=robot) for v, w, arms in cells for seed in seeds]
     if not jobs:
-        return []
+        return {"walking": [], "turning": []}
     rows = run_all(partial(_play, policy_path=str(policy_path)), jobs, workers=workers, progress=progress)
-    found = []
-    for speed in SPEEDS:
-        for arms in ARMS:
-            mine = [r for r in rows if r["asked_m_s"] == speed and r["arms"] == arms]
-            reached = [r["reached_m_s"] for r in mine if np.isfinite(r["reached_m_s"])]
-            found.append(
-                {
-                    "asked_m_s": speed,
-                    "arms": arms,
-                    "reached_m_s": float(np.mean(reached)) if reached else None,
-                    "worst_error_m_s": float(np.max(np.abs(np.array(reached) - speed))) if reached else None,
-                    "fell": float(np.mean([r["fell"] for r in mine])),
-                }
-            )
+    found: dict[str, list[dict[str, Any]]] = {"walking": [], "turning": []}
+    for i, (speed, turn, arms) in enumerate(cells):
+        mine = rows[i * len(seeds) : (i + 1) * len(seeds)]
+        if turn:
+            found["turning"].append(_row(mine, "turn", turn, "rad_s", arms))
+        else:
+            found["walking"].append(_row(mine, "speed", speed, "m_s", arms))
     return found
+
+
+def _row(walks: list[dict[str, Any]], name: str, asked: float, unit: str, arms: str) -> dict[str, Any]:
+    reached = np.array([w[name] for w in walks if np.isfinite(w[name])])
+    lifts = [height for w in walks for height in w["lifts"]]
+    return {
+        f"asked_{unit}": asked,
+        "arms": arms,
+        f"reached_{unit}": float(reached.mean()) if len(reached) else None,
+        f"worst_error_{unit}": float(np.abs(reached - asked).max()) if len(reached) else None,
+        "fell": float(np.mean([w["fell"] for w in walks])),
+        "step_height_m": float(np.median(lifts)) if lifts else None,
+    }

@@ -418,10 +418,11 @@ def test_each_kind_of_evaluation_refuses_a_missing_policy(kind, here, capsys):
 
 def test_the_table_is_printed_beside_the_paper_s_and_written(here, capsys, constant_onnx, monkeypatch):
     monkeypatch.setattr("mimic.evaluation.walking.SPEEDS", (0.3,))
+    monkeypatch.setattr("mimic.evaluation.walking.TURNS", (0.5,))
     policy = constant_onnx(here / "still.onnx")
     assert main(["evaluate", str(policy), "--table", "--episodes", "1", "--seconds", "2", "--workers", "1"]) == 0
     shown = capsys.readouterr().out
-    for word in ("paper", "contacts", "826.7", "toe error", "noise", "statue", "arms moving"):
+    for word in ("paper", "contacts", "826.7", "toe error", "noise", "statue", "arms moving", "Turning rate"):
         assert word in shown, word
     written = json.loads((here / "table-still.json").read_text())
     assert written["provenance"]["settings"]["episodes"] == 1
