@@ -42,6 +42,7 @@ def test_what_is_remembered_is_followed_by_what_came_next_in_the_same_world():
 
 @pytest.mark.slow
 def test_it_finds_the_best_answer_of_a_task_of_one_step():
+    torch.set_num_threads(1)
     learner = made(SacSettings(batch=128, steps_kept=128, updates=2, policy_every=2), inputs=4)
     scale = torch.tensor([0.5, 1.5])
 
