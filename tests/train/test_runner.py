@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -51,30 +51,29 @@ def learned(seed: int, learn: LearnSettings) -> torch.Tensor:
     return torch.cat([v.double().flatten() for name, v in state.items() if "count" not in name])
 
 
-def process(rank: int, port: int, seeds: tuple[int, int], captured: bool, folder: str) -> None:
-    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": "2"}
-    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    torch.save(learned(seeds[rank], dataclasses.replace(LEARN, captured=captured)), f"{folder}/{rank}.pt")
-    torch.distributed.destroy_process_group()
+def process(rank: int, ports: tuple[int, int], seeds: tuple[int, int], folder: str) -> None:
+    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}
+    for captured, port in zip((True, False), ports, strict=True):
+        os.environ["MASTER_PORT"] = str(port)
+        found = learned(seeds[rank], dataclasses.replace(LEARN, captured=captured))
+        torch.save(found, f"{folder}/{rank}-{captured}.pt")
+        torch.distributed.destroy_process_group()
 
 
-def two(seeds: tuple[int, int], folder: Path, captured: bool = True) -> list[torch.Tensor]:
-    """Return the parameters that two processes end with."""
-    import socket
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    torch.multiprocessing.spawn(process, args=(port, seeds, captured, str(folder)), nprocs=2)
-    return [torch.load(folder / f"{rank}.pt") for rank in (0, 1)]
+def free_ports() -> tuple[int, int]:
+    """Return two ports that nobody listens on."""
+    with socket.socket() as one, socket.socket() as other:
+        for free in (one, other):
+            free.bind(("127.0.0.1", 0))
+        return one.getsockname()[1], other.getsockname()[1]
 
 
 @pytest.mark.slow
 @together
 def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
-    first, second = two((1, 2), tmp_path)
+    torch.multiprocessing.spawn(process, args=(free_ports(), (1, 2), str(tmp_path)), nprocs=2)
+    first, second, plain = (torch.load(tmp_path / f"{name}.pt") for name in ("0-True", "1-True", "0-False"))
     assert torch.equal(first, second)
-    plain, _ = two((1, 2), tmp_path, captured=False)
     assert (first - plain).abs().max() < 2e-5
 
 

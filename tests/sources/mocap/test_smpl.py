@@ -130,7 +130,7 @@ def test_rotations_add_up_along_the_arm(tmp_path):
 
 @pytest.mark.slow
 def test_gvhmr_is_read_from_a_file_of_pytorch(tmp_path):
-    torch = pytest.importorskip("torch", reason="writes the file")
+    torch = pytest.importorskip("torch", reason="writing the file needs the extra 'train'")
     pose = torch.tensor(left_arm_up(66), dtype=torch.float32)
     own = {"body_pose": pose[:, 3:], "betas": torch.zeros(ROWS, 10), "global_orient": pose[:, :3]}
     results = {"smpl_params_global": {**own, "transl": torch.zeros(ROWS, 3)}, "K_fullimg": torch.eye(3).expand(2, 3, 3)}
