@@ -18,6 +18,9 @@ from mimic.config.evaluation import (
 )
 from mimic.errors import ConfigError
 
+WIDE = 120
+"""Columns of a terminal in which the paper's table fits with its standard deviations."""
+
 
 def evaluate(
     policy: str = "stand_track",
@@ -152,15 +155,18 @@ def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvalua
 
 
 def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, out: Path) -> None:
-    from mimic.cli.console import matrix, table
+    from mimic.cli.console import console, matrix, table
 
+    spread = console.width >= WIDE
     rules = list(next(iter(result["table"].values())))
-    rows = {"paper": _figures(result["paper"])}
-    rows |= {name: _figures(row[rules[-1]]["columns"]) for name, row in result["table"].items()}
+    rows = {"paper": _figures(result["paper"], spread)}
+    rows |= {name: _figures(row[rules[-1]]["columns"], spread) for name, row in result["table"].items()}
     count = f"{settings.episodes} episodes x {settings.seeds} seeds of {settings.seconds:g} s"
+    if not spread:
+        count += " (spread over seeds: in the file)"
     matrix(f"{policy.name}: the paper's Table III, {count}, with all of its terminations", rows)
     first = result["table"][settings.senses[0]]
-    rows = {name: _figures(row["columns"]) for name, row in first.items()}
+    rows = {name: _figures(row["columns"], spread) for name, row in first.items()}
     matrix(f"With {settings.senses[0]}, by what ends an episode", rows)
     for kind, unit, what in (("walking", "m_s", "Speed [m/s]"), ("turning", "rad_s", "Turning rate [rad/s]")):
         reached = _reached(result[kind], unit)
@@ -279,7 +285,10 @@ def _show_robustness(policy: Path, result: dict[str, Any], settings: RobustnessS
     table("Survived", shares | {"written": f"{out}, {picture}"})
 
 
-def _figures(columns: dict[str, dict[str, float]]) -> dict[str, str]:
-    """Return mean±standard deviation of each column as text; the episode's sums with one decimal."""
-    digits = {name: 1 if name in ("episode_reward", "steps") else 3 for name in columns}
-    return {name: f"{v['mean']:.{digits[name]}f}±{v['std']:.{digits[name]}f}" for name, v in columns.items()}
+def _figures(columns: dict[str, dict[str, float]], spread: bool) -> dict[str, str]:
+    """Return mean±standard deviation of each column as text, or the mean; the episode's sums with one decimal."""
+    cells: dict[str, str] = {}
+    for name, value in columns.items():
+        digits = 1 if name in ("episode_reward", "steps") else 3
+        cells[name] = f"{value['mean']:.{digits}f}" + (f"±{value['std']:.{digits}f}" if spread else "")
+    return cells
