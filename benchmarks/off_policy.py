@@ -15,7 +15,6 @@ and the policy pays for answers that are not mirror images of each other.
 from __future__ import annotations
 
 import argparse
-import io
 import itertools
 import json
 import logging
@@ -41,9 +40,9 @@ from mimic.policy.contract import PolicyContract
 from mimic.robot.description import load_description
 from mimic.train.learn import settings_hash
 from mimic.train.mirror import mirrored_actions, mirrored_observations
-from mimic.train.onnx_file import write_policy
+from mimic.train.onnx_file import export_network
 from mimic.train.overrides import with_overrides
-from mimic.train.runner import Ranks, TrainingDiverged
+from mimic.train.runner import Ranks, TrainingDiverged, short_names
 from mimic.train.stand_track import StandTrackEnv
 
 log = logging.getLogger(__name__)
@@ -118,6 +117,14 @@ class Guarded(Replayed):
             log.info("%s is not captured: %s", self._function.__name__, str(reason).splitlines()[0])
             self._on_gpu = False
             return self._function()
+
+
+def descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
+    """Make a step of the optimiser; nothing else gets gradients."""
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+        parameter.grad = gradient
+    optimizer.step()
 
 
 class Actor(nn.Module):
@@ -311,12 +318,6 @@ class Learner:
         with self._autocast():
             return self.actor.draw(seen)
 
-    def _step(self, optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:
-        parameters = [p for group in optimizer.param_groups for p in group["params"]]
-        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-            parameter.grad = gradient
-        optimizer.step()
-
     @torch.no_grad()
     def _target(self, b: dict[str, torch.Tensor], later: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the wanted probabilities (batch, atoms), and the density of the next actions."""
@@ -337,9 +338,9 @@ class Learner:
         found = self._logits(self.critics, self.normalised(b["seen"]), b["action"]).log_softmax(-1)
         cross = -(wanted * found).sum(-1).mean(0)
         loss = (b["known"] * cross).sum() / b["known"].sum().clamp(min=1.0)
-        self._step(self._critic_steps, 2 * loss)
+        descend(self._critic_steps, 2 * loss)
         lacking = density.mean() + self.target_entropy * len(self.actor.bound)
-        self._step(self._alpha_steps, -self._log_alpha.exp() * lacking)
+        descend(self._alpha_steps, -self._log_alpha.exp() * lacking)
         with torch.no_grad():
             for slow, fast in zip(self._targets.parameters(), self.critics.parameters(), strict=True):
                 slow.lerp_(fast, self.settings.tau)
@@ -360,7 +361,7 @@ class Learner:
                 middle, _ = self.actor.squashed(self.normalised(image))
             there = torch.tanh(middle) * self.actor.bound
             loss = loss + self._mirror * (there - mirrored_actions(mean.detach())).square().mean()
-        self._step(self._actor_steps, loss)
+        descend(self._actor_steps, loss)
         with torch.no_grad():
             entropy = -density.mean() / len(self.actor.bound)
             self.figures[1:].copy_(torch.stack([entropy, (spread * self.actor.bound).mean(), value.mean()]))
@@ -377,17 +378,9 @@ def bounds(contract: PolicyContract, device: str) -> torch.Tensor:
 
 def export(actor: Actor | Student, env: StandTrackEnv, contract: PolicyContract, path: Path) -> None:
     """Write the policy as ONNX with its contract in the metadata."""
-    import onnx
-
-    model, buffer = deepcopy(actor).to("cpu").eval(), io.BytesIO()
-    if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
+    if not all(bool(torch.isfinite(p).all()) for p in actor.parameters()):
         raise TrainingDiverged("the weights of the policy are not finite")
-    names: dict[str, Any] = {"input_names": ["observation"], "output_names": ["action"]}
-    example = (torch.zeros(1, actor.inputs),)
-    torch.onnx.export(model, example, buffer, opset_version=17, dynamo=False, **names)  # type: ignore[arg-type]
-    graph = onnx.load_model_from_string(buffer.getvalue())
-    graph.producer_name = "mimic"
-    write_policy(graph, contract, env.description, path)
+    export_network(deepcopy(actor), contract, env.description, path)
 
 
 class Student(nn.Module):
@@ -424,10 +417,7 @@ def imitate(actor: Actor, env: StandTrackEnv, hidden: tuple[int, ...], minutes: 
             wanted = actor(seen)
         found = student(seen)
         loss = (found - wanted).square().mean()
-        parameters = list(student.parameters())
-        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-            parameter.grad = gradient
-        steps.step()
+        descend(steps, loss)
         missed.copy_(loss.detach())
         return found.detach()
 
@@ -486,9 +476,7 @@ class Progress:
         if self._logs:
             means = torch.stack([torch.stack([v.float() for v in one.values()]) for one in self._logs]).mean(0).tolist()
             found = dict(zip(self._logs[0], means, strict=True))
-            groups = ("all/", "track/", "still/", "walk/")
-            row |= {name.split("/")[1]: v for name, v in found.items() if name.startswith(groups)}
-            row |= {name: v for name, v in found.items() if name.startswith(("quiet/", "led/"))}
+            row |= short_names(found)
         figures = " ".join(f"{name}={v:.3g}" for name, v in row.items())
         sys.stderr.write(f"{step} {step * worlds / 1e6:.1f}M {figures}\n")
         sys.stderr.flush()

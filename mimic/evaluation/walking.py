@@ -70,10 +70,9 @@ def swing_heights(clearance: FloatArray) -> list[float]:
     found = []
     for heights in clearance.T:
         up = heights > LEAST_LIFT
-        starts = np.flatnonzero(~up[:-1] & up[1:]) + 1
-        ends = np.flatnonzero(up[:-1] & ~up[1:]) + 1
-        ends = ends[ends > starts[0]] if len(starts) else ends[:0]
-        found += [float(heights[a:b].max()) for a, b in zip(starts, ends, strict=False)]
+        edges = np.flatnonzero(np.diff(up)) + 1
+        edges = edges[int(up[0]) :]  # a swing that had begun before is not whole
+        found += [float(heights[a:b].max()) for a, b in zip(edges[::2], edges[1::2], strict=False)]
     return found
 
 

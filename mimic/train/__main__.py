@@ -32,16 +32,13 @@ def main() -> int:
         if update % options.every:
             return
         keys = ("elapsed_s", "reward", "episode", "std", "collect_s", "learn_s", "learning_rate")
-        groups = ("all/", "track/", "sit_down/", "still/", "walk/")
-        short = {k: row[k] for k in keys} | {k.split("/")[1]: v for k, v in row.items() if k.startswith(groups)}
-        short |= {
-            k: v for k, v in row.items() if k.startswith(("quiet/", "led/"))
-        }  # by their whole names, which others share
+        short = {k: row[k] for k in keys} | short_names(row)
         figures = " ".join(f"{k}={v:.3g}" for k, v in short.items())
         sys.stderr.write(f"{update} {row['steps'] / 1e6:.0f}M {figures}\n")
         sys.stderr.flush()
 
     from mimic.train.learn import train
+    from mimic.train.runner import short_names
 
     try:
         mdp, learn = with_overrides(MdpSettings(), LearnSettings(), options.overrides)

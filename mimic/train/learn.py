@@ -187,23 +187,6 @@ def train(
 
 def export(runner: Runner, contract: PolicyContract, description: RobotDescription, path: Path) -> None:
     """Write the policy as ONNX with its contract in the metadata."""
-    import onnx
+    from mimic.train.onnx_file import export_network
 
-    from mimic.train.onnx_file import write_policy
-
-    model: Any = runner.alg.get_policy().as_onnx(verbose=False)
-    model = model.to("cpu").eval()
-    buffer: Any = io.BytesIO()
-    with contextlib.redirect_stdout(io.StringIO()):
-        torch.onnx.export(
-            model,
-            model.get_dummy_inputs(),
-            buffer,
-            opset_version=17,
-            input_names=["observation"],
-            output_names=["action"],
-            dynamo=False,
-        )
-    graph = onnx.load_model_from_string(buffer.getvalue())
-    graph.producer_name = "mimic"
-    write_policy(graph, contract, description, path)
+    export_network(runner.alg.get_policy().as_onnx(verbose=False), contract, description, path)
