@@ -4,8 +4,8 @@
 
 ``name=value`` sets a field of MdpSettings or LearnSettings as in ``python -m mimic.train``; of the latter seed, device,
 minutes, snapshots, reaching, reaching_share, mirror and mixed_precision count. Writes OUT/policy.onnx and
-OUT/settings.json; with ``--student`` also OUT/student.onnx, a network as PPO has it that imitates the policy;
-``python -m mimic.train --resume`` goes on from that.
+OUT/settings.json; with ``--student MINUTES`` also OUT/student.onnx, the policy distilled into a network as PPO has it;
+``python -m mimic.train --resume`` goes on from that. The options are the fields of SacSettings, and explained there.
 
 Source of the method: Seo et al. 2025, "Learning sim-to-real humanoid locomotion in 15 minutes", and the values of its
 public code. Here both critics learn from the mean of the two target distributions, the entropy that is asked for falls,
@@ -67,17 +67,17 @@ class SacSettings:
 
     updates: int = 8
     """Of the critics for each control step of all worlds."""
-    policy_every: int = 4
-    """Updates of the critics for one of the policy."""
+    policy_delay: int = 4
+    """Updates of the critics for each one of the policy."""
     batch: int = 8192
-    steps_kept: int = 512
-    """Newest control steps of all worlds that are learned from."""
+    buffer_steps: int = 512
+    """Newest control steps of all worlds in the replay buffer."""
     gamma: float = 0.97
     tau: float = 0.125
     """Share by which the target critics follow the critics in each update."""
-    rate: float = 3e-4
+    learning_rate: float = 3e-4
     """Learning rate of policy, critics and temperature."""
-    decay: float = 0.001
+    weight_decay: float = 0.001
     """Weight decay."""
     temperature: float = 0.001
     """At the beginning; learned."""
@@ -86,8 +86,8 @@ class SacSettings:
     target_entropy_end: float = -1.2
     """… and from ENTROPY_SHARE of the time on, falling evenly until then: -1.2 is a spread of 0.07."""
     student: float = 0.0
-    """Minutes, after the others, in which a network without layer normalisation learns to imitate the policy."""
-    reach: float = 20.0
+    """Minutes after the training in which the policy is distilled into a network as PPO has it."""
+    value_range: float = 20.0
     """Returns are between plus and minus this."""
     atoms: int = 101
     """Points at which a critic gives the probability of a return."""
@@ -205,13 +205,13 @@ class Learner:
         self.critics = nn.ModuleList(network((seen + actions, 768, 384, 192), s.atoms) for _ in range(2)).to(device)
         self._targets = deepcopy(self.critics).requires_grad_(False)
         self._log_alpha = torch.tensor(math.log(s.temperature), device=device, requires_grad=True)
-        self._support = torch.linspace(-s.reach, s.reach, s.atoms, device=device)
+        self._support = torch.linspace(-s.value_range, s.value_range, s.atoms, device=device)
         on_gpu = device.type == "cuda"
-        adam: dict[str, Any] = {"lr": s.rate, "betas": (0.9, 0.95), "capturable": on_gpu, "fused": on_gpu}
-        self._actor_steps = torch.optim.AdamW(self.actor.parameters(), weight_decay=s.decay, **adam)
-        self._critic_steps = torch.optim.AdamW(self.critics.parameters(), weight_decay=s.decay, **adam)
+        adam: dict[str, Any] = {"lr": s.learning_rate, "betas": (0.9, 0.95), "capturable": on_gpu, "fused": on_gpu}
+        self._actor_steps = torch.optim.AdamW(self.actor.parameters(), weight_decay=s.weight_decay, **adam)
+        self._critic_steps = torch.optim.AdamW(self.critics.parameters(), weight_decay=s.weight_decay, **adam)
         self._alpha_steps = torch.optim.AdamW([self._log_alpha], weight_decay=0.0, **adam)
-        kept, plain_float = (s.steps_kept, worlds), {"device": device, "dtype": torch.float32}
+        kept, plain_float = (s.buffer_steps, worlds), {"device": device, "dtype": torch.float32}
         self._ring = {
             "seen": torch.zeros(*kept, seen, device=device, dtype=torch.float16),
             "action": torch.zeros(*kept, actions, **plain_float),
@@ -260,7 +260,7 @@ class Learner:
         for _ in range(self.settings.updates):
             self._learn_critics()
             self._updates += 1
-            if self._updates % self.settings.policy_every == 0:
+            if self._updates % self.settings.policy_delay == 0:
                 self._learn_policy()
 
     def _put(self, name: str, value: torch.Tensor) -> None:
@@ -287,8 +287,8 @@ class Learner:
     def _one_step(self) -> None:
         for name, value in zip(("reward", "goes_on", "known"), self._result, strict=True):
             self._put(name, value)
-        self._row.add_(1).remainder_(self.settings.steps_kept)
-        self._filled.add_(1).clamp_(max=self.settings.steps_kept - 1)
+        self._row.add_(1).remainder_(self.settings.buffer_steps)
+        self._filled.add_(1).clamp_(max=self.settings.buffer_steps - 1)
 
     # ------------------------------------------------------------------ updates
 
@@ -299,7 +299,7 @@ class Learner:
 
     def sample(self) -> dict[str, torch.Tensor]:
         """Return transitions drawn evenly; ``next`` is the critic's observation one step later, not normalised."""
-        size, kept = self.settings.batch, self.settings.steps_kept
+        size, kept = self.settings.batch, self.settings.buffer_steps
         age = 1 + torch.minimum((torch.rand(size, device=self.device) * self._filled).long(), self._filled - 1)
         row, world = self._row - age, torch.randint(self._worlds, (size,), device=self.device)
         here, later = row % kept * self._worlds + world, (row + 1) % kept * self._worlds + world
@@ -319,14 +319,14 @@ class Learner:
             return self.actor.draw(seen)
 
     @torch.no_grad()
-    def _target(self, b: dict[str, torch.Tensor], later: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def target(self, b: dict[str, torch.Tensor], later: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the wanted probabilities (batch, atoms), and the density of the next actions."""
         s = self.settings
         actions, density, *_ = self._drawn(later)
         likely = self._logits(self._targets, later, actions).softmax(-1).mean(0)
         soft = self._support - (self._log_alpha.exp() * density)[:, None]
-        returns = (b["reward"][:, None] + s.gamma * b["goes_on"][:, None] * soft).clamp(-s.reach, s.reach)
-        place = (returns + s.reach) * ((s.atoms - 1) / (2 * s.reach))
+        returns = (b["reward"][:, None] + s.gamma * b["goes_on"][:, None] * soft).clamp(-s.value_range, s.value_range)
+        place = (returns + s.value_range) * ((s.atoms - 1) / (2 * s.value_range))
         below = place.floor().clamp(0, s.atoms - 2)
         share, index = place - below, below.nan_to_num().long()  # a loss that is not finite is seen in the figures
         wanted = torch.zeros_like(likely).scatter_add_(1, index, likely * (1 - share))
@@ -334,7 +334,7 @@ class Learner:
 
     def _critic_update(self) -> None:
         b = self.sample()
-        wanted, density = self._target(b, self.normalised(b["next"]))
+        wanted, density = self.target(b, self.normalised(b["next"]))
         found = self._logits(self.critics, self.normalised(b["seen"]), b["action"]).log_softmax(-1)
         cross = -(wanted * found).sum(-1).mean(0)
         loss = (b["known"] * cross).sum() / b["known"].sum().clamp(min=1.0)
@@ -404,7 +404,7 @@ class Student(nn.Module):
 
 
 def imitate(actor: Actor, env: StandTrackEnv, hidden: tuple[int, ...], minutes: float, every: int) -> Student:
-    """Return a student that acts as the policy does, in the states to which its own actions lead."""
+    """Distil the policy into a student on the states that the student's own actions lead to (DAgger, Ross et al. 2011)."""
     student = Student(actor, hidden).to(env.device)
     on_gpu = str(env.device).startswith("cuda")
     rate = torch.tensor(STUDENT_RATE[0], device=env.device)
@@ -546,7 +546,7 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=200, help="control steps between two lines of figures")
     for f in fields(SacSettings):
         kind: Any = type(f.default)
-        parser.add_argument(f"--{f.name.replace('_', '-')}", type=kind, default=f.default)
+        parser.add_argument(f"--{f.name.replace('_', '-')}", type=kind, default=f.default, help=f"default: {f.default:g}")
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)

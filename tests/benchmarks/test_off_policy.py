@@ -22,7 +22,7 @@ def made(settings, inputs=2, seen=4, bound=(1.0, 2.0), **ways):
 
 
 def test_what_is_remembered_is_followed_by_what_came_next_in_the_same_world():
-    learner = made(SacSettings(batch=512, steps_kept=KEPT))
+    learner = made(SacSettings(batch=512, buffer_steps=KEPT))
     episode, age = torch.zeros(WORLDS), torch.zeros(WORLDS)
     for step in range(3 * KEPT):
         learner.act(torch.stack([torch.full((WORLDS,), float(step)), torch.arange(WORLDS).float(), age, episode], 1))
@@ -43,7 +43,7 @@ def test_what_is_remembered_is_followed_by_what_came_next_in_the_same_world():
 @pytest.mark.slow
 def test_it_finds_the_best_answer_of_a_task_of_one_step():
     torch.set_num_threads(1)
-    learner = made(SacSettings(batch=128, steps_kept=128, updates=2, policy_every=2), inputs=4)
+    learner = made(SacSettings(batch=128, buffer_steps=128, updates=2, policy_delay=2), inputs=4)
     scale = torch.tensor([0.5, 1.5])
 
     def best(seen):
@@ -68,9 +68,9 @@ def test_it_finds_the_best_answer_of_a_task_of_one_step():
 
 
 def test_an_end_is_worth_its_reward_and_a_survivor_also_what_comes_after():
-    learner = made(SacSettings(batch=4, steps_kept=KEPT, gamma=0.5, reach=8.0, atoms=161, temperature=1.0))
+    learner = made(SacSettings(batch=4, buffer_steps=KEPT, gamma=0.5, value_range=8.0, atoms=161, temperature=1.0))
     row = {"reward": torch.tensor([1.0, -0.7]), "goes_on": torch.tensor([0.0, 1.0])}
-    wanted, density = learner._target(row, torch.zeros(2, 4))
+    wanted, density = learner.target(row, torch.zeros(2, 4))
     worth = (wanted * torch.linspace(-8.0, 8.0, 161)).sum(-1)
     assert wanted.sum(-1).tolist() == pytest.approx([1.0, 1.0], abs=1e-5)
     assert float(worth[0]) == pytest.approx(1.0, abs=1e-4)
@@ -81,7 +81,7 @@ def test_an_end_is_worth_its_reward_and_a_survivor_also_what_comes_after():
 
 def test_a_student_is_a_network_that_ppo_can_go_on_from(tmp_path):
     onnx = pytest.importorskip("onnx")
-    student = Student(made(SacSettings(steps_kept=KEPT)).actor, (8, 8))
+    student = Student(made(SacSettings(buffer_steps=KEPT)).actor, (8, 8))
     torch.onnx.export(student, (torch.zeros(1, 2),), tmp_path / "s.onnx", opset_version=17, dynamo=False)
     kinds = [node.op_type for node in onnx.load(tmp_path / "s.onnx").graph.node]
     assert kinds == ["Sub", "Div", "Gemm", "Elu", "Gemm", "Elu", "Gemm"]
