@@ -404,7 +404,7 @@ class Student(nn.Module):
 
 
 def imitate(actor: Actor, env: StandTrackEnv, hidden: tuple[int, ...], minutes: float, every: int) -> Student:
-    """Distil the policy into a student on the states that the student's own actions lead to (DAgger, Ross et al. 2011)."""
+    """Distil the policy into a student on the states that the student's actions lead to (DAgger, Ross et al. 2011)."""
     student = Student(actor, hidden).to(env.device)
     on_gpu = str(env.device).startswith("cuda")
     rate = torch.tensor(STUDENT_RATE[0], device=env.device)
@@ -546,7 +546,8 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=200, help="control steps between two lines of figures")
     for f in fields(SacSettings):
         kind: Any = type(f.default)
-        parser.add_argument(f"--{f.name.replace('_', '-')}", type=kind, default=f.default, help=f"default: {f.default:g}")
+        option, told = f"--{f.name.replace('_', '-')}", f"default: {f.default:g}"
+        parser.add_argument(option, type=kind, default=f.default, help=told)
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
