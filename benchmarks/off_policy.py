@@ -229,8 +229,9 @@ class Learner:
         self._result = torch.zeros(3, worlds, device=device)
         self.shown_weight = torch.zeros((), device=device)
         self.target_entropy = torch.full((), s.target_entropy, device=device)
-        self.figures = torch.zeros(4, device=device)
-        """Critic loss, entropy of the policy for each action, spread of its actions, mean return that it expects."""
+        self.figures = torch.zeros(5, device=device)
+        """Critic loss, entropy of the policy for each action, spread of its actions, mean return that it expects, share
+        of its mean actions that are within a tenth of their bound."""
         self._updates = 0
         self._act, self._remember = Guarded(self._one_act, str(device)), Guarded(self._one_step, str(device))
         self._learn_critics = Guarded(self._critic_update, str(device))
@@ -363,8 +364,11 @@ class Learner:
             loss = loss + self._mirror * (there - mirrored_actions(mean.detach())).square().mean()
         descend(self._actor_steps, loss)
         with torch.no_grad():
-            entropy = -density.mean() / len(self.actor.bound)
-            self.figures[1:].copy_(torch.stack([entropy, (spread * self.actor.bound).mean(), value.mean()]))
+            bound = self.actor.bound
+            entropy, used = -density.mean() / len(bound), mean / bound
+            width = (spread * bound * (1 - used.square())).mean()  # tanh narrows it near the bound
+            at_bound = (used.abs() > 0.9).float().mean()
+            self.figures[1:].copy_(torch.stack([entropy, width, value.mean(), at_bound]))
 
 
 def bounds(contract: PolicyContract, device: str) -> torch.Tensor:
@@ -458,7 +462,7 @@ class Progress:
         Raises:
             TrainingDiverged: If a figure of the learner is not finite.
         """
-        loss, entropy, spread, value = learner.figures.tolist()
+        loss, entropy, spread, value, at_bound = learner.figures.tolist()
         reward, lived, ended = self._sums.tolist()
         temperature = float(learner.temperature)
         now, worlds = time.monotonic(), len(self._alive)
@@ -471,6 +475,7 @@ class Progress:
             "value": value,
             "std": spread,
             "entropy": entropy,
+            "at_bound": at_bound,
             "M_per_s": self._steps * worlds / 1e6 / (now - self._since),
         }
         if self._logs:

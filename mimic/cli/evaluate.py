@@ -143,6 +143,7 @@ def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvalua
             "head on the ground": f"{s['head_contacts']}",
             "trunk on the ground": f"{s['trunk_contacts']}",
             "base speed when the trunk touches": spread("impact_speed", "m/s"),
+            "lies after": spread("lying_after_s", "s"),
             "downward base speed": spread("sinking_speed", "m/s"),
             "front toes meet the ground": spread("toe_speed", "m/s"),
             "hind knees meet the ground": spread("knee_speed", "m/s"),

@@ -19,7 +19,7 @@ from mimic.evaluation.policy import TIMING, command_script
 from mimic.geometry import rotation_from_quat
 from mimic.jobs.local import run_all
 from mimic.policy.runtime import Policy, cached_policy, load_policy
-from mimic.records import PHASES, RunLog
+from mimic.records import PHASES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -46,6 +46,9 @@ constant commands; at a physics step of 1 ms instead of 5 ms they do not."""
 LAST = 0.5
 """The end of the run over which lying is evaluated [s]."""
 
+NEAR = 0.02
+"""A robot is down once its base stays this near to its final height [m]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SitDownEpisode:
@@ -69,6 +72,19 @@ def final_pose(log: RunLog, description: RobotDescription) -> dict[str, float]:
         "pose_error_rad": float(error.mean()),
         "pose_error_max_rad": float(error.max()),
     }
+
+
+def time_to_lie(t: FloatArray, height: FloatArray, begin: float, final: float) -> float:
+    """Return the time from the policy switch until the base stays near its final height [s].
+
+    Args:
+        t: Times (n,) [s].
+        height: Height of the base at each (n,) [m].
+        begin: When it began to sit down [s].
+        final: Final height of the base [m].
+    """
+    away = t[(t >= begin) & (np.abs(height - final) > NEAR)]
+    return float(away[-1] - begin) if len(away) else 0.0
 
 
 def lies(end: dict[str, float]) -> bool:
@@ -107,6 +123,7 @@ def _figures(job: SitDownEpisode, tracker: str, sit_down: str) -> dict[str, Any]
         "gentle": gentle,
         "lies": lies(end),
         "success": gentle and lies(end),
+        "lying_after_s": time_to_lie(log.t, log.p_WB[:, 2], begin, end["height_m"]),
         **asdict(touchdown),
         **end,
     }
@@ -154,6 +171,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
     names = (
         "impact_speed",
+        "lying_after_s",
         "sinking_speed",
         "toe_speed",
         "knee_speed",

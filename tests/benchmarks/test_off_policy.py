@@ -85,3 +85,18 @@ def test_a_student_is_a_network_that_ppo_can_go_on_from(tmp_path):
     torch.onnx.export(student, (torch.zeros(1, 2),), tmp_path / "s.onnx", opset_version=17, dynamo=False)
     kinds = [node.op_type for node in onnx.load(tmp_path / "s.onnx").graph.node]
     assert kinds == ["Sub", "Div", "Gemm", "Elu", "Gemm", "Elu", "Gemm"]
+
+
+def test_figures_show_actions_that_rest_at_their_bound():
+    learner = made(SacSettings(batch=8, buffer_steps=KEPT, updates=1, policy_delay=1))
+    with torch.no_grad():
+        learner.actor.layers[-1].bias[0] = 3.0  # of the first of two actions, before tanh
+    for step in range(3):
+        learner.act(torch.randn(WORLDS, 4))
+        if step == 2:
+            learner.learn()
+        learner.remember(torch.zeros(WORLDS), torch.zeros(WORLDS, dtype=torch.long), torch.zeros(WORLDS).bool())
+    _, _, spread, _, at_bound = learner.figures.tolist()
+    assert at_bound == 0.5
+    # the logarithm of the spread is -2.5 before tanh; the first action's is next to nothing after it
+    assert spread == pytest.approx(0.5 * 2.0 * 0.0821, rel=0.05)

@@ -9,7 +9,7 @@ from mimic.config.evaluation import SitDownEvaluateSettings
 from mimic.control.damping import damping_command
 from mimic.errors import ContractError
 from mimic.evaluation.contact_recorder import ContactRecorder
-from mimic.evaluation.sit_down import evaluate_sit_down, lies, summarise
+from mimic.evaluation.sit_down import evaluate_sit_down, lies, summarise, time_to_lie
 from mimic.policy.runtime import load_policy
 from mimic.records import JointCommand
 from mimic.simulation.plant import SimulatedPlant
@@ -36,6 +36,14 @@ def test_policy_switches_are_evaluated_and_repeat(sinking_onnx):
     for row in result["episodes"]:
         assert 1.5 <= row["at_s"] <= 2.6
         assert 1.0 < row["sinking_speed"] < 3.0  # nothing brakes it
+        assert 0.2 < row["lying_after_s"] < 2.0
+
+
+def test_time_to_lie_ends_where_the_base_stays_down():
+    t = np.arange(6) * 0.1
+    bounces = np.array([0.42, 0.30, 0.11, 0.15, 0.12, 0.11])
+    assert time_to_lie(t, bounces, begin=0.1, final=0.11) == pytest.approx(0.2)
+    assert time_to_lie(t, bounces, begin=0.4, final=0.11) == 0.0
 
 
 def test_a_policy_for_something_else_is_refused(constant_onnx, tmp_path):
@@ -53,6 +61,7 @@ def test_lying_means_level_low_still_and_folded(wrong):
 def test_robots_that_fell_before_are_counted_apart():
     figures = {
         "impact_speed": 0.1,
+        "lying_after_s": 1.1,
         "sinking_speed": 0.4,
         "toe_speed": 0.2,
         "knee_speed": 0.1,
@@ -101,4 +110,5 @@ def test_the_shipped_policy_comes_down_gently(description):
     assert s["hand_overs"] >= 38
     assert s["success"] >= 0.97
     assert s["head_contacts"] == 0
-    assert s["sinking_speed"]["p95"] < 1.9
+    assert s["sinking_speed"]["p95"] < 0.9
+    assert s["lying_after_s"]["p95"] < 1.2
