@@ -55,8 +55,7 @@ def play(policy, model_path, toes, stand_seconds=2.0):
             goal = begin + s * s * (3 - 2 * s) * (toes[0] - begin)
         else:
             goal = toes[k - stand - blend]
-        error = heading_0 - heading
-        error = np.clip(np.arctan2(np.sin(error), np.cos(error)), -1, 1)
+        error = np.clip(np.angle(np.exp(1j * (heading_0 - heading))), -1, 1)
         down = -2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
         steps = 1 if abs(error) > c["walk_turn"] * (1 - gait / 2) else -1
@@ -76,5 +75,6 @@ def play(policy, model_path, toes, stand_seconds=2.0):
 
 
 if __name__ == "__main__":
-    for t, _, (_, x, y, _), _ in play(*sys.argv[1:3], boxing(0.02)):
-        print(f"{t:5.2f} s  base x points {np.degrees(np.arcsin(np.clip(-(1 - 2 * (x * x + y * y)), -1, 1))):4.0f}°")
+    policy, scene = sys.argv[1:] if len(sys.argv) == 3 else sys.exit(__doc__)
+    for t, _, (w, x, y, z), _ in play(policy, scene, boxing(0.02)):
+        print(f"{t:5.2f} s  base x points {np.degrees(np.arcsin(np.clip(2 * (x * z - w * y), -1, 1))):3.0f}° upward")

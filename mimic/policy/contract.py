@@ -52,7 +52,9 @@ HOW_TO_PLAY = (
     "action = clip(output, -action_clip, action_clip); q_des = clip(default_q + action_scale action, q_min, q_max).",
     "The heading is atan2(-2 (x y - w z), 1 - 2 (x x + z z)): where the belly faces once the robot stands.",
     "Each motor gives kp (q_des - q) - kd dq, at most torque_max; in the direction of motion the limit falls from "
-    "there at speed_flat to none at speed_max. A q_des takes effect after `delay` and is held until the next one.",
+    "there at speed_flat to none at speed_max.",
+    "A q_des takes effect `delay` after the reading. With interpolate the motor's q_des then moves in a straight line, "
+    "over dt, from the one before to it; without, it jumps there. It is held until the next one takes effect.",
 )
 """How a policy of any task is played, in sentences."""
 
@@ -127,18 +129,18 @@ class PolicyContract:
     """Joint speed at which a motor gives no driving torque [rad/s]."""
     delay: float
     """From a command to its effect [s]."""
+    task: str
+    """What it was trained to do: stand_track or sit_down."""
+    interpolate: bool
+    """Whether commanded positions move linearly from one control step's to the next, instead of at once."""
+    clock_fade: float
+    """Time in which the gait clock fades in and out as the robot is asked to step and to stand [s]; 0 never fades."""
+    walk_speed: float
+    """Velocity command above which the robot is asked to step [m/s]."""
+    walk_turn: float
+    """Heading error above which it is asked to step [rad]; half as much once it steps."""
     training: str = ""
     """SHA-256 of the training settings."""
-    task: str = "stand_track"
-    """What it was trained to do: stand_track or sit_down."""
-    interpolate: bool = False
-    """Whether commanded positions move linearly from one control step's to the next, instead of at once."""
-    clock_fade: float = 0.0
-    """Time in which the gait clock fades in and out as the robot is asked to step and to stand [s]; 0 never fades."""
-    walk_speed: float = 0.05
-    """Velocity command above which the robot is asked to step [m/s]."""
-    walk_turn: float = 0.2
-    """Heading error above which it is asked to step [rad]; half as much once it steps."""
 
     @property
     def observation_size(self) -> int:

@@ -12,6 +12,12 @@ from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
 
+WALK_SPEED = 0.05
+"""Velocity command above which the robot is asked to step [m/s]."""
+
+WALK_TURN = 0.2
+"""Heading error above which it is asked to step [rad]; half as much once it steps."""
+
 
 def make_contract(description: RobotDescription, settings: MdpSettings, training: str = "") -> PolicyContract:
     """Return what a policy trained with these settings promises."""
@@ -45,4 +51,6 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         task=settings.task,
         interpolate=settings.interpolate,
         clock_fade=0.0 if sits else settings.clock_fade,
+        walk_speed=WALK_SPEED,
+        walk_turn=WALK_TURN,
     )
