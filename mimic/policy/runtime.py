@@ -43,8 +43,11 @@ class Policy:
         if METADATA_KEY not in metadata:
             raise ContractError(f"{path} declares no contract; export it with mimic train")
         self.path = path
-        self.contract = PolicyContract.from_json(metadata[METADATA_KEY])
-        self.contract.check(description)
+        try:
+            self.contract = PolicyContract.from_json(metadata[METADATA_KEY])
+            self.contract.check(description)
+        except ContractError as reason:
+            raise ContractError(f"{path}: {reason}") from None
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         widths = (inputs[0].shape[-1], outputs[0].shape[-1])
         expected = (self.contract.observation_size, len(self.contract.joints))
