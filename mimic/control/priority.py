@@ -6,8 +6,8 @@ import os
 from collections.abc import Generator
 from contextlib import contextmanager
 
-LOOP, WATCHDOG = 10, 20
-"""Priorities of the control loop, and of its watchdog, which is idle until the loop fails."""
+EMULATOR, LOOP, WATCHDOG = 5, 10, 20
+"""Priorities of an emulated robot, of the control loop, and of its watchdog, which is idle until the loop fails."""
 
 
 @contextmanager

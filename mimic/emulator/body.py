@@ -6,6 +6,7 @@ simulated plant it has no control step: each motor gets its command when its own
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import mujoco
@@ -98,6 +99,7 @@ class EmulatedBody:
         self._drives = [FREE] * 12
         self._coming: list[deque[tuple[float, Drive]]] = [deque() for _ in range(12)]
         self._numbers = np.zeros((6, 12))
+        self._pace = np.full(12, np.inf)
         self._target = np.array(self.data.qpos[-12:])
         self._changed = True
         self._mixed = np.zeros(12, dtype=bool)
@@ -169,8 +171,7 @@ class EmulatedBody:
             self._law.limit_torque(limit[None])
             self._force = tau + kd * dq
             self._changed = False
-        pace = np.array([drive.pace for drive in self._drives])
-        self._target += np.clip(self._numbers[2] - self._target, -pace * h, pace * h)
+        self._target += np.minimum(np.maximum(self._numbers[2] - self._target, -self._pace * h), self._pace * h)
         inputs = self._law.step(
             data.qpos[None, -12:], data.qvel[None, -12:], self._target[None], now, self._force[None]
         )
@@ -186,7 +187,7 @@ class EmulatedBody:
         self._tau = np.array(inputs.tau[0])
         heat = np.square(self._tau / self.description.torque_rated)
         self._rise = self._left * self._rise + (1 - self._left) * self._share * heat
-        if not np.isfinite(data.qpos).all():
+        if not math.isfinite(data.qpos.sum()):
             raise PlantError(
                 f"the emulated robot is no longer finite at {self.time:.2f} s; this is a bug, please report it"
             )
@@ -196,21 +197,23 @@ class EmulatedBody:
         for joint, coming in enumerate(self._coming):
             if not self._mixed[joint] and not (coming and coming[0][0] < end):
                 continue
-            at, mean = begin, np.zeros(6)
+            at, q, dq, tau = begin, 0.0, 0.0, 0.0
             while coming and coming[0][0] < end:
                 t, drive = coming.popleft()
                 if np.isfinite(drive.pace) and not (self._drives[joint].kp and np.isfinite(self._drives[joint].pace)):
                     self._target[joint] = self.data.qpos[-12 + joint]
                 was = self._drives[joint]
                 if (drive.kp, drive.kd, drive.limit) == (was.kp, was.kd, was.limit):
-                    mean += (max(t, begin) - at) * _numbers(was)
+                    share = (max(t, begin) - at) / (end - begin)
+                    q, dq, tau = q + share * was.q, dq + share * was.dq, tau + share * was.tau
                     at = max(t, begin)
                 else:  # a mean of gains is none of them
-                    at, mean = begin, np.zeros(6)
+                    at, q, dq, tau = begin, 0.0, 0.0, 0.0
                 self._drives[joint] = drive
-            self._mixed[joint] = at > begin
-            self._numbers[:, joint] = (mean + (end - at) * _numbers(self._drives[joint])) / (end - begin)
-            self._changed = True
+            new, share = self._drives[joint], (end - at) / (end - begin)
+            q, dq, tau = q + share * new.q, dq + share * new.dq, tau + share * new.tau
+            self._numbers[:, joint] = new.kp, new.kd, q, dq, tau, new.limit
+            self._mixed[joint], self._pace[joint], self._changed = at > begin, new.pace, True
 
     # ------------------------------------------------------------------ what is measured
 
@@ -238,10 +241,6 @@ class EmulatedBody:
         if self.model.nq == 12:
             return self._quat, np.zeros(3)
         return self.data.qpos[3:7].copy(), self.data.qvel[3:6].copy()
-
-
-def _numbers(drive: Drive) -> FloatArray:
-    return np.array([drive.kp, drive.kd, drive.q, drive.dq, drive.tau, drive.limit])
 
 
 def _tilt(roll: float, pitch: float) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -34,11 +35,13 @@ class EmulatedBus:
     _queues: dict[str, deque[tuple[float, CanFrame]]] = field(default_factory=dict)
     _free_at: float = 0.0
     _sending: Sent | None = None
+    _next: float | None = None
 
     def submit(self, node: str, frame: CanFrame, ready: float) -> None:
         """Let a node send a frame as soon as it can from time ``ready`` [s] on."""
         if not self.off:
             self._queues.setdefault(node, deque()).append((ready, frame))
+            self._next = None
 
     @property
     def waiting(self) -> int:
@@ -48,13 +51,17 @@ class EmulatedBus:
     @property
     def next_event(self) -> float:
         """Time of the next event if nothing is submitted [s]; infinite if nothing is queued."""
-        if self._sending is not None:
-            return self._sending.t
-        ready = min((queue[0][0] for queue in self._queues.values() if queue), default=float("inf"))
-        return max(ready, self._free_at)
+        if self._next is None:
+            if self._sending is not None:
+                self._next = self._sending.t
+            else:
+                ready = min((queue[0][0] for queue in self._queues.values() if queue), default=math.inf)
+                self._next = max(ready, self._free_at)
+        return self._next
 
     def advance(self) -> Sent | None:
         """Go to the next event: the end of a frame, which is returned, or the beginning of one."""
+        now, self._next = self.next_event, None
         if self.off:
             self._queues.clear()
             self._sending = None
@@ -63,7 +70,6 @@ class EmulatedBus:
             done, self._sending = self._sending, None
             self._free_at = done.t
             return done
-        now = self.next_event
         waiting = [(node, queue) for node, queue in self._queues.items() if queue and queue[0][0] <= now]
         if not waiting:
             return None

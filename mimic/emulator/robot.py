@@ -179,12 +179,13 @@ class EmulatedRobot:
     @property
     def next_event(self) -> float:
         """Time of the next event if no host sends anything [s]."""
-        times = [bus.next_event for bus in self.buses]
-        times += [self.imu.next_sample, self._next_check]
+        times = min(self.imu.next_sample, self._next_check, *(bus.next_event for bus in self.buses))
         if self._late:
-            times.append(self._late[0][0])
-        times += [f.start for i, f in enumerate(self._faults) if i not in self._happened and not f.after_release]
-        return min(times)
+            times = min(times, self._late[0][0])
+        for i, fault in enumerate(self._faults):
+            if i not in self._happened and not fault.after_release:
+                times = min(times, fault.start)
+        return times
 
     def advance(self, until: float, *, waiting: Host | None = None) -> None:
         """Advance time to ``until`` [s], or only until a waiting host receives a frame."""
@@ -248,6 +249,8 @@ class EmulatedRobot:
 
     def _pass_on(self, index: int, sent: Sent) -> None:
         """Deliver a frame to its receivers: once, twice, late, corrupted or never."""
+        if not self._faults:
+            return self._deliver(index, sent)
         lost, twice = self._value("frames_lost", bus=index), self._value("frames_doubled", bus=index)
         wrong, late = self._value("frames_corrupted", bus=index), self._value("frames_late", bus=index)
         if lost is not None and self._rng.random() < lost:
@@ -276,7 +279,8 @@ class EmulatedRobot:
 
     def _deliver(self, index: int, sent: Sent) -> None:
         if sent.node.startswith("host"):
-            for i in self._on_bus[index]:
+            motor = sent.frame.id & 0xFF if sent.frame.extended else None
+            for i in (i for i in self._on_bus[index] if self.motors[i].id == motor):
                 if self._value("motor_dead", joint=i) is None and self._value("motor_deaf", joint=i) is None:
                     self._hear(i, sent)
         for host in self._hosts:
@@ -285,8 +289,6 @@ class EmulatedRobot:
 
     def _hear(self, i: int, sent: Sent) -> None:
         motor = self.motors[i]
-        if not sent.frame.extended or sent.frame.id & 0xFF != motor.id:
-            return
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
         if motor.mode is Mode.RUN and self.body.held:

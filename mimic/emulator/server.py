@@ -18,7 +18,7 @@ from mimic.emulator.robot import EmulatedRobot, Host
 from mimic.emulator.wire_formats import Session, SlcanSession, SocketcandSession
 from mimic.errors import BusError
 
-GRAIN = 0.0002
+GRAIN = 0.0005
 """Shortest sleep [s]: frames that are due sooner go out together."""
 
 LONGEST_SLEEP = 0.01

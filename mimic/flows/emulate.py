@@ -13,6 +13,7 @@ from typing import Any
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import EffectsSettings
+from mimic.control.priority import EMULATOR, real_time
 from mimic.errors import ConfigError
 from mimic.flows.play import warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -149,7 +150,7 @@ def serve_robot(
             shown.show()
 
     try:
-        with _until_signal() as signalled:
+        with _until_signal() as signalled, real_time(EMULATOR):
 
             def ended() -> bool:
                 over = options.seconds is not None and time.monotonic() - begin >= options.seconds
@@ -273,7 +274,7 @@ def serve_board(
             shown.show()
 
     try:
-        with _until_signal() as signalled:
+        with _until_signal() as signalled, real_time(EMULATOR):
 
             def ended() -> bool:
                 over = options.seconds is not None and time.monotonic() - begin >= options.seconds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from mimic.control.supervisor import Event, Supervisor
     from mimic.hardware.hold_to_run import Hold
     from mimic.policy.contract import PolicyContract
+    from mimic.policy.runtime import Policy
 
 HOLD_WITHIN = 20.0
 """What must be held is held within this after the robot may move [s]."""
@@ -120,8 +122,9 @@ def play_on_robot(
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
     from mimic.hardware.hold_to_run import hold_to_run
-    from mimic.hardware.plant import INTERPOLATION_PARTS, CanRobot
+    from mimic.hardware.plant import CanRobot
     from mimic.hardware.session import robot_session
+    from mimic.hardware.step_budget import PARTS
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
 
@@ -139,10 +142,8 @@ def play_on_robot(
     standing = source is None and camera is None
     file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
     name = name if camera is None else f"camera {camera}"
-    for one in (policy, sit_down):
-        for _ in range(WARM_UP):
-            one.act(np.zeros(one.contract.observation_size))
-    parts = INTERPOLATION_PARTS if policy.contract.interpolate else 1
+    inference = max(_inference(one) for one in (policy, sit_down))
+    parts = PARTS if policy.contract.interpolate else 1
     rate_hz = parts / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
     supervisor = Supervisor(description, rules=DRY_RULES if bus.dry_run else RULES, strict=bus.tether)
@@ -168,6 +169,7 @@ def play_on_robot(
                 report=operator.show_findings,
                 go=lambda: _confirm(operator, what, hold),
                 dry_run=bus.dry_run,
+                inference=inference,
             )
         )
         safety = Safety(
@@ -213,6 +215,16 @@ def play_on_robot(
         text = "".join(traceback.format_exception(ended.bug))
         (folder / ERROR).write_text(text, encoding="utf-8")
     return ended
+
+
+def _inference(policy: Policy) -> float:
+    """Return the median time that a policy takes [s]; the first calls, which are slow, are over then."""
+    observation, took = np.zeros(policy.contract.observation_size), []
+    for _ in range(WARM_UP):
+        begin = time.perf_counter()
+        policy.act(observation)
+        took.append(time.perf_counter() - begin)
+    return float(np.median(took))
 
 
 def _announcement(name: str | None, bus: BusSettings) -> str:

@@ -159,7 +159,7 @@ class MotorBus:
             self._take(received)
 
     def listen(self, until: float, enough: Callable[[], bool] | None = None) -> None:
-        """Take what arrives up to a time [s], or until it is enough.
+        """Take what arrives up to a time [s], or until it is enough. What is left then is for the next call.
 
         Raises:
             BusError: If a bus has failed.
@@ -167,7 +167,7 @@ class MotorBus:
         while not (enough is not None and enough()):
             left = until - self.link.now()
             if left <= 0:
-                return self.drain()
+                return
             received = self.link.receive(left)
             if received is not None:
                 self._take(received)

@@ -14,20 +14,13 @@ from mimic.hardware.can.link import Link
 from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import ALL, MotorBus
 from mimic.hardware.shutdown import damp, shutdown_report, switch_off
+from mimic.hardware.step_budget import PARTS, SPARE, step_budget
 from mimic.hardware.wiring import Wiring
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription
 
-INTERPOLATION_PARTS = 4
-"""A command that is interpolated goes out in so many parts: 200 Hz with a control step of 20 ms."""
-
-ANSWER_WINDOW = 0.005
-"""A step listens for answers at least this long, even if it started late [s]; twelve motors take 3.4 ms."""
-
-
 OUTAGE = 0.1
 """A bus that fails for longer than this ends the run [s]. The motors go on with their last commands meanwhile."""
-
 
 ASK_EVERY = 5
 """Control steps between two questions for a supply voltage, whose answers also show how long answers take."""
@@ -102,6 +95,7 @@ class CanRobot:
         self._steps = 0
         self.motor_bus = MotorBus(link, wiring)
         self._link = link
+        self._budget = step_budget(wiring, description.dt, PARTS)
         self._watchdog = watchdog
         self._torque_limit = description.torque_max if torque_limit is None else torque_limit
         self._on = self._closed = False
@@ -170,7 +164,7 @@ class CanRobot:
         with self._tolerated():
             sent = self._send(command, asked)
             self._ask()
-        until = max(self._due, link.now() + ANSWER_WINDOW if sent.ramp else asked + ANSWER_WINDOW)
+        until = max(self._due, asked + self._budget.answers + SPARE)  # after a late start the first answers, no more
         with self._tolerated():
             motor_bus.listen(until)
         self._failing = self._failing if self._failed else None
@@ -213,12 +207,12 @@ class CanRobot:
         before, self._before = self._before, command.q_des
         if command.ramp <= 0.0 or before is None:
             return self.motor_bus.command(command)
-        sent = command
-        for part in range(1, INTERPOLATION_PARTS + 1):
-            q_des = before + part / INTERPOLATION_PARTS * (command.q_des - before)
+        sent, parts, slot = command, self._budget.parts, self._budget.slot
+        begin = self._due - self._budget.dt
+        for part in range(min(max(int((asked - begin) / slot), 0), parts - 1), parts):  # not those whose time is over
+            self.motor_bus.listen(begin + part * slot)
+            q_des = before + (part + 1) / parts * (command.q_des - before)
             sent = self.motor_bus.command(replace(command, q_des=q_des))
-            if part < INTERPOLATION_PARTS:
-                self.motor_bus.listen(asked + part * command.ramp / INTERPOLATION_PARTS)
         return replace(sent, ramp=command.ramp)
 
     def beat(self) -> None:

@@ -17,6 +17,7 @@ from mimic.hardware.listening import holding, others
 from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import set_host_timeout
+from mimic.hardware.step_budget import SPARE, StepBudget
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
@@ -79,6 +80,7 @@ def preflight(
     homing: Homing | None,
     trust_zeros: bool,
     suspended: bool = False,
+    budget: StepBudget | None = None,
 ) -> list[Check]:
     """Check a robot whose motors are off; nothing moves.
 
@@ -89,8 +91,9 @@ def preflight(
         homing: What is known about its zeros.
         trust_zeros: Use the zeros as the wiring has them.
         suspended: The robot hangs in the air instead of lying on the floor.
+        budget: Of the control steps, where a policy drives it.
     """
-    found = [_load(motor_bus, rate_hz)]
+    found = [_load(motor_bus, rate_hz), *([] if budget is None else [_step(budget)])]
     driven = others(motor_bus) or holding(motor_bus)
     if driven:
         return [*found, Check(name="other programs", verdict="stop", text=driven)]
@@ -120,6 +123,13 @@ def _load(motor_bus: MotorBus, rate_hz: float | FloatArray) -> Check:
         text = f"{rates} would take {shares} of the bus; at most {MAX_LOAD:.0%} fit. Use more buses or a lower rate"
         return Check(name="bus load", verdict="stop", text=text)
     return Check(name="bus load", verdict="ok", text=f"{shares} at {rates} (estimated)")
+
+
+def _step(budget: StepBudget) -> Check:
+    if budget.fits:
+        return Check(name="control step", verdict="ok", text=str(budget))
+    text = f"{budget}, at least {1e3 * SPARE:g} ms are needed. Use more buses or a faster computer"
+    return Check(name="control step", verdict="stop", text=text)
 
 
 def _others(motor_bus: MotorBus) -> Check:

@@ -18,6 +18,7 @@ from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import Check, before_moving, preflight, refuse
+from mimic.hardware.step_budget import PARTS, step_budget
 from mimic.hardware.stock.plant import StockRobot
 from mimic.hardware.stock.session import board_session
 from mimic.hardware.stock.wiring import BOARDS
@@ -129,6 +130,7 @@ def robot_session(
     go: Callable[[], None],
     suspended: bool = False,
     dry_run: bool = False,
+    inference: float | None = None,
 ) -> Iterator[CanRobot | StockRobot]:
     """Give a robot that passed its pre-flight. At the end it is damped and off, and its watchdog has ended.
 
@@ -141,6 +143,7 @@ def robot_session(
         go: Returns when the user wants the robot to move; may raise.
         suspended: The robot hangs in the air instead of lying on the floor.
         dry_run: The motors stay off.
+        inference: Time that the policy takes on this computer [s]; None where no policy drives the robot.
 
     Raises:
         ConfigError: If the torque limit is not one of this robot.
@@ -173,6 +176,7 @@ def robot_session(
                     homing=robot.homing,
                     trust_zeros=settings.zeroed,
                     suspended=suspended,
+                    budget=None if inference is None else step_budget(wiring, description.dt, PARTS, inference),
                 )
 
             with before_moving():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,11 @@ class Wiring:
 
     def joint_of(self, bus: int, motor: int) -> int | None:
         """Return the index of the joint that a motor moves, or None where there is none."""
-        found = np.flatnonzero((self.bus == bus) & (self.motor == motor))
-        return int(found[0]) if len(found) else None
+        return self._joints.get((bus, motor))
+
+    @cached_property
+    def _joints(self) -> dict[tuple[int, int], int]:
+        return {(int(bus), int(motor)): j for j, (bus, motor) in enumerate(zip(self.bus, self.motor, strict=True))}
 
 
 def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyberdog2") -> Wiring:
