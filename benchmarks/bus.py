@@ -115,7 +115,6 @@ def transports(seconds: float) -> None:
                 "--listen",
                 "127.0.0.1:0",
                 "--slcan",
-                "0",
                 "--zeroed",
                 "--suspended",
             ]

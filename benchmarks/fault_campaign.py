@@ -107,7 +107,7 @@ def play_over_tcp(seed: int, folder: Path, motion: Path) -> dict[str, Any]:
     transport = ("socketcand", "slcan")[seed % 2]
     settings = EmulateSettings(zeroed=True, placement=0.03, seed=seed, can_timeout=own_timeout)
     robot = EmulatedRobot(load_description(), load_wiring(), settings, faults=[] if fault is None else [fault])
-    server = EmulatorServer(robot, slcan=0)
+    server = EmulatorServer(robot, slcan=True)
     over = threading.Event()
     thread = threading.Thread(target=lambda: server.run(over.is_set), daemon=True)
     thread.start()

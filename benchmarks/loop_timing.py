@@ -51,7 +51,7 @@ while True:
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     transport = sys.argv[2] if len(sys.argv) > 2 else "socketcand"
-    options = ["--listen", "127.0.0.1:0", "--slcan", "0", "--zeroed", "--every", "0"]
+    options = ["--listen", "127.0.0.1:0", "--slcan", "--zeroed", "--every", "0"]
     emulator = subprocess.Popen([sys.executable, "-c", EMULATE, "emulate", *options], stdout=subprocess.PIPE, text=True)
     assert emulator.stdout is not None
     bus_url = ""

@@ -127,7 +127,7 @@ COMMANDS = {
         "mimic.cli.emulate:emulate",
         "Serve an emulated robot, to rehearse --robot.",
         "mimic emulate",
-        "mimic emulate --slcan 29600 --buses 2",
+        "mimic emulate --slcan --buses 2",
         "mimic emulate --fault motor_dead:FL_knee@12.5",
         "mimic emulate --board cyberdog2",
     ),

@@ -13,7 +13,7 @@ def emulate(
     *,
     board: Literal["cyberdog2"] | None = None,
     listen: str = "127.0.0.1:29536",
-    slcan: int | None = None,
+    slcan: Annotated[bool, o.Flag] = False,
     buses: int = 1,
     wiring: Path | None = None,
     fault: tuple[str, ...] = (),
@@ -33,7 +33,7 @@ def emulate(
     listen
         Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot.
     slcan
-        Also serve slcan: the first bus on this port, the others on the ports after it; 0 takes free ones.
+        Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, as an adapter on USB would be.
     buses
         Number of buses that the motors are on.
     wiring

@@ -1,4 +1,6 @@
-"""Serves the emulated robot to other processes, over TCP as a real adapter does; its time follows the wall clock.
+"""Serves the emulated robot to other processes: socketcand over TCP, slcan on pseudo-terminals as a serial adapter.
+
+Its time follows the wall clock.
 
 One thread does everything: it reads from the clients, advances the emulation to now, sends frames to the clients, and
 sleeps until the next event. If the machine is slow, the emulation catches up. If it is very slow, emulated time stops
@@ -8,9 +10,12 @@ and the pause is counted: a robot that goes on while nobody can answer shows not
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import socket
+import termios
 import time
+import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,7 +39,7 @@ QUIET = 0.05
 """How long frames are held back after a client of socketcand was answered [s]: python-can expects the answer alone."""
 
 MOST_WAITING = 1 << 20
-"""A client that leaves more than this many bytes unread is dropped."""
+"""A client of socketcand that leaves more than this many bytes unread is dropped; a serial adapter drops frames."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,8 +63,12 @@ class EmulatorStatus:
 
 @dataclass(eq=False)
 class _Client:
-    sock: socket.socket
+    file: int
+    """What is read and written."""
+    close: Callable[[], None]
     session: Session
+    terminal: int | None = None
+    """The side of a pseudo-terminal that the client opens."""
     host: Host | None = None
     waiting: bytes = b""
     quiet_until: float = 0.0
@@ -68,16 +77,14 @@ class _Client:
 class EmulatorServer:
     """Serves one emulated robot."""
 
-    def __init__(
-        self, robot: EmulatedRobot, *, host: str = "127.0.0.1", port: int = 0, slcan: int | None = None
-    ) -> None:
+    def __init__(self, robot: EmulatedRobot, *, host: str = "127.0.0.1", port: int = 0, slcan: bool = False) -> None:
         """Listen.
 
         Args:
             robot: The robot; nothing else may advance its time.
             host: Address to listen at.
             port: For socketcand, all buses; 0 takes a free one.
-            slcan: For slcan, the first bus, the others on the ports after it; 0 takes free ones, None does without.
+            slcan: Whether each bus is also a serial adapter on a pseudo-terminal.
 
         Raises:
             BusError: If an address cannot be listened at.
@@ -85,30 +92,40 @@ class EmulatorServer:
         self.robot = robot
         """The robot that is served."""
         self._names = [f"can{i}" for i in range(len(robot.buses))]
-        self._listening: dict[socket.socket, int | None] = {}
         self._clients: list[_Client] = []
         self.addresses: list[str] = []
         """What a user gives to --robot, one for each bus and protocol."""
-        port = self._listen(host, port, None)
+        self._listening = self._listen(host, port)
+        port = int(self._listening.getsockname()[1])
         self.addresses += [f"socketcand://{host}:{port}/{name}" for name in self._names]
-        for bus in range(len(robot.buses)) if slcan is not None else ():
-            port = self._listen(host, slcan + bus if slcan else 0, bus)
-            self.addresses.append(f"slcan:socket://{host}:{port}")
+        for bus in range(len(robot.buses)) if slcan else ():
+            self.addresses.append(f"slcan:{self._plug_in(bus)}")
         self._begin = time.monotonic() - robot.now
         self._late, self._latest, self._stood_still = 0, 0.0, 0.0
         self._before = (robot.now, [(bus.bits, bus.frames) for bus in robot.buses])
 
-    def _listen(self, host: str, port: int, bus: int | None) -> int:
+    def _listen(self, host: str, port: int) -> socket.socket:
         try:
             sock = socket.create_server((host, port))
         except OSError as reason:
-            self.close()
             raise BusError(
                 f"cannot listen at {host}:{port}: {reason.strerror or reason}; name another with --listen"
             ) from None
         sock.setblocking(False)
-        self._listening[sock] = bus
-        return int(sock.getsockname()[1])
+        return sock
+
+    def _plug_in(self, bus: int) -> str:
+        """Make a serial adapter of a bus and return its device."""
+        ours, terminal = os.openpty()
+        tty.setraw(terminal)
+        os.set_blocking(ours, False)
+
+        def close() -> None:
+            os.close(ours)
+            os.close(terminal)
+
+        self._clients.append(_Client(ours, close, SlcanSession(bus), terminal))
+        return os.ttyname(terminal)
 
     # ------------------------------------------------------------------ the loop
 
@@ -123,18 +140,17 @@ class EmulatorServer:
         """Wait until something is due, at most 10 ms, and do it."""
         anybody = any(client.host is not None for client in self._clients)
         left = self.robot.next_event - self._time() if anybody else LONGEST_SLEEP
-        reading = [*self._listening, *(client.sock for client in self._clients)]
-        writing = [client.sock for client in self._clients if client.waiting]
+        reading = [self._listening.fileno(), *(client.file for client in self._clients)]
+        writing = [client.file for client in self._clients if client.waiting]
         ready, writable, _ = select.select(reading, writing, [], min(max(left, GRAIN), LONGEST_SLEEP))
         self._keep_up()
-        for sock in ready:
-            if sock in self._listening:
-                self._accept(sock)
-        for client in [c for c in self._clients if c.sock in ready]:
+        if self._listening.fileno() in ready:
+            self._accept()
+        for client in [c for c in self._clients if c.file in ready]:
             self._read(client)
         self.robot.advance(max(self._time(), self.robot.now))
         self._hand_out()
-        for client in [c for c in self._clients if c.sock in writable or c.waiting]:
+        for client in [c for c in self._clients if c.file in writable or c.waiting]:
             self._write(client)
         for client in [c for c in self._clients if c.host is not None and c.host.bus is not None]:
             assert client.host is not None
@@ -173,32 +189,23 @@ class EmulatorServer:
         """Close all connections."""
         for client in list(self._clients):
             self._drop(client)
-        for sock in self._listening:
-            sock.close()
-        self._listening.clear()
+        self._listening.close()
 
     # ------------------------------------------------------------------ clients
 
-    def _accept(self, listening: socket.socket) -> None:
+    def _accept(self) -> None:
         try:
-            sock, _ = listening.accept()
+            sock, _ = self._listening.accept()
         except OSError:
             return
-        bus = self._listening[listening]
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        session: Session = SocketcandSession(self._names) if bus is None else SlcanSession(bus)
-        client = _Client(sock, session, waiting=session.greet())
-        self._clients.append(client)
+        session = SocketcandSession(self._names)
+        self._clients.append(_Client(sock.fileno(), sock.close, session, waiting=session.greet()))
 
     def _read(self, client: _Client) -> None:
         try:
-            data = client.sock.recv(65536)
-            quickack = getattr(
-                socket, "TCP_QUICKACK", None
-            )  # Linux; without it a client's Nagle waits 40 ms for an answer
-            if quickack is not None:
-                client.sock.setsockopt(socket.IPPROTO_TCP, quickack, 1)
+            data = os.read(client.file, 65536)
         except BlockingIOError:
             return
         except OSError:
@@ -217,7 +224,9 @@ class EmulatorServer:
             client.quiet_until = self._time() + (QUIET if answer else 0.0)
         elif not session.open and client.host is not None:
             self.robot.disconnect(client.host)
-            client.host = None
+            client.host, client.waiting = None, b""
+            if client.terminal is not None:  # the next program does not read what was meant for this one
+                termios.tcflush(client.terminal, termios.TCIFLUSH)
         for frame in frames:
             if client.host is not None and client.host.bus is not None:
                 with contextlib.suppress(BusError):  # unplugged: the connection is dropped in this turn
@@ -241,18 +250,22 @@ class EmulatorServer:
         if not client.waiting:
             return
         try:
-            client.waiting = client.waiting[client.sock.send(client.waiting) :]
+            client.waiting = client.waiting[os.write(client.file, client.waiting) :]
         except BlockingIOError:
             pass
         except OSError:
             self._drop(client)
             return
-        if len(client.waiting) > MOST_WAITING:
+        if len(client.waiting) <= MOST_WAITING:
+            return
+        if client.terminal is None:
             self._drop(client)
+        else:
+            client.waiting = b""
 
     def _drop(self, client: _Client) -> None:
         if client.host is not None:
             self.robot.disconnect(client.host)
         if client in self._clients:
             self._clients.remove(client)
-        client.sock.close()
+        client.close()

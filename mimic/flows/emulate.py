@@ -34,8 +34,8 @@ class ServeOptions:
 
     listen: str = "127.0.0.1:29536"
     """HOST:PORT for socketcand; port 0 takes a free one."""
-    slcan: int | None = None
-    """Port on which the first bus is also served as slcan, the others on the ports after it; 0 takes free ones."""
+    slcan: bool = False
+    """Whether each bus is also served as a serial adapter (slcan) on a pseudo-terminal."""
     buses: int = 1
     """Number of buses that the motors are on."""
     wiring: Path | None = None

@@ -95,8 +95,7 @@ class HeartbeatMonitor:
 def allows_second_socket(bus_url: str) -> bool:
     """Return whether a second process can open these buses: serial adapters and vendors' drivers do not allow it."""
     return all(
-        ":" not in word or word.startswith(("socketcand://", "slcan:socket://"))
-        for word in (word.strip() for word in bus_url.split(","))
+        ":" not in word or word.startswith("socketcand://") for word in (word.strip() for word in bus_url.split(","))
     )
 
 

@@ -67,7 +67,7 @@ def emulator() -> Iterator[Callable[..., Emulator]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "transport"), [(signal.SIGTERM, "socketcand"), (signal.SIGINT, "slcan")])
 def test_it_serves_motors_to_another_process_until_it_is_asked_to_stop(number, transport, emulator):
-    served = emulator("--slcan", "0", "--every", "0.2", "--fault", "motor_hot:FL_knee=90@+0")
+    served = emulator("--slcan", "--every", "0.2", "--fault", "motor_hot:FL_knee=90@+0")
     address = served.until(transport).split()[-1]
     link, codec = open_link(address), Codec()
     link.send(0, codec.encode(Enable(motor=1, host=0xFD)))

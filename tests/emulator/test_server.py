@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -23,19 +24,22 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def server(description) -> Iterator[EmulatorServer]:
-    made = EmulatorServer(EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True)), slcan=0)
+    made = EmulatorServer(EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True)), slcan=True)
     yield made
     made.close()
 
 
 class Client:
-    """A bare socket; each wait lets the server do a turn."""
+    """A bare socket or terminal; each wait lets the server do a turn."""
 
     def __init__(self, server: EmulatorServer, kind: str) -> None:
         address = next(a for a in server.addresses if a.startswith(kind))
-        port = int(address.rsplit(":", 1)[1].split("/")[0])
-        self.sock = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
-        self.sock.setblocking(False)
+        if kind == "slcan":
+            self.file = os.open(address.partition(":")[2], os.O_RDWR | os.O_NOCTTY)
+        else:
+            port = int(address.rsplit(":", 1)[1].split("/")[0])
+            self.file = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE).detach()
+        os.set_blocking(self.file, False)
         self.server, self.text = server, b""
 
     def until(self, wanted: Callable[[bytes], bool]) -> bytes:
@@ -43,30 +47,36 @@ class Client:
         while not wanted(self.text) and time.monotonic() < end:
             self.server.turn()
             try:
-                self.text += self.sock.recv(65536)
+                self.text += os.read(self.file, 65536)
             except BlockingIOError:
                 continue
         assert wanted(self.text), self.text[-200:]
         return self.text
 
+    def send(self, data: bytes) -> None:
+        assert os.write(self.file, data) == len(data)
+
+    def close(self) -> None:
+        os.close(self.file)
+
 
 def opened(server: EmulatorServer) -> Client:
     client = Client(server, "socketcand")
     client.until(lambda text: b"< hi >" in text)
-    client.sock.sendall(b"< open can0 >< rawmode >")
+    client.send(b"< open can0 >< rawmode >")
     client.until(lambda text: text.count(b"< ok >") == 2)
     return client
 
 
 def test_a_client_of_socketcand_hears_motors_and_imu(server):
     client = opened(server)
-    client.sock.sendall(b"< send 0300FD01 8 0 0 0 0 0 0 0 0 >")
+    client.send(b"< send 0300FD01 8 0 0 0 0 0 0 0 0 >")
     client.until(lambda text: b"< frame 028001FD" in text and b"< frame 021" in text)
 
 
 def test_a_client_of_slcan_hears_motors_and_imu(server):
     client = Client(server, "slcan")
-    client.sock.sendall(b"C\rS8\r\rO\rT0300FD0180000000000000000\r")
+    client.send(b"C\rS8\r\rO\rT0300FD0180000000000000000\r")
     client.until(lambda text: b"T028001FD8" in text and b"t0218" in text)
 
 
@@ -79,7 +89,7 @@ def test_after_it_said_ok_the_server_is_quiet_for_a_moment(server):
 def test_a_client_that_leaves_is_forgotten(server):
     client = opened(server)
     assert server.status().clients == 1
-    client.sock.close()
+    client.close()
     end = time.monotonic() + PATIENCE
     while server.status().clients and time.monotonic() < end:
         server.turn()
@@ -88,9 +98,9 @@ def test_a_client_that_leaves_is_forgotten(server):
 
 def test_a_client_that_closes_the_channel_hears_no_more(server):
     client = Client(server, "slcan")
-    client.sock.sendall(b"O\r")
+    client.send(b"O\r")
     client.until(lambda text: b"t0218" in text)
-    client.sock.sendall(b"C\r")
+    client.send(b"C\r")
     end = time.monotonic() + PATIENCE
     while server.status().clients and time.monotonic() < end:
         server.turn()
@@ -105,7 +115,7 @@ def test_an_unplugged_adapter_hangs_up(server):
     while not closed and time.monotonic() < end:
         server.turn()
         try:
-            closed = client.sock.recv(65536) == b""
+            closed = os.read(client.file, 65536) == b""
         except BlockingIOError:
             continue
         except ConnectionResetError:

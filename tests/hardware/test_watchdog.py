@@ -77,7 +77,6 @@ def test_it_acts_when_it_is_asked_to():
         ("can0", True),
         ("can0,can1", True),
         ("socketcand://127.0.0.1:1/can0", True),
-        ("slcan:socket://127.0.0.1:1", True),
         ("slcan:/dev/ttyACM0", False),
         ("can0,slcan:/dev/ttyACM0", False),
         ("pcan:PCAN_USBBUS1", False),

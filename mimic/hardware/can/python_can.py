@@ -2,20 +2,21 @@
 
     can0                            SocketCAN, the kernel's interfaces
     can0,can1                       several buses, in this order
-    slcan:/dev/ttyACM0              serial adapter; slcan:socket://127.0.0.1:PORT over TCP
+    slcan:/dev/ttyACM0              serial adapter
     socketcand://127.0.0.1:PORT/can0
     virtual:NAME                    inside one process
     pcan:PCAN_USBBUS1               any other interface of python-can and its channel
 
-Works around four limits of python-can 4.6.1: small TCP segments go out at once (otherwise slcan over TCP takes 44 ms
-for twelve commands); a socketcand server that died is an error; a server that never answers is given up; a closed port
-is reported at once instead of after ten seconds.
+Works around four limits of python-can 4.6.1: a socketcand server that died is an error; a server that never answers is
+given up; a closed port is reported at once instead of after ten seconds; slcan reads byte by byte, and waits until each
+frame has left.
 """
 
 from __future__ import annotations
 
 import errno
 import logging
+import math
 import re
 import select
 import socket
@@ -27,6 +28,8 @@ from urllib.parse import urlsplit
 
 import can
 import serial
+from can.exceptions import error_check
+from can.interfaces.slcan import slcanBus
 
 from mimic.errors import BusError, ConfigError, FrameError, MimicError
 from mimic.hardware.can.faults import explain, first_line
@@ -39,9 +42,6 @@ ANSWER_WITHIN = 2.0
 SEND_WITHIN = 0.01
 """An adapter that does not take a frame within this has failed [s]."""
 
-_LINE_WITHIN = 0.002
-"""A line of slcan whose beginning is there is complete within this [s]."""
-
 SHAKE_FOR = 5.0
 """How long handshakes of socketcand are tried [s]: on a busy bus a frame can come right after an answer, which
 python-can refuses. On a loaded computer three of three tries failed."""
@@ -53,10 +53,36 @@ ten frames unless told otherwise, and twelve commands come at once."""
 _SLICE = 0.0005
 """How long to wait at a time on a bus that cannot be waited for [s]."""
 
+_LINE = re.compile(rb"[^\r\a]*[\r\a]")
+"""A line of slcan with its end, which says whether it is an error."""
+
 _CAN_ERR_BUSOFF = 0x40
 """Class of an error frame. Source: Linux include/uapi/linux/can/error.h."""
 
-FORMS = "can0; slcan:/dev/ttyACM0; slcan:socket://HOST:PORT; socketcand://HOST:PORT/can0; several with commas"
+FORMS = "can0; slcan:/dev/ttyACM0; socketcand://HOST:PORT/can0; several with commas"
+
+
+class _Slcan(slcanBus):
+    """Reads all that is there at once: python-can takes 1 ms for a dozen frames of a motor, byte by byte."""
+
+    def _read(self, timeout: float | None) -> str | None:
+        until = math.inf if timeout is None else time.monotonic() + timeout
+        with error_check("Could not read from serial device"):
+            while (line := _LINE.match(self._buffer)) is None:
+                data = self.serialPortOrig.read(max(1, self.serialPortOrig.in_waiting))
+                self._buffer += data
+                left = until - time.monotonic()
+                if not data and left <= 0:
+                    return None
+                if not data:
+                    select.select([self.serialPortOrig.fileno()], [], [], None if left == math.inf else left)
+        text = line[0].decode()
+        del self._buffer[: len(text)]
+        return text
+
+    def _write(self, string: str) -> None:
+        with error_check("Could not write to serial device"):
+            self.serialPortOrig.write(string.encode() + self.LINE_TERMINATOR)
 
 
 class _Port:
@@ -97,7 +123,7 @@ class _Port:
             try:
                 if self._ready and self.file is not None and not _readable(self.file):
                     return None
-                message = self._bus.recv(_LINE_WITHIN if self._ready else 0.0)
+                message = self._bus.recv(0.0)
                 if message is None:
                     self._check()
                     return None
@@ -135,7 +161,7 @@ class _Port:
         except Exception:  # drivers raise classes of their own
             logging.getLogger(__name__).debug("%s did not close well", self.name, exc_info=True)
         if self._sock is not None:
-            self._sock.close()  # pyserial leaves it open when the other side is gone
+            self._sock.close()  # python-can leaves it open when the other side is gone
 
 
 class CanLink:
@@ -238,7 +264,9 @@ def _open(name: str, bitrate: int) -> _Port:
         if scheme == "socketcand":
             return _socketcand(name)
         if scheme == "slcan" and rest:
-            return _slcan(name, rest, bitrate)
+            if "://" in rest:
+                raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
+            return _Port(name, _Slcan(rest, bitrate=bitrate, timeout=0), None, ready=False)
         if scheme in can.VALID_INTERFACES and rest and not rest.startswith("//"):
             bus = can.Bus(interface=scheme, channel=rest, bitrate=bitrate, ignore_config=True)
             return _Port(name, bus, None, ready=False)
@@ -285,21 +313,6 @@ def _socketcand(name: str) -> _Port:
                 if time.monotonic() > end:
                     problem = "frames of the bus come between the answers of its server"
                     raise BusError(f"{name} cannot be opened: {problem}; is this computer busy?") from None
-
-
-def _slcan(name: str, channel: str, bitrate: int) -> _Port:
-    options: dict[str, Any] = {"bitrate": bitrate, "ignore_config": True, "timeout": 0}
-    if "://" in channel:
-        if not channel.startswith("socket://"):
-            raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
-        _knock(name, *_address(channel))
-        options["sleep_after_open"] = 0  # a board that resets when its port is opened has a serial port
-    bus = can.Bus(interface="slcan", channel=channel, **options)
-    sock = getattr(getattr(bus, "serialPortOrig", None), "_socket", None)
-    if not isinstance(sock, socket.socket):
-        return _Port(name, bus, None, ready=True)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return _Port(name, bus, sock, ready=True)
 
 
 def _address(name: str) -> tuple[str, int]:
