@@ -137,12 +137,12 @@ def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[st
     figures = target_rows(None if motion is None else motion.targets) | (rows or {}) | metric_rows(dict(saved.metrics))
     figures |= {"run folder": str(saved.folder)} | ({"film": str(saved.film)} if saved.film else {})
     table(title, figures)
-    if result.fell_at is not None:
-        warn(f"the robot was about to fall at {result.fell_at:.1f} s and was damped")
     if result.error is not None:
         raise result.error
+    if saved.run.shortfall is not None:
+        warn(f"stopped: {saved.run.shortfall}")
     open_scene(saved.folder, view)
-    return STOPPED if result.fell_at is not None or result.interrupted else DONE
+    return STOPPED if saved.run.shortfall is not None or result.interrupted else DONE
 
 
 def open_scene(folder: Path, view: bool | None) -> None:
@@ -178,7 +178,7 @@ def _play_camera(
     status = show_simulated(done.saved, f"camera {camera}", False, {"frame to target": done.record.summary()})
     if done.record.error is not None:
         raise done.record.error
-    return DONE if done.saved.run.result.fell_at is None else status
+    return DONE if done.saved.run.shortfall is None else status
 
 
 def demo(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -106,11 +107,13 @@ def _report_end(done: RobotRun) -> int:
         file = done.saved.folder / ERROR
         warn(f"stopped by a bug: {done.bug}; the traceback is in {file}; {done.ending}")
         return BUG
-    if done.finished or done.decisive is None:
+    if done.finished:
         note(f"done         {done.ending}")
         return DONE
     events = [done.decisive, *(event for event in done.worse if event is not done.decisive)]
-    warn(f"stopped: {'; then '.join(event.text for event in events)}; {done.ending}")
+    texts = [event.text for event in events if event is not None and event.rule != "finished"]
+    stood = [] if done.shortfall is None or math.isfinite(done.saved.metrics["stand_up_s"]) else ["it never stood up"]
+    warn("stopped: " + "; ".join(part for part in ("; then ".join(texts), *stood, done.ending) if part))
     return STOPPED
 
 

@@ -257,6 +257,8 @@ def _play(job: Job) -> dict[str, Any]:
         metrics = done.metrics
         report = {} if motion.targets is None else dict(motion.targets.report)
         row = _row(job, report, metrics, silent.warnings)
+        if done.shortfall is not None:
+            row |= {"status": "fell", "notes": "; ".join([done.shortfall, *silent.warnings])}
         row |= {"length_s": float(motion.commands.t[-1]), "seconds": time.perf_counter() - begin}
         store.save_json({**metrics, "retarget": report, "row": row, "provenance": made_by}, part / METRICS)
         if folder.exists():
@@ -276,7 +278,7 @@ def _row(job: Job, report: Mapping[str, Any], metrics: Mapping[str, Any], warnin
         **dict.fromkeys(ROW),
         **values,
         "file": job.name,
-        "status": "fell" if metrics["falls"] else "done",
+        "status": "done",
         "rows_with_person": seen,
         "wanted_to_reached_cm": (metrics.get("wanted_to_reached_cm") or {}).get("apart"),
         "toe_error_cm": metrics["toe_error_cm"]["mean"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, fields, replace
@@ -71,6 +72,18 @@ class Run:
         if targets is not None:
             figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
         return figures
+
+    @property
+    def shortfall(self) -> str | None:
+        """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
+        from mimic.control.supervisor import SafetyMode
+
+        ends = ("finished", "at_rest")
+        damped = next((e for e in self.events if e.mode >= SafetyMode.DAMP and e.rule not in ends), None)
+        parts = [] if math.isfinite(self.metrics["stand_up_s"]) else ["the robot never stood up"]
+        if damped is not None:
+            parts.append(f"the robot was damped at {damped.t:.1f} s: {damped.text}")
+        return "; ".join(parts) or None
 
     def save(self, folder: str | Path, reporter: Reporter | None = None) -> SavedRun:
         """Write the run folder: logs, motion, metrics.json and the Rerun scene.

@@ -55,6 +55,8 @@ class RobotRun:
     camera: CameraRecord | None
     endless: bool
     """Whether it was meant to go on until Ctrl-C."""
+    shortfall: str | None
+    """What the robot did not do, as a sentence without its full stop; None also for a dry run."""
 
     @property
     def decisive(self) -> Event | None:
@@ -63,9 +65,10 @@ class RobotRun:
 
     @property
     def finished(self) -> bool:
-        """Whether it ended as it should: by itself, or by Ctrl-C where it was endless."""
+        """Whether it stood and ended as it should: by itself, or by Ctrl-C where it was endless."""
         rule = "finished" if self.decisive is None else self.decisive.rule
-        return rule == "finished" or (self.endless and rule == "interrupt" and not self.worse)
+        ended = rule == "finished" or (self.endless and rule == "interrupt" and not self.worse)
+        return ended and self.shortfall is None
 
     @property
     def worse(self) -> list[Event]:
@@ -210,6 +213,7 @@ def play_on_robot(
         expected_load=load[1],
         camera=record,
         endless=source is None,
+        shortfall=None if bus.dry_run else saved.run.shortfall,
     )
     if ended.bug is not None:
         text = "".join(traceback.format_exception(ended.bug))

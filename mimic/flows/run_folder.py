@@ -117,7 +117,8 @@ def save_run(
     metrics = run.metrics
     report = {} if motion is None or motion.targets is None else motion.targets.report
     events = [store.plain(event) for event in result.events]
-    everything = {**metrics, "interrupted": result.interrupted, "retarget": report, "provenance": made_by}
+    ending = {"shortfall": run.shortfall, "interrupted": result.interrupted}
+    everything = {**metrics, **ending, "retarget": report, "provenance": made_by}
     store.save_json({**everything, **(more or {}), "events": events}, folder / METRICS)
     shown: dict[str, Any] = {"made_by": made_by, "log": run.complete_log, "description": run.description}
     if motion is not None:

@@ -388,7 +388,7 @@ def test_a_run_that_falls_is_stopped_for_safety_and_kept(here, targets, constant
     policy = constant_onnx(here / "useless.onnx")
     status = main([str(targets), "--sim", "--no-view", "-o", "out", "--policy", str(policy)])
     assert status == 3
-    assert "about to fall" in capsys.readouterr().out
+    assert "stopped: the robot" in capsys.readouterr().out
     metrics = json.loads((here / "out" / "metrics.json").read_text())
     assert metrics["falls"] == 1
     assert (here / "out" / "log.parquet").is_file()

@@ -63,7 +63,7 @@ def html_batch(rows: Sequence[Mapping[str, Any]], *, command: str, version: str,
 
 def _worst_first(row: Mapping[str, Any]) -> tuple[bool, float]:
     error = row["toe_error_cm"]
-    return not row["falls"], -(error if error is not None else 0.0)
+    return row["status"] != "fell", -(error if error is not None else 0.0)
 
 
 def _tiles(played: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], unplayed: int) -> str:
@@ -73,7 +73,7 @@ def _tiles(played: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, An
 
     tiles = [(str(len(played)), "played"), (str(len(failed)), "failed")]
     tiles += [(str(unplayed), "not processed")] if unplayed else []
-    tiles.append((str(sum(row["falls"] or 0 for row in played)), "falls"))
+    tiles.append((str(sum(row["status"] == "fell" for row in played)), "falls"))
     for name, text, what in (
         ("toe_error_cm", "{:.1f} cm", "toe error, mean of the files"),
         ("clamped_share", "{:.1%}", "of the targets clamped"),
@@ -112,7 +112,7 @@ def _table(played: Sequence[Mapping[str, Any]]) -> str:
                 cell = f"<span class='bar'><i style='width:{share:.0%}'></i></span>{cell}"
             cells.append(f"<td class=n>{cell}</td>")
         name = f"<a href='{escape(row['folder'], quote=True)}'>{escape(row['file'])}</a>"
-        name += " <b class='bad'>fell</b>" if row["falls"] else ""
+        name += " <b class='bad'>fell</b>" if row["status"] == "fell" else ""
         lines.append(f"<tr{' class=noted' if row['notes'] else ''}><td>{name}</td>{''.join(cells)}</tr>")
         if row["notes"]:
             lines.append(f"<tr><td colspan={1 + len(_COLUMNS)}><small>{escape(row['notes'])}</small></td></tr>")
