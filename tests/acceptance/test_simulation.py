@@ -52,7 +52,8 @@ def test_a_folder_of_clips(shell):
 def test_a_robot_that_never_stands_is_said_in_a_sentence(shell):
     joints = ", ".join(f'"{leg}_knee"' for leg in ("FL", "FR", "RL", "RR"))
     (shell.folder / "weak.toml").write_text(
-        f'[[effect]]\nname = "torque_limit"\njoints = [{joints}]\nlimit = 0.5\n', encoding="utf-8"
+        f'[[effect]]\nname = "torque_speed"\njoints = [{joints}]\ntorque = 0.5\nflat = 11.52\nspeed = 31.0\n',
+        encoding="utf-8",
     )
     done = shell.mimic("--text", "wave", "--sim", "--effects", "weak.toml", "--out", "out")
     assert done.status == 3, done.said
