@@ -16,7 +16,7 @@ from mimic.io.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
 from mimic.records import SIDES, FloatArray
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
-from mimic.sources.text.parser import Action, parse
+from mimic.sources.text.meaning import Action, parse
 
 STEP_LENGTH, WALK_SPEED = 0.25, 0.25
 """Length of one step [m]; default walking speed [m/s]."""
