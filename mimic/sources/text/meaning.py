@@ -167,7 +167,7 @@ def parse(sentence: str) -> Groups:
     said = " ".join(re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])", " ", sentence.lower().replace("’", "'")).split())
     if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", said):
         raise SourceError(f"'{found.group().strip()}' is not a number of the phrasebook; write 45, 1.5 or three")
-    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", said)
+    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", said.replace("back and forth", "forward and back"))
     text = re.sub(r"\b(a|an|another) (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
     filler = grammar().get_terminal("FILLER").pattern.to_regexp()
     text = " ".join(re.sub(rf"(?<![\w'])(?:{filler})", " ", text).split())
@@ -192,7 +192,7 @@ def _misfit(error: UnexpectedInput, text: str, unknown: list[str]) -> str:
             "docs/manual/text.md has the phrasebook, or ask a language model with --planner llm"
         )
     token = getattr(error, "token", None)
-    if token is None or token.type == "$END":
+    if not token:
         return f"'{text}' ends too early; say what to do with one of {VERBS}"
     before = text[: token.start_pos].strip()
     where = f"behind '{before}'" if before else "at the beginning"
@@ -201,9 +201,9 @@ def _misfit(error: UnexpectedInput, text: str, unknown: list[str]) -> str:
 
 def vocabulary(kinds: set[str] | None = None) -> set[str]:
     """Return the words and phrases of some terminals, or of all."""
-    found = {t.name: t.pattern.to_regexp() for t in grammar().terminals if not t.name.startswith("__")}
-    text = " ".join(pattern for name, pattern in found.items() if kinds is None or name in kinds)
-    return {word.strip() for word in re.findall(r"(?<![\\\[(?])\b[a-z]{2,}[a-z ]*\b", text)}
+    text = " ".join(t.pattern.to_regexp() for t in grammar().terminals if kinds is None or t.name in kinds)
+    text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
+    return {word for word in re.findall(r"\b[a-z]{2,}\b", text)}
 
 
 # ---------------------------------------------------------------------- tree to actions
@@ -226,9 +226,9 @@ class _Reader:
         """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
         parts: list[Any] = []
         for part in tree.children:
-            units = part if part.data == "timed" else self._units(part)
+            units = self._units(part) if part.data == "joined" else part
             if parts and isinstance(units, list) and units[0][0].bare:
-                if units[0][0].amounts and len(parts[0]) + len(parts) > 2:
+                if units[0][0].amounts and (len(parts[0]) + len(parts) > 2 or self.before):
                     raise units[0][0].error("comes behind several actions; say it for each")
                 self._add(parts[-1][-1][-1], units[0][0])
                 parts[-1] += units[1:]
@@ -237,6 +237,8 @@ class _Reader:
         return [group for p in parts for group in (self._joined(p) if isinstance(p, list) else self._timed(p))]
 
     def _timed(self, tree: Any) -> Groups:
+        if tree.data == "later":
+            return self._later(tree)
         joint = next((child for child in tree.children if isinstance(child, Token)), None)
         kind = joint.type if joint else "WHILE"
         one, other = (self._joined(self._units(child)) for child in tree.children if isinstance(child, Tree))
@@ -247,6 +249,15 @@ class _Reader:
         if kind == "AFTER" and len(one) > 1 and joint is not tree.children[0]:
             raise SourceError("'after' comes behind more than one action; say them in their order, with 'then'")
         return [*other, *one] if (joint is tree.children[0]) == (kind == "BEFORE") else [*one, *other]
+
+    def _later(self, tree: Any) -> Groups:
+        """Return what comes "after 3 seconds": the robot waits for as long."""
+        amount, main = sorted((c for c in tree.children if isinstance(c, Tree)), key=lambda child: child.data != "amount")
+        wait = _Clause(self.text, verb="WAIT", word="after")
+        self._amount(wait, amount.children)
+        if self.before and self.before[1].verb in ("walk", "wave", "punch", "cycle", "stop", "wait") and not self.before[0].amounts:
+            raise wait.error("does not say how long the action before takes; say for how long, then what comes next")
+        return [[self._action(wait)], *self._joined(self._units(main))]
 
     def _units(self, tree: Any) -> list[list[_Clause]]:
         """Return the clauses of each unit."""
@@ -371,29 +382,40 @@ class _Reader:
         return groups
 
     def _unit(self, clauses: list[_Clause]) -> Groups:
-        """Return the groups of clauses with one verb: an amount behind the last one belongs to all of them."""
-        last = clauses[-1]
-        lacking = [clause for clause in clauses if last.last and last.last not in clause.amounts]
+        """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
+        first, last, name = clauses[0], clauses[-1], clauses[-1].last
+        in_turn = any("ALTERNATE" in clause.marks for clause in clauses) and len(clauses) > 1
+        lacking = [clause for clause in clauses if name and name not in clause.amounts]
+        rounds = 1
+        if in_turn and "times" in last.amounts and "EACH" not in last.marks:
+            raise last.error("can count single moves or pairs; say how many for each hand")
+        if len(lacking) == len(clauses) - 1 > 0 and name == "times" and "EACH" not in last.marks:
+            if first.verb in ("STEP", "WALK", "RETREAT", "TURN", "MOVE"):
+                rounds, lacking = int(last.amounts.pop("times")), []
         if lacking:
             if len(lacking) < len(clauses) - 1 or any(clause.amounts for clause in lacking):
-                raise last.error(f"says {last.last} for a part of what is joined; say it for each")
+                raise last.error(f"says {name} for a part of what is joined; say it for each")
             for clause in lacking:
                 clause.amounts, clause.stays = dict(last.amounts), last.stays
+        if len(clauses) > 1 and not any(clause.ways for clause in clauses[:-1]) and last.hands:
+            for clause in clauses:
+                clause.ways |= last.ways
         groups: Groups = []
         for clause in clauses:
-            new = self._repeated(clause, self._action(clause))
+            clause.marks -= {"ALTERNATE"} if in_turn else set()
+            new = self._repeated(clause, self._action(clause), several=len(clauses) > 1)
             for other in clause.along:
                 new = self._together(new, self._along(clause, other))
-            if groups and len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0]):
+            if groups and len(new) == 1 == len(new[0]) and not in_turn and _at_once(groups[-1], new[0][0]):
                 groups[-1] += new[0]
             else:
                 groups += new
-        if len(groups) > 1 and lacking and last.last == "seconds":
+        if len(groups) > 1 and lacking and name == "seconds" and "EACH" not in last.marks:
             raise last.error("has one time for two things one after the other; say it for each")
-        if len(groups) > 1 and lacking and last.last == "times" and "EACH" not in last.marks:
-            once = [[replace(a, amounts={**a.amounts, "times": 1.0}) for a in group] for group in groups]
-            return _apart(once * int(last.amounts["times"]), last.pause)
-        return _apart(groups, last.pause) if len(clauses) > 1 else groups
+        if len(groups) > 1 and lacking and name == "times" and "EACH" not in last.marks:
+            groups = [[replace(a, amounts={**a.amounts, "times": 1.0}) for a in group] for group in groups]
+            rounds = int(last.amounts["times"])
+        return _apart(groups * rounds, last.pause) if len(clauses) > 1 else groups
 
     def _along(self, clause: _Clause, other: _Clause) -> Groups:
         """Return what is said without a joint: "walk forward waving", "with both hands up"."""
@@ -405,15 +427,17 @@ class _Reader:
             raise SourceError(f"'{other.word}' follows '{clause.word}' without 'then', 'and' or 'while' between them")
         return [[self._action(other)]]
 
-    def _repeated(self, clause: _Clause, action: Action) -> Groups:
+    def _repeated(self, clause: _Clause, action: Action, *, several: bool) -> Groups:
         """Return an action hand by hand where it is said so, and with pauses in between."""
         marks, times = clause.marks, action.amounts.get("times")
         each = any(hand.startswith("each") for hand in clause.hands) and action.verb != "place"
         if not (marks & {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "RIGHT_AND_LEFT"} or each):
-            if "EACH" in marks and len(action.sides) == 1 and not clause.hands and action.verb in ("wave", "punch"):
-                raise clause.error("has 'each' and names one hand; say with both hands, or alternate")
-            if not clause.pause or times is None:
-                return [[action]] if not clause.pause else self._paused(clause, action)
+            if "EACH" in marks and len(action.sides) != 2 and not several:
+                raise clause.error("has 'each' for one thing; say it for each, with 'then'")
+            if not clause.pause or several:
+                return [[action]]
+            if times is None:
+                raise clause.error("has a pause between nothing; say what comes before and behind it")
             return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times), clause.pause)
         order = BOTH if "RIGHT_AND_LEFT" not in marks else BOTH[::-1]
         if action.verb in BASE or (clause.sides and "ALTERNATE" not in marks):
@@ -433,16 +457,12 @@ class _Reader:
         own = {} if action.verb == "place" else own
         return _apart([[replace(action, sides=(side,), amounts=own)] for side in turns], clause.pause)
 
-    def _paused(self, clause: _Clause, action: Action) -> Groups:
-        """A pause that the joined clauses share."""
-        return [[action]]
-
     def _together(self, groups: Groups, more: Groups) -> Groups:
         """Return groups with actions at the same time as the last group."""
         if not more:
             return groups
         if len(more) > 1:
-            raise SourceError(f"to {more[0][0].verb} and to {more[-1][0].verb} at the same time as one thing is not clear")
+            raise SourceError("two things one after the other, at the same time as another, are not clear; say them in order")
         group = list(groups[-1])
         for action in more[0]:
             for other in group:
@@ -502,6 +522,9 @@ class _Reader:
         if self.before is None:
             raise now.error(f"has no verb; begin with one of {VERBS}")
         said, action = self.before
+        if action.verb == "place" and now.ways and not (now.hands or now.sides or said.amounts):
+            now.verb, now.word, now.hands = "PLACE", "move", ["them"]
+            return
         sided = bool(now.sides or now.hands)
         fits = (
             (not action.moves_base and sided and not now.ways)
@@ -586,7 +609,7 @@ class _Reader:
             return (first,)
         if plural:
             return BOTH
-        return self.hands if first != "one" and now.verb in ("LOWER", "PLACE") and self.hands else ("right",)
+        return self.hands if first not in ("one", "either", "any") and now.verb in ("LOWER", "PLACE") and self.hands else ("right",)
 
     def _posture(self, now: _Clause) -> str:
         """Return the posture that a verb and its directions mean."""
