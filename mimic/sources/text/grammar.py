@@ -125,7 +125,8 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     for side in action.sides:
         own = slice(0, 3) if side == "left" else slice(3, 6)
         way = [(duration * factor, posture(name, reach)[own]) for name, duration in names]
-        timeline.hands[side] = [*way, *([(said["seconds"], way[-1][1])] if holds else [])]
+        there = holds and np.allclose(way[-1][1], hands[side])
+        timeline.hands[side] = [*([] if there else way), *([(said["seconds"], way[-1][1])] if holds else [])]
     who = "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
     if action.verb == "place":
         text = f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}"

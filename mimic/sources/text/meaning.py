@@ -102,6 +102,8 @@ class _Clause:
     text: str
     verb: str = ""
     word: str = ""
+    said: bool = False
+    """Whether it has a verb of its own."""
     hands: list[str] = field(default_factory=list)
     sides: list[str] = field(default_factory=list)
     ways: set[str] = field(default_factory=set)
@@ -145,7 +147,7 @@ class _Kept:
 
 
 def _to_word_end(terminal: Any) -> None:
-    if terminal.name not in ("WS", "_COMMA", "_NEXT", "_THEN", "UNKNOWN"):
+    if terminal.name not in ("WS", "_COMMA", "COMMA_AND", "_NEXT", "_THEN", "UNKNOWN"):
         terminal.pattern = PatternRE(f"(?:{terminal.pattern.to_regexp()})(?![\\w'])")
 
 
@@ -225,7 +227,7 @@ class _Reader:
     def _block(self, tree: Any) -> Groups:
         """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
         parts: list[Any] = []
-        for part in tree.children:
+        for part in (child for child in tree.children if isinstance(child, Tree)):
             units = self._units(part) if part.data == "joined" else part
             if parts and isinstance(units, list) and units[0][0].bare:
                 if units[0][0].amounts and (len(parts[0]) + len(parts) > 2 or self.before):
@@ -234,7 +236,14 @@ class _Reader:
                 parts[-1] += units[1:]
             else:
                 parts.append(units)
-        return [group for p in parts for group in (self._joined(p) if isinstance(p, list) else self._timed(p))]
+        enumerated = any(isinstance(child, Token) for child in tree.children)
+        groups: Groups = []
+        for part in parts:
+            new = self._joined(part) if isinstance(part, list) else self._timed(part)
+            if groups and isinstance(part, list) and (enumerated or not part[0][0].said):
+                self._scope(groups[-1], part[0][-1], at_once=False)
+            groups += new
+        return groups
 
     def _timed(self, tree: Any) -> Groups:
         if tree.data == "later":
@@ -298,7 +307,7 @@ class _Reader:
     def _word(self, now: _Clause, token: Token, *, verb: bool = False) -> None:
         kind = token.type
         if verb or (not now.verb and kind in _VERB_KINDS):
-            now.verb, now.word = kind, str(token)
+            now.verb, now.word, now.said = kind, str(token), True
         elif kind == "HAND":
             now.hands.append(str(token).removesuffix(" there"))
         elif kind in ("LEFT", "RIGHT"):
@@ -364,22 +373,24 @@ class _Reader:
                 continue
             at_once = len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0])
             at_once = at_once or "TOGETHER" in last.marks
-            free = [a for a in groups[-1] if not a.amounts and a.verb in ENDLESS.get(last.last, ())]
-            if last.last == "seconds" and not last.stays:
-                free = [a for a in groups[-1] if "seconds" not in a.amounts]
-            if free and not (at_once and last.last == "seconds"):
-                raise SourceError(
-                    f"{last.amounts[last.last]:g} {last.last} behind 'and' can belong to {free[0].verb} too; say it "
-                    "for each, or join them with 'then'"
-                )
-            for action in free:
-                at = groups[-1].index(action)
-                own = {"seconds": last.amounts["seconds"]}
-                groups[-1][at] = replace(action, amounts=own, stays=last.stays)
+            self._scope(groups[-1], last, at_once)
             groups = self._together(groups, new) if at_once else [*groups, *new]
         if len(units) == 1 and "TOGETHER" in units[0][-1].marks and (len(groups) > 1 or not _two(groups[0])):
             raise SourceError("'at the same time' needs two actions joined by 'and'")
         return groups
+
+    def _scope(self, group: list[Action], last: _Clause, at_once: bool) -> None:
+        """Give an amount behind two joined actions to both, where they are at once; refuse it where it could be either's."""
+        name = last.last
+        free = [a for a in group if not a.amounts and a.verb in ENDLESS.get(name, ())]
+        if name == "seconds" and not last.stays:
+            free = [a for a in group if name not in a.amounts]
+        if free and not (at_once and name == "seconds"):
+            raise SourceError(
+                f"{last.amounts[name]:g} {name} in '{last.text}' can belong to {free[0].verb} before it, too; say it for each"
+            )
+        for action in free:
+            group[group.index(action)] = replace(action, amounts={name: last.amounts[name]}, stays=last.stays)
 
     def _unit(self, clauses: list[_Clause]) -> Groups:
         """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
@@ -475,6 +486,9 @@ class _Reader:
                         f"the {action.sides[0]} hand cannot {other.verb} and {action.verb} at the same time"
                     )
             group.append(action)
+        for time in [a.amounts for a in group if a.verb in ("walk", "wait", "stop") and "seconds" in a.amounts]:
+            free = [a for a in group if not a.moves_base and not a.amounts and a.verb != "place"]
+            group = [replace(a, amounts={"seconds": time["seconds"]}) if a in free else a for a in group]
         return [*groups[:-1], group]
 
     # ------------------------------------------------------------------ one action
