@@ -368,15 +368,16 @@ class _Reader:
         groups: Groups = []
         for unit in units:
             new, last = self._unit(unit), unit[-1]
+            together = any("TOGETHER" in clause.marks for clause in unit)
             if not groups:
+                if together and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3):
+                    raise SourceError("'at the same time' needs two actions joined by 'and'")
                 groups = new
                 continue
             at_once = len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0])
-            at_once = at_once or "TOGETHER" in last.marks
+            at_once = at_once or together
             self._scope(groups[-1], last, at_once)
             groups = self._together(groups, new) if at_once else [*groups, *new]
-        if len(units) == 1 and "TOGETHER" in units[0][-1].marks and (len(groups) > 1 or not _two(groups[0])):
-            raise SourceError("'at the same time' needs two actions joined by 'and'")
         return groups
 
     def _scope(self, group: list[Action], last: _Clause, at_once: bool) -> None:
@@ -536,12 +537,17 @@ class _Reader:
         if self.before is None:
             raise now.error(f"has no verb; begin with one of {VERBS}")
         said, action = self.before
-        if action.verb == "place" and now.ways and not (now.hands or now.sides or said.amounts):
+        if action.verb == "place" and now.ways and not (now.hands or now.sides):
             now.verb, now.word, now.hands = "PLACE", "move", ["them"]
             return
         sided = bool(now.sides or now.hands)
+        count = next((float(mark[5:]) for mark in now.marks if mark.startswith("BARE")), 0.0)
+        if count and "times" in said.amounts:
+            now.marks.discard(f"BARE {count:g}")
+            now.amount("times", count)
         fits = (
-            (not action.moves_base and sided and not now.ways)
+            (count > 0 and "times" in now.amounts and action.verb == "step" and not sided)
+            or             (not action.moves_base and sided and not now.ways)
             or (action.verb == "turn" and bool(now.sides) and not now.hands and not now.ways)
             or (action.verb in ("walk", "step") and bool(now.ways) and not sided)
         )
@@ -552,7 +558,7 @@ class _Reader:
         if action.verb == "wave" and not (said.hands or now.hands):
             raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
         now.verb, now.word = said.verb, said.word
-        now.ways = now.ways or (set(said.ways) if not action.moves_base else set())
+        now.ways = now.ways or (set(said.ways) if not action.moves_base or count else set())
 
     def _base(self, now: _Clause, verb: str) -> Action:
         if now.hands:
@@ -604,7 +610,7 @@ class _Reader:
         if now.sides:
             return (now.sides[0],)
         if not now.hands:
-            if now.verb in ("WAVE", "PUNCH"):
+            if now.verb in ("WAVE", "PUNCH") and self.hands in ((), ("right",)):
                 return ("right",)
             raise now.error("does not say which hand; say left hand, right hand or both hands")
         (hand,) = now.hands
@@ -645,11 +651,6 @@ def _at_once(group: list[Action], action: Action) -> bool:
         base = other if other.moves_base else action
         return base.verb == "walk" and not base.amounts
     return not other.moves_base and not set(other.sides) & set(action.sides)
-
-
-def _two(group: list[Action]) -> bool:
-    """Return whether a group has two hands or actions."""
-    return len(group) > 1 or len(group[0].sides) > 1
 
 
 def _apart(groups: Groups, pause: float) -> Groups:
