@@ -1,6 +1,6 @@
 """A sentence -> groups of actions: groups one after the other, the actions of a group at the same time.
 
-`sentence.lark` has the words and how they go together; here each rule gets its meaning. Every word is used or the
+`sentence.lark` has the words and how they go together; here its rules get their meaning. Every word is used or the
 sentence is refused: an amount, side or direction that its verb does not take is an error.
 """
 
@@ -23,29 +23,25 @@ UNITS = {
     "SECONDS": ("seconds", 1.0), "MINUTES": ("seconds", 60.0), "TIMES": ("times", 1.0), "DEGREES": ("degrees", 1.0),
     "RADIANS": ("degrees", 57.29577951), "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01),
     "FEET": ("metres", 0.3048), "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0),
-    "CENTIMETRES_PER_SECOND": ("m/s", 0.01),
+    "CENTIMETRES_PER_SECOND": ("m/s", 0.01), "HALF_TURN": ("degrees", 180.0), "QUARTER_TURN": ("degrees", 90.0),
+    "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
-TURNS = {"HALF_TURN": 180.0, "QUARTER_TURN": 90.0, "FULL_TURN": 360.0}
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
 NUMBERS = {word: float(n) for n, word in enumerate(f"{_SMALL} seventeen eighteen nineteen".split())}
 NUMBERS |= {w: 10.0 * n for n, w in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), 2)}
-NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0}
-_WAYS = {
-    "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OPEN": "side",
-    "OUT": "out", "UP_AND_DOWN": "up and down", "AROUND": "around",
+NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0}
+WAYS = {
+    "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out",
+    "OPEN": "side", "UP_AND_DOWN": "up and down", "AROUND": "around",
 }  # fmt: skip
-_VERB_KINDS = {"STEP", "WALK", "RETREAT", "MOVE", "STOP", "WAIT", "HOLD", "TURN", "TURN_AROUND", "WAVE", "PUNCH", "CYCLE"}
-_VERB_KINDS |= {"RAISE", "LOWER", "OPEN", "PLACE", "EXTEND", "STRETCH"}
 _OUT = {"out": "open", "side": "open"}
 _EACH_WAY = {"up": "up", "down": "down", "forward": "forward", **_OUT}
-_HIGH = dict.fromkeys(("up", "out up", "side up"), "high and open")
 POSTURES = {
-    "raise": {"": "up", "up": "up", "forward": "forward", **_OUT},
-    "lower": {"": "down", "down": "down"},
-    "open": {"": "open", **_OUT, **_HIGH},
-    "extend": {"": "forward", **_EACH_WAY},
-    "stretch": _EACH_WAY,
-    "place": _EACH_WAY,
+    "RAISE": {"": "up", "up": "up", "forward": "forward", **_OUT},
+    "LOWER": {"": "down", "down": "down"},
+    "OPEN": {"": "open", **_OUT, **dict.fromkeys(("up", "out up", "side up"), "high and open")},
+    "EXTEND": {"": "forward", **_EACH_WAY},
+    **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
 """For each verb the posture that a direction means."""
 TAKES = {
@@ -56,25 +52,25 @@ TAKES = {
     **dict.fromkeys(("wave", "punch", "cycle"), ("times", "seconds")),
 }
 """Amounts that a verb takes."""
+GESTURES = ("wave", "punch", "cycle")
 ENDLESS = {
-    "times": ("step", "wave", "punch", "cycle"),
-    "seconds": ("walk", "wave", "punch", "cycle"),
-    "metres": ("walk", "step"),
-    "degrees": ("turn",),
-}
-"""Verbs without an amount of their own that an amount behind the next verb can belong to as well."""
+    "times": ("step", *GESTURES), "seconds": ("walk", *GESTURES), "metres": ("walk", "step"), "degrees": ("turn",),
+}  # fmt: skip
+"""Verbs without an amount of their own that could take the amount behind the next verb, too."""
 BASE = ("step", "walk", "turn", "stop", "wait")
 """Verbs of the base; all others move hands."""
-OPPOSITE = {"left": "right", "right": "left"}
+IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
+MOVES = ("STEP", "WALK", "RETREAT", "MOVE", "TURN")
 BOTH = ("left", "right")
-VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, hold, point, stretch"
+OPPOSITE = {"left": "right", "right": "left"}
+VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, move, hold, point or stretch"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)
 class Action:
-    """One thing to do."""
+    """One thing to do, and what was said of it."""
 
-    verb: str
+    verb: str = ""
     """step, walk, turn, stop, wait, wave, punch, cycle (up and down) or place (bring hands to a posture)."""
     sides: tuple[str, ...] = ()
     """Hands that move, or the side to turn to."""
@@ -85,54 +81,54 @@ class Action:
     stays: bool = True
     """Whether the seconds are how long a posture is held, not how long the movement takes."""
     speed: float = 1.0
+    text: str = ""
+    kind: str = ""
+    """Terminal of its verb, if it has one."""
+    word: str = ""
+    words: dict[str, list[str]] = field(default_factory=dict)
+    """For each other terminal its words."""
+    ways: set[str] = field(default_factory=set)
+    last: str = ""
+    """The amount with which it ends."""
+    pause: float = 0.0
+    """Pause between its parts [s]."""
+    along: list[Action] = field(default_factory=list)
 
     @property
     def moves_base(self) -> bool:
         """Whether it moves the base or lets it stand, not the hands."""
         return self.verb in BASE
 
-
-Groups = list[list[Action]]
-
-
-@dataclass(slots=True)
-class _Clause:
-    """The words of one action."""
-
-    text: str
-    verb: str = ""
-    word: str = ""
-    said: bool = False
-    """Whether it has a verb of its own."""
-    hands: list[str] = field(default_factory=list)
-    sides: list[str] = field(default_factory=list)
-    ways: set[str] = field(default_factory=set)
-    amounts: dict[str, float] = field(default_factory=dict)
-    last: str = ""
-    """The amount with which it ends."""
-    stays: bool = True
-    pace: float | None = None
-    pause: float = 0.0
-    marks: set[str] = field(default_factory=set)
-    along: list[_Clause] = field(default_factory=list)
-
     @property
     def bare(self) -> bool:
         """Whether it only adds an amount or a pace to the action before."""
-        return not (self.verb or self.hands or self.sides or self.ways or self.marks & {"GREETING", "AGAIN", "BARE"})
+        return not (self.kind or self.ways or "bare" in self.amounts) and not (
+            self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
+        )
 
     def error(self, message: str) -> SourceError:
+        """Return an error about it."""
         return SourceError(f"'{self.text}' {message}")
 
     def amount(self, name: str, value: float) -> None:
+        """Note an amount; there is one of each kind."""
         if name in self.amounts:
             raise self.error(f"has two amounts in {name}: {self.amounts[name]:g} and {value:g}; say one")
-        if not value > 0:
-            raise self.error(f"has {value:g} {name}; expected more than 0")
-        if name == "times" and value != int(value):
-            raise self.error(f"has {value:g} times, which is not a count; expected 1, 2, 3, …")
+        if value <= 0 or (name == "times" and value != int(value)):
+            raise self.error(f"has {value:g} {name}; expected {'1, 2, 3, …' if name == 'times' else 'more than 0'}")
         self.amounts[name] = value
 
+    def add(self, other: Action) -> None:
+        """Add what is said behind a comma: "wave, slowly"."""
+        for name, value in other.amounts.items():
+            self.amount(name, value)
+        self.words = {
+            kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in {**self.words, **other.words}
+        }
+        self.pause, self.stays, self.last = other.pause or self.pause, self.stays and other.stays, other.last
+
+
+Groups = list[list[Action]]
 
 # ---------------------------------------------------------------------- sentence to tree
 
@@ -154,10 +150,16 @@ def _to_word_end(terminal: Any) -> None:
 @cache
 def grammar() -> Lark:
     """Return the grammar of `sentence.lark`."""
-    text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
-    return Lark(
-        text, lexer="basic", ambiguity="explicit", propagate_positions=True, postlex=_Kept(), edit_terminals=_to_word_end
-    )
+    text, kept = files(__package__).joinpath("sentence.lark").read_text("utf-8"), _Kept()
+    options: dict[str, Any] = {"ambiguity": "explicit", "propagate_positions": True, "edit_terminals": _to_word_end}
+    return Lark(text, lexer="basic", postlex=kept, **options)
+
+
+def vocabulary(kinds: set[str] | None = None) -> list[str]:
+    """Return the words of some terminals, or of all."""
+    text = " ".join(t.pattern.to_regexp() for t in grammar().terminals if kinds is None or t.name in kinds)
+    text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
+    return sorted(set(re.findall(r"\b[a-z]{2,}\b", text)))
 
 
 def parse(sentence: str) -> Groups:
@@ -166,46 +168,51 @@ def parse(sentence: str) -> Groups:
     Raises:
         SourceError: If a word is unknown, or anything said is not used by the action to which it belongs.
     """
-    said = " ".join(re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])", " ", sentence.lower().replace("’", "'")).split())
-    if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", said):
+    text = re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])|\s+", " ", sentence.lower().replace("’", "'"))
+    if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", text):
         raise SourceError(f"'{found.group().strip()}' is not a number of the phrasebook; write 45, 1.5 or three")
-    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", said.replace("back and forth", "forward and back"))
-    text = re.sub(r"\b(a|an|another) (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
-    filler = grammar().get_terminal("FILLER").pattern.to_regexp()
-    text = " ".join(re.sub(rf"(?<![\w'])(?:{filler})", " ", text).split())
+    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text.replace("back and forth", "forward and back"))
+    text = re.sub(r"\ban? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
+    text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
+    text = " ".join(text.split())
     if not re.search(r"\w", text):
-        raise SourceError(f"the sentence has no verb; say what to do with one of {VERBS}")
-    unknown = list(dict.fromkeys(str(token) for token in grammar().lex(text) if token.type == "UNKNOWN"))
+        raise SourceError(f"the sentence has no verb; say what to do with {VERBS}")
     try:
-        tree = grammar().parse(text)
+        tree: Any = grammar().parse(text)
     except UnexpectedInput as error:
-        raise SourceError(_misfit(error, text, unknown)) from None
-    return _Reader(text).sentence(tree)
+        raise SourceError(_misfit(error, text)) from None
+    if tree.data == "_ambig":
+        raise SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
+    reader = _Reader(text)
+    return [group for block in tree.children for group in reader.block(block)]
 
 
-def _misfit(error: UnexpectedInput, text: str, unknown: list[str]) -> str:
+def _misfit(error: UnexpectedInput, text: str) -> str:
     """Return what does not fit into a sentence; for an unknown word the nearest words of the kind expected there."""
+    unknown = list(dict.fromkeys(str(token) for token in grammar().lex(text) if token.type == "UNKNOWN"))
+    token = getattr(error, "token", None)
     if unknown:
-        expected = set(getattr(error, "expected", ())) if getattr(error, "token", "") == unknown[0] else set()
-        near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected)), n=3, cutoff=0.7)
+        expected = set(getattr(error, "expected", ())) if token == unknown[0] else set()
+        near = difflib.get_close_matches(unknown[0], vocabulary(expected), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
             f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}; "
             "docs/manual/text.md has the phrasebook, or ask a language model with --planner llm"
         )
-    token = getattr(error, "token", None)
     if not token:
-        return f"'{text}' ends too early; say what to do with one of {VERBS}"
+        return f"'{text}' ends too early; say it with a verb such as {VERBS}, and numbers with their unit"
     before = text[: token.start_pos].strip()
     where = f"behind '{before}'" if before else "at the beginning"
-    return f"'{token}' {where} is not something the phrasebook understands; say it as two parts, joined by 'then'"
+    return f"'{token.strip()}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
 
 
-def vocabulary(kinds: set[str] | None = None) -> set[str]:
-    """Return the words and phrases of some terminals, or of all."""
-    text = " ".join(t.pattern.to_regexp() for t in grammar().terminals if kinds is None or t.name in kinds)
-    text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
-    return {word for word in re.findall(r"\b[a-z]{2,}\b", text)}
+def number(text: str) -> float:
+    """Return the value of a number in digits or words."""
+    value = 0.0
+    for word in text.replace("and", " ").split():
+        value = 100.0 * (value or 1.0) if word == "hundred" else value + NUMBERS.get(word, 0.0)
+        value += float(word) if word[-1].isdigit() else 0.0
+    return value
 
 
 # ---------------------------------------------------------------------- tree to actions
@@ -217,454 +224,386 @@ class _Reader:
     def __init__(self, text: str) -> None:
         self.text = text
         self.hands: tuple[str, ...] = ()
-        self.before: tuple[_Clause, Action] | None = None
+        self.before: Action | None = None
 
-    def sentence(self, tree: Any) -> Groups:
-        if tree.data == "_ambig":
-            raise SourceError(f"'{self.text}' can mean two things; say it in shorter parts, joined by 'then'")
-        return [group for block in tree.children for group in self._block(block)]
-
-    def _block(self, tree: Any) -> Groups:
+    def block(self, tree: Any) -> Groups:
         """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
         parts: list[Any] = []
         for part in (child for child in tree.children if isinstance(child, Tree)):
-            units = self._units(part) if part.data == "joined" else part
-            if parts and isinstance(units, list) and units[0][0].bare:
-                if units[0][0].amounts and (len(parts[0]) + len(parts) > 2 or self.before):
-                    raise units[0][0].error("comes behind several actions; say it for each")
-                self._add(parts[-1][-1][-1], units[0][0])
-                parts[-1] += units[1:]
-            else:
+            units = part if part.data == "timed" else self._units(part)
+            if not parts or isinstance(units, Tree) or not units[0][0].bare:
                 parts.append(units)
+                continue
+            if units[0][0].amounts and (len(parts[0]) + len(parts) > 2 or self.before):
+                raise units[0][0].error("comes behind several actions; say it for each")
+            parts[-1][-1][-1].add(units[0][0])
+            parts[-1] += units[1:]
         enumerated = any(isinstance(child, Token) for child in tree.children)
         groups: Groups = []
         for part in parts:
-            new = self._joined(part) if isinstance(part, list) else self._timed(part)
-            if groups and isinstance(part, list) and (enumerated or not part[0][0].said):
+            if isinstance(part, Tree):
+                groups += self._timed(part)
+                continue
+            goes_on = enumerated or not part[0][0].kind
+            new = self._joined(part)
+            if groups and goes_on:
                 self._scope(groups[-1], part[0][-1], at_once=False)
             groups += new
         return groups
 
     def _timed(self, tree: Any) -> Groups:
-        if tree.data == "later":
-            return self._later(tree)
-        joint = next((child for child in tree.children if isinstance(child, Token)), None)
-        kind = joint.type if joint else "WHILE"
+        joint = next((child for child in tree.children if isinstance(child, Token)), Token("WHILE", ""))
+        leads = joint is tree.children[0]
         one, other = (self._joined(self._units(child)) for child in tree.children if isinstance(child, Tree))
-        if kind == "WHILE":
-            return self._together(one, other)
-        if kind == "BEFORE_AND_AFTER":
+        if joint.type == "WHILE":
+            return _together(one, other)
+        if joint.type == "BEFORE_AND_AFTER":
             return [*one, *other, *one]
-        if kind == "AFTER" and len(one) > 1 and joint is not tree.children[0]:
+        if joint.type == "AFTER" and len(one) > 1 and not leads:
             raise SourceError("'after' comes behind more than one action; say them in their order, with 'then'")
-        return [*other, *one] if (joint is tree.children[0]) == (kind == "BEFORE") else [*one, *other]
+        return [*other, *one] if leads == (joint.type == "BEFORE") else [*one, *other]
 
-    def _later(self, tree: Any) -> Groups:
-        """Return what comes "after 3 seconds": the robot waits for as long."""
-        amount, main = sorted((c for c in tree.children if isinstance(c, Tree)), key=lambda child: child.data != "amount")
-        wait = _Clause(self.text, verb="WAIT", word="after")
-        self._amount(wait, amount.children)
-        if self.before and self.before[1].verb in ("walk", "wave", "punch", "cycle", "stop", "wait") and not self.before[0].amounts:
-            raise wait.error("does not say how long the action before takes; say for how long, then what comes next")
-        return [[self._action(wait)], *self._joined(self._units(main))]
-
-    def _units(self, tree: Any) -> list[list[_Clause]]:
-        """Return the clauses of each unit."""
+    def _units(self, tree: Any) -> list[list[Action]]:
+        """Return the actions of each unit, as they are said."""
         if tree.data == "joined":
             return [unit for child in tree.children for unit in self._units(child)]
-        clauses: list[_Clause] = []
-        for child in [tree] if tree.data == "pose" else tree.children:
-            clause = self._clause(child)
-            if clauses and clause.bare:
-                self._add(clauses[-1], clause)
+        said: list[Action] = []
+        for child in [tree] if tree.data in ("pose", "delay") else tree.children:
+            now = self._said(child)
+            if said and now.bare:
+                said[-1].add(now)
             else:
-                clauses.append(clause)
-        return [clauses]
+                said.append(now)
+        return [said]
 
-    def _clause(self, tree: Any) -> _Clause:
+    def _said(self, tree: Any) -> Action:
         """Collect the words of one action."""
-        now = _Clause(self.text[tree.meta.start_pos : tree.meta.end_pos])
-        if tree.data == "pose":
-            now.verb, now.word = "PLACE", "with"
+        now = Action(text=self.text[tree.meta.start_pos : tree.meta.end_pos])
+        now.kind, now.word = {"pose": ("PLACE", "with"), "delay": ("WAIT", "after")}.get(tree.data, ("", ""))
         for child in tree.children:
             now.last = ""
             if isinstance(child, Token):
-                self._word(now, child)
+                if child.type == "BACK_UP" and not now.kind:
+                    now.kind, now.word = "RETREAT", str(child)
+                elif child.type == "BARE":
+                    now.amount("bare", number(child))
+                elif child.type in WAYS:
+                    now.ways.add(WAYS[child.type])
+                else:
+                    now.words.setdefault(child.type, []).append(str(child).removesuffix(" there"))
             elif child.data == "verb":
-                self._word(now, child.children[0], verb=True)
+                now.kind, now.word = child.children[0].type, str(child.children[0])
             elif child.data == "amount":
-                self._amount(now, child.children)
+                now.last = _amount(now, child.children)
             elif child.data == "between":
-                pause = _Clause(now.text)
-                self._amount(pause, next(c for c in child.children if isinstance(c, Tree)).children)
+                pause = Action(text=now.text)
+                _amount(pause, next(c for c in child.children if isinstance(c, Tree)).children)
                 now.pause = pause.amounts.get("seconds", 0.0)
             elif child.data == "counted":
-                self._counted(now, child.children)
+                _counted(now, child.children)
             else:
-                now.along.append(self._clause(child))
+                now.along.append(self._said(child))
         return now
-
-    def _word(self, now: _Clause, token: Token, *, verb: bool = False) -> None:
-        kind = token.type
-        if verb or (not now.verb and kind in _VERB_KINDS):
-            now.verb, now.word, now.said = kind, str(token), True
-        elif kind == "HAND":
-            now.hands.append(str(token).removesuffix(" there"))
-        elif kind in ("LEFT", "RIGHT"):
-            now.sides.append(kind.lower())
-        elif kind in PACES:
-            if now.pace is not None:
-                raise now.error("has two paces; say one")
-            now.pace = PACES[kind]
-        elif kind in _WAYS:
-            now.ways.add(_WAYS[kind])
-        elif kind == "BARE":
-            now.marks.add(f"BARE {number(token):g}")
-        else:
-            now.marks.add(kind if kind != "LEFT_AND_RIGHT" or token.startswith("left") else "RIGHT_AND_LEFT")
-
-    def _amount(self, now: _Clause, tokens: list[Any]) -> None:
-        kinds = {token.type: token for token in tokens}
-        now.stays = "IN" not in kinds
-        value = number(kinds["NUMBER"]) if "NUMBER" in kinds else 1.0 + "once twice thrice".split().index(kinds["ONCE"])
-        name, factor = next((UNITS[kind] for kind in kinds if kind in UNITS), ("times", 1.0))
-        now.amount(name, factor * (value + 0.5 * ("AND_HALF" in kinds)))
-        now.marks |= kinds.keys() & {"EACH"}
-        now.last = name
-
-    def _counted(self, now: _Clause, tokens: list[Any]) -> None:
-        """Add "two steps", "three left jabs" or "a half turn"."""
-        noun = tokens[-1]
-        if noun.type in TURNS:
-            now.verb, now.word = now.verb or "TURN", now.word or str(noun)
-            now.marks.add("ANGLE")
-            return now.amount("degrees", TURNS[noun.type])
-        if noun.type == "TURN":
-            raise now.error(f"counts turns; say how many degrees")
-        if now.verb == "RETREAT" and noun.type == "STEP":
-            now.ways.add("back")
-        if now.verb in ("", noun.type) or (noun.type == "STEP" and now.verb in ("WALK", "RETREAT", "MOVE", "BACK_UP")):
-            now.ways |= {"back"} if now.verb in ("RETREAT", "BACK_UP") else set()
-            now.verb, now.word = noun.type, str(noun)
-        else:
-            raise now.error(f"does not fit together: {now.word} and {tokens[0]} {noun}")
-        for token in tokens[1:-1]:
-            self._word(now, token)
-        now.amount("times", number(tokens[0]))
-
-    def _add(self, onto: _Clause, bare: _Clause) -> None:
-        for name, value in bare.amounts.items():
-            onto.amount(name, value)
-        if bare.pace is not None and onto.pace is not None:
-            raise onto.error("has two paces; say one")
-        onto.pace, onto.pause = bare.pace or onto.pace, bare.pause or onto.pause
-        onto.stays, onto.last = onto.stays and bare.stays, bare.last
-        onto.marks |= bare.marks
 
     # ------------------------------------------------------------------ scope
 
-    def _joined(self, units: list[list[_Clause]]) -> Groups:
+    def _joined(self, units: list[list[Action]]) -> Groups:
         """Return the groups of units joined by "and"."""
         groups: Groups = []
         for unit in units:
-            new, last = self._unit(unit), unit[-1]
-            together = any("TOGETHER" in clause.marks for clause in unit)
-            if not groups:
-                if together and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3):
-                    raise SourceError("'at the same time' needs two actions joined by 'and'")
+            new = self._unit(unit)
+            at_once = any("TOGETHER" in said.words for said in unit)
+            if groups:
+                at_once = at_once or (len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0]))
+                self._scope(groups[-1], unit[-1], at_once)
+                groups = _together(groups, new) if at_once else [*groups, *new]
+            elif at_once and (len(new) > 1 or len(new[0]) + len(new[0][0].sides) < 3):
+                raise SourceError("'at the same time' needs two actions joined by 'and'")
+            else:
                 groups = new
-                continue
-            at_once = len(new) == 1 == len(new[0]) and _at_once(groups[-1], new[0][0])
-            at_once = at_once or together
-            self._scope(groups[-1], last, at_once)
-            groups = self._together(groups, new) if at_once else [*groups, *new]
         return groups
 
-    def _scope(self, group: list[Action], last: _Clause, at_once: bool) -> None:
-        """Give an amount behind two joined actions to both, where they are at once; refuse it where it could be either's."""
-        name = last.last
+    def _scope(self, group: list[Action], said: Action, at_once: bool) -> None:
+        """Give a time behind two joined actions to both, where they are at once; refuse what could belong to both."""
+        name = said.last
         free = [a for a in group if not a.amounts and a.verb in ENDLESS.get(name, ())]
-        if name == "seconds" and not last.stays:
+        if name == "seconds" and not said.stays:
             free = [a for a in group if name not in a.amounts]
         if free and not (at_once and name == "seconds"):
-            raise SourceError(
-                f"{last.amounts[name]:g} {name} in '{last.text}' can belong to {free[0].verb} before it, too; say it for each"
-            )
+            value = f"{said.amounts[name]:g} {name}"
+            raise said.error(f"has {value}, which can belong to {free[0].verb} before it, too; say it for each")
         for action in free:
-            group[group.index(action)] = replace(action, amounts={name: last.amounts[name]}, stays=last.stays)
+            action.amounts, action.stays = {name: said.amounts[name]}, said.stays
 
-    def _unit(self, clauses: list[_Clause]) -> Groups:
-        """Return the groups of clauses with one verb: what is said behind the last one belongs to all of them."""
-        first, last, name = clauses[0], clauses[-1], clauses[-1].last
-        in_turn = any("ALTERNATE" in clause.marks for clause in clauses) and len(clauses) > 1
-        lacking = [clause for clause in clauses if name and name not in clause.amounts]
-        rounds = 1
-        if in_turn and "times" in last.amounts and "EACH" not in last.marks:
+    def _unit(self, unit: list[Action]) -> Groups:
+        """Return the groups of actions with one verb: what is said behind the last one belongs to all of them."""
+        last, name, several, rounds = unit[-1], unit[-1].last, len(unit) > 1, 1
+        each, in_turn = "EACH" in last.words, several and any("ALTERNATE" in said.words for said in unit)
+        if in_turn and "times" in last.amounts and not each:
             raise last.error("can count single moves or pairs; say how many for each hand")
-        if len(lacking) == len(clauses) - 1 > 0 and name == "times" and "EACH" not in last.marks:
-            if first.verb in ("STEP", "WALK", "RETREAT", "TURN", "MOVE"):
-                rounds, lacking = int(last.amounts.pop("times")), []
-        if lacking:
-            if len(lacking) < len(clauses) - 1 or any(clause.amounts for clause in lacking):
-                raise last.error(f"says {name} for a part of what is joined; say it for each")
-            for clause in lacking:
-                clause.amounts, clause.stays = dict(last.amounts), last.stays
-        if len(clauses) > 1 and not any(clause.ways for clause in clauses[:-1]) and last.hands:
-            for clause in clauses:
-                clause.ways |= last.ways
+        lacking = [said for said in unit[:-1] if name and name not in said.amounts]
+        in_rounds = lacking and name == "times" and not each and unit[0].kind in MOVES
+        if lacking and (len(lacking) < len(unit) - 1 or (not in_rounds and any(said.amounts for said in lacking))):
+            raise last.error(f"says {name} for a part of what is joined; say it for each")
+        if in_rounds:
+            rounds, lacking = int(last.amounts.pop("times")), []
+        for said in lacking:
+            said.amounts, said.stays = dict(last.amounts), last.stays
+        if several and "HAND" in last.words and not any(said.ways for said in unit[:-1]):
+            for said in unit:
+                said.ways |= last.ways
         groups: Groups = []
-        for clause in clauses:
-            clause.marks -= {"ALTERNATE"} if in_turn else set()
-            new = self._repeated(clause, self._action(clause), several=len(clauses) > 1)
-            for other in clause.along:
-                new = self._together(new, self._along(clause, other))
+        for said in unit:
+            new = _repeated(said, self._action(said), several, in_turn)
+            for other in said.along:
+                new = _together(new, self._along(said, other))
             if groups and len(new) == 1 == len(new[0]) and not in_turn and _at_once(groups[-1], new[0][0]):
                 groups[-1] += new[0]
             else:
                 groups += new
-        if len(groups) > 1 and lacking and name == "seconds" and "EACH" not in last.marks:
-            raise last.error("has one time for two things one after the other; say it for each")
-        if len(groups) > 1 and lacking and name == "times" and "EACH" not in last.marks:
+        if len(groups) > 1 and lacking and not each and name in ("seconds", "times"):
+            if name == "seconds":
+                raise last.error("has one time for two things one after the other; say it for each")
             groups = [[replace(a, amounts={**a.amounts, "times": 1.0}) for a in group] for group in groups]
             rounds = int(last.amounts["times"])
-        return _apart(groups * rounds, last.pause) if len(clauses) > 1 else groups
+        return _apart(groups * rounds, last.pause) if several else groups
 
-    def _along(self, clause: _Clause, other: _Clause) -> Groups:
+    def _along(self, said: Action, other: Action) -> Groups:
         """Return what is said without a joint: "walk forward waving", "with both hands up"."""
-        if clause.verb == "STOP" and other.word.endswith("ing") and not (other.hands or other.ways or other.amounts):
-            if other.verb in ("WALK", "MOVE", "STEP", "TURN"):
-                return []
+        if said.kind == "STOP" and other.word.endswith("ing") and other.kind in MOVES and not other.words:
+            return []
+        if said.kind == "STOP" and other.word.endswith("ing"):
             raise SourceError(f"'stop {other.word}' is not something the phrasebook does; say what to do instead")
         if other.word != "with" and not other.word.endswith("ing"):
-            raise SourceError(f"'{other.word}' follows '{clause.word}' without 'then', 'and' or 'while' between them")
+            raise SourceError(f"'{other.word}' follows '{said.word}' without 'then', 'and' or 'while' between them")
+        if other.word == "with" and said.verb in GESTURES and not said.words.keys() & {"HAND", "LEFT", "RIGHT"}:
+            raise said.error("does not say which hand; say left hand, right hand or both hands")
         return [[self._action(other)]]
-
-    def _repeated(self, clause: _Clause, action: Action, *, several: bool) -> Groups:
-        """Return an action hand by hand where it is said so, and with pauses in between."""
-        marks, times = clause.marks, action.amounts.get("times")
-        each = any(hand.startswith("each") for hand in clause.hands) and action.verb != "place"
-        if not (marks & {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "RIGHT_AND_LEFT"} or each):
-            if "EACH" in marks and len(action.sides) != 2 and not several:
-                raise clause.error("has 'each' for one thing; say it for each, with 'then'")
-            if not clause.pause or several:
-                return [[action]]
-            if times is None:
-                raise clause.error("has a pause between nothing; say what comes before and behind it")
-            return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times), clause.pause)
-        order = BOTH if "RIGHT_AND_LEFT" not in marks else BOTH[::-1]
-        if action.verb in BASE or (clause.sides and "ALTERNATE" not in marks):
-            raise clause.error("is not something that both hands do in turn")
-        if "seconds" in action.amounts:
-            raise clause.error("has a time for hands in turn; say how often instead")
-        if each or "EACH" in marks:
-            turns = list(order) if each else list(order) * int(times or 1)
-            own = action.amounts if each else {"times": 1.0}
-        else:
-            if clause.last == "times" and "ALTERNATE" in marks and clause.text.startswith("alternat"):
-                raise clause.error("can count single moves or pairs; say how many for each hand")
-            count = int(times or (2 if "ONE_EACH" in marks or action.verb == "place" else 2))
-            if "ONE_EACH" in marks and count != 2:
-                raise clause.error(f"says {count} times and once for each of two hands")
-            turns, own = [order[n % 2] for n in range(count)], {"times": 1.0}
-        own = {} if action.verb == "place" else own
-        return _apart([[replace(action, sides=(side,), amounts=own)] for side in turns], clause.pause)
-
-    def _together(self, groups: Groups, more: Groups) -> Groups:
-        """Return groups with actions at the same time as the last group."""
-        if not more:
-            return groups
-        if len(more) > 1:
-            raise SourceError("two things one after the other, at the same time as another, are not clear; say them in order")
-        group = list(groups[-1])
-        for action in more[0]:
-            for other in group:
-                if other.moves_base and action.moves_base:
-                    raise SourceError(
-                        f"to {other.verb} and to {action.verb} at the same time is not something the phrasebook does"
-                    )
-                if not other.moves_base and not action.moves_base and set(other.sides) & set(action.sides):
-                    raise SourceError(
-                        f"the {action.sides[0]} hand cannot {other.verb} and {action.verb} at the same time"
-                    )
-            group.append(action)
-        for time in [a.amounts for a in group if a.verb in ("walk", "wait", "stop") and "seconds" in a.amounts]:
-            free = [a for a in group if not a.moves_base and not a.amounts and a.verb != "place"]
-            group = [replace(a, amounts={"seconds": time["seconds"]}) if a in free else a for a in group]
-        return [*groups[:-1], group]
 
     # ------------------------------------------------------------------ one action
 
-    def _action(self, now: _Clause) -> Action:
+    def _action(self, now: Action) -> Action:
+        """Return an action with its verb, hands and way."""
         self._complete(now)
-        bare = next((mark for mark in now.marks if mark.startswith("BARE ")), None)
-        if bare:
-            value = float(bare[5:])
-            if now.verb != "TURN" or "degrees" in now.amounts or value < 10:
-                raise now.error(f"has the number {value:g} without a unit; say seconds, times, steps, degrees, metres or m/s")
-            now.amount("degrees", value)
-        if "GREETING" in now.marks and now.verb != "WAVE":
-            raise now.error(f"greets; only 'wave' does, not {now.word!r}")
-        verb = now.verb.lower()
-        action = self._base(now, verb) if verb in BASE else self._of_hands(now, verb)
-        for name, value in action.amounts.items():
-            if name not in TAKES[action.verb]:
-                takes = ", ".join(TAKES[action.verb])
-                raise now.error(f"has {value:g} {name}, which {now.word!r} does not use; it takes {takes}")
-        if {"metres", "seconds", "m/s"} <= action.amounts.keys() or {"times", "metres"} <= action.amounts.keys():
-            raise now.error(f"says too much at once: {', '.join(action.amounts)}")
-        if not action.moves_base:
-            self.hands = action.sides
-        self.before = now, action
-        return action
-
-    def _complete(self, now: _Clause) -> None:
-        """Find the verb of a clause without one: "left hand up", "then the right"; tell moving a hand from walking."""
-        if now.verb in ("RETREAT", "BACK_UP"):
-            now.verb, now.ways = "WALK", now.ways | {"back"}
-        elif now.verb == "TURN_AROUND":
-            now.verb = "TURN"
-            now.amount("degrees", 180.0)
-        elif now.verb == "MOVE":
-            now.verb = "PLACE" if now.hands else "WALK"
-        elif now.verb == "HOLD":
-            now.verb = "PLACE" if now.ways else "WAIT"
-            if now.verb == "WAIT":  # "hold it", "hold your arms there": nothing moves
-                now.hands, now.sides = [], []
-        elif not now.verb and now.hands and now.ways:
-            now.verb = now.word = "PLACE"
-        if now.verb:
-            return
-        if self.before is None:
-            raise now.error(f"has no verb; begin with one of {VERBS}")
-        said, action = self.before
-        if action.verb == "place" and now.ways and not (now.hands or now.sides):
-            now.verb, now.word, now.hands = "PLACE", "move", ["them"]
-            return
-        sided = bool(now.sides or now.hands)
-        count = next((float(mark[5:]) for mark in now.marks if mark.startswith("BARE")), 0.0)
-        if count and "times" in said.amounts:
-            now.marks.discard(f"BARE {count:g}")
-            now.amount("times", count)
-        fits = (
-            (count > 0 and "times" in now.amounts and action.verb == "step" and not sided)
-            or             (not action.moves_base and sided and not now.ways)
-            or (action.verb == "turn" and bool(now.sides) and not now.hands and not now.ways)
-            or (action.verb in ("walk", "step") and bool(now.ways) and not sided)
-        )
-        if not fits:
-            raise now.error(f"has no verb; begin with one of {VERBS}")
-        if said.amounts and not now.amounts and not any(mark.startswith("BARE") for mark in now.marks):
-            raise now.error("does not say how far, how long or how often; say it for each")
-        if action.verb == "wave" and not (said.hands or now.hands):
-            raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
-        now.verb, now.word = said.verb, said.word
-        now.ways = now.ways or (set(said.ways) if not action.moves_base or count else set())
-
-    def _base(self, now: _Clause, verb: str) -> Action:
-        if now.hands:
-            raise now.error(f"is not something a hand does: to {now.word}")
-        if (now.pace or 1.0) > max(PACES["SLOW"], PACES["FAST"]):
-            raise now.error("is faster than the robot; it walks with up to 0.3 m/s: say quickly, or a speed")
-        speed, ways = now.pace or 1.0, now.ways
-        if verb == "turn":
-            degrees = now.amounts.get("degrees")
-            if ways - {"around"}:
-                raise now.error(f"is not something the robot does: it turns left or right")
-            if ways and degrees is None:
-                raise now.error("does not say how far; say turn around, or a number of degrees")
-            if len(now.sides) > 1 or not (now.sides or degrees in (180.0, 360.0)):
-                raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
-            return Action(verb=verb, sides=(*now.sides, "left")[:1], amounts=now.amounts, speed=speed)
-        if now.sides:
-            raise now.error(f"goes sideways, and the robot does not {now.word} sideways; turn {now.sides[0]} first")
-        if verb in ("stop", "wait") and (ways or now.pace):
-            raise now.error(f"has more than a time, and to {now.word} takes nothing else")
-        if not ways <= {"forward", "back"} or len(ways) > 1:
-            raise now.error(f"has directions that the robot does not {now.word}; say forward or back")
-        if now.pace is not None and "m/s" in now.amounts:
+        paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
+        if len(paces) > 1 or (paces and "m/s" in now.amounts):
             raise now.error("has two speeds; say one")
-        way = next(iter(ways), "forward" if verb in ("walk", "step") else "")
-        return Action(verb=verb, way=way, amounts=now.amounts, speed=speed)
+        now.speed = (*paces, 1.0)[0]
+        if "bare" in now.amounts:
+            value = now.amounts.pop("bare")
+            if now.kind != "TURN" or value < 10:
+                raise now.error(
+                    f"has the number {value:g} without a unit; say seconds, times, steps, degrees or metres"
+                )
+            now.amount("degrees", value)
+        if "GREETING" in now.words and now.kind != "WAVE":
+            raise now.error(f"greets; only 'wave' does, not {now.word!r}")
+        now.verb = now.kind.lower()
+        (self._base if now.verb in BASE else self._of_hands)(now)
+        for name, value in now.amounts.items():
+            if name not in TAKES[now.verb]:
+                takes = ", ".join(TAKES[now.verb])
+                raise now.error(f"has {value:g} {name}, which {now.word!r} does not use; it takes {takes}")
+        if {"metres", "seconds", "m/s"} <= now.amounts.keys() or {"times", "metres"} <= now.amounts.keys():
+            raise now.error(f"says too much at once: {', '.join(now.amounts)}")
+        self.hands = self.hands if now.moves_base else now.sides
+        self.before = now
+        return now
 
-    def _of_hands(self, now: _Clause, verb: str) -> Action:
-        sides, way = self._sides(now), ""
-        if now.word in ("open", "opening") and re.search("hand|fist", " ".join(now.hands)):
+    def _complete(self, now: Action) -> None:
+        """Find the verb of an action without one: "left hand up", "then the right"; tell moving a hand from walking."""
+        before, hand, side = self.before, "HAND" in now.words, bool(now.words.keys() & {"LEFT", "RIGHT"})
+        if now.word == "after" and before and before.verb in ("walk", *GESTURES) and not before.amounts:
+            raise before.error("does not say for how long; say it, then what comes next")
+        if now.kind == "RETREAT":
+            now.kind, now.ways = "WALK", now.ways | {"back"}
+        elif now.kind == "TURN_AROUND":
+            now.kind = "TURN"
+            now.amount("degrees", 180.0)
+        elif now.kind == "MOVE":
+            now.kind = "PLACE" if hand else "WALK"
+        elif now.kind == "HOLD":
+            now.kind = "PLACE" if now.ways else "WAIT"
+            if now.kind == "WAIT":  # "hold it", "hold your arms there": nothing moves
+                now.words = {kind: said for kind, said in now.words.items() if kind not in ("HAND", "LEFT", "RIGHT")}
+        elif not now.kind and hand and now.ways:
+            now.kind = now.word = "PLACE"
+        if now.kind:
+            return
+        if before is not None and before.verb == "place" and now.ways and not (hand or side):
+            now.kind, now.word, now.words["HAND"] = "PLACE", "move", ["them"]
+            return
+        counts = before is not None and "times" in before.amounts and "bare" in now.amounts
+        fits = before is not None and (
+            (not before.moves_base and (side or hand) and not now.ways)
+            or (before.verb == "turn" and side and not hand and not now.ways)
+            or (before.verb in ("walk", "step") and not side and not hand and (counts or bool(now.ways)))
+        )
+        if before is None or not fits:
+            raise now.error(f"has no verb; begin with {VERBS}")
+        if counts:
+            now.amount("times", now.amounts.pop("bare"))
+        if before.amounts and not now.amounts:
+            raise now.error("does not say how far, how long or how often; say it for each")
+        if before.verb == "wave" and not (hand or "HAND" in before.words):
+            raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
+        now.kind, now.word = before.kind, before.word
+        now.ways = now.ways or (set(before.ways) if counts or not before.moves_base else set())
+
+    def _base(self, now: Action) -> None:
+        sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
+        if "HAND" in now.words or now.words.keys() & IN_TURN:
+            raise now.error(f"is not something a hand does: to {now.word}")
+        if now.speed > PACES["FAST"]:
+            raise now.error("is faster than the robot walks or turns; say quickly, or a speed")
+        if now.verb == "turn":
+            degrees = now.amounts.get("degrees")
+            if now.ways - {"around"}:
+                raise now.error("is not something the robot does; it turns left or right")
+            if now.ways and degrees is None:
+                raise now.error("does not say how far; say turn around, or a number of degrees")
+            if len(sides) > 1 or not (sides or degrees in (180.0, 360.0)):
+                raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
+            now.sides = (*sides, "left")[:1]
+            return
+        if sides:
+            raise now.error(f"goes sideways, and the robot does not {now.word} sideways; turn {sides[0]} first")
+        if now.verb in ("stop", "wait") and (now.ways or now.speed != 1.0):
+            raise now.error(f"has more than a time, and to {now.word} takes nothing else")
+        if not now.ways <= {"forward", "back"} or len(now.ways) > 1:
+            raise now.error(f"has directions in which the robot does not {now.word}; say forward or back")
+        now.way = (*now.ways, "forward" if now.verb in ("walk", "step") else "")[0]
+
+    def _of_hands(self, now: Action) -> None:
+        now.sides = self._sides(now)
+        if now.word in ("open", "opening") and re.search("hand|fist", " ".join(now.words.get("HAND", []))):
             raise now.error("needs fingers, and the robot has none; say open the left arm, right arm or both arms")
-        if verb in ("wave", "punch"):
-            if not now.ways <= ({"up and down"} if verb == "wave" else {"forward"}):
+        if now.verb in ("wave", "punch"):
+            if not now.ways <= ({"up and down"} if now.verb == "wave" else {"forward"}):
                 raise now.error(f"has a direction that to {now.word} does not take")
-        elif verb == "cycle" or (now.ways == {"up and down"} and verb in ("raise", "place")):
-            verb = "cycle"
+        elif now.verb == "cycle" or (now.ways == {"up and down"} and now.verb in ("raise", "place")):
+            now.verb = "cycle"
         else:
-            way, again = self._posture(now), now.amounts.get("times", 1.0) != 1.0
-            verb = "cycle" if again and verb == "raise" and way == "up" else "place"
-        amounts = {n: v for n, v in now.amounts.items() if verb != "place" or (n, v) != ("times", 1.0)}
-        return Action(verb=verb, sides=sides, way=way, amounts=amounts, stays=now.stays, speed=now.pace or 1.0)
+            ways = now.ways - {"out"} if now.ways & {"forward", "side"} else now.ways
+            found = POSTURES[now.kind]
+            if " ".join(sorted(ways)) not in found:
+                raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
+            now.way = found[" ".join(sorted(ways))]
+            again = now.amounts.get("times", 1.0) != 1.0
+            now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
+            now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
 
-    def _sides(self, now: _Clause) -> tuple[str, ...]:
-        """Return the hands that a clause names."""
-        if now.marks & {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT", "RIGHT_AND_LEFT"}:
+    def _sides(self, now: Action) -> tuple[str, ...]:
+        """Return the hands that an action names."""
+        named = [said for kind in ("HAND", "LEFT", "RIGHT") for said in now.words.get(kind, [])]
+        if now.words.keys() & IN_TURN:
+            if now.words.keys() & {"LEFT", "RIGHT"}:
+                raise now.error("is not something that both hands do in turn")
             return BOTH
-        if len(now.hands) + len(now.sides) > 1:
+        if len(named) > 1:
             raise now.error("names more than one hand; join them with 'and' or 'then'")
-        if now.sides:
-            return (now.sides[0],)
-        if not now.hands:
-            if now.verb in ("WAVE", "PUNCH") and self.hands in ((), ("right",)):
-                return ("right",)
-            raise now.error("does not say which hand; say left hand, right hand or both hands")
-        (hand,) = now.hands
-        first, plural = hand.split()[0], hand.endswith("s")
-        if first in ("it", "them"):
-            if not self.hands or (first == "it" and len(self.hands) > 1):
-                raise now.error("does not say which hand; say left, right or both")
-            return self.hands
-        if first == "other":
-            if len(self.hands) != 1:
-                raise now.error("does not say which hand is the other; say left or right")
-            return (OPPOSITE[self.hands[0]],)
+        if not named and now.kind in ("WAVE", "PUNCH") and self.hands in ((), ("right",)):
+            return ("right",)
+        hand = (*named, "no")[0]
+        first = "right" if "RIGHT" in now.words else "left" if "LEFT" in now.words else hand.split()[0]
         if first in ("both", "two", "each") or " and " in hand:
             return BOTH
         if first in OPPOSITE:
             return (first,)
-        if plural:
+        if first == "other" and len(self.hands) == 1:
+            return (OPPOSITE[self.hands[0]],)
+        if first == "them" or (first == "it" and len(self.hands) == 1):
+            return self.hands or BOTH
+        if first in ("no", "it", "other"):
+            raise now.error("does not say which hand; say left hand, right hand or both hands")
+        if first not in ("one", "either", "any") and hand.endswith("s"):
             return BOTH
-        return self.hands if first not in ("one", "either", "any") and now.verb in ("LOWER", "PLACE") and self.hands else ("right",)
+        return (
+            self.hands
+            if first not in ("one", "either", "any") and now.kind in ("LOWER", "PLACE") and self.hands
+            else ("right",)
+        )
 
-    def _posture(self, now: _Clause) -> str:
-        """Return the posture that a verb and its directions mean."""
-        ways = now.ways - {"out"} if now.ways & {"forward", "side"} else now.ways
-        found = POSTURES[now.verb.lower()]
-        way = " ".join(sorted(ways))
-        if way not in found:
-            known = ", ".join(sorted({name for name in found if name}))
-            raise now.error(f"needs one direction for {now.word!r}: {known}")
-        return found[way]
+
+def _amount(now: Action, tokens: list[Any]) -> str:
+    """Note an amount with its unit; return its name."""
+    kinds = {token.type: token for token in tokens}
+    now.stays = "IN" not in kinds
+    name, factor = next((UNITS[kind] for kind in kinds if kind in UNITS), ("times", 1.0))
+    now.amount(name, factor * (number(kinds.get("NUMBER") or kinds["ONCE"]) + 0.5 * ("AND_HALF" in kinds)))
+    now.words |= {"EACH": ["each"]} if "EACH" in kinds else {}
+    return name
+
+
+def _counted(now: Action, tokens: list[Any]) -> None:
+    """Note "two steps", "three left jabs" or "a half turn"."""
+    noun = tokens[-1]
+    if noun.type in UNITS:
+        now.kind, now.word = now.kind or "TURN", now.word or str(noun)
+        return now.amount(*UNITS[noun.type])
+    if noun.type == "TURN" or not (now.kind in ("", noun.type) or (noun.type == "STEP" and now.kind in MOVES)):
+        raise now.error(f"has {' '.join(tokens)}; say how far, how often or how many degrees")
+    now.ways |= {"back"} if now.kind == "RETREAT" else set()
+    now.kind, now.word = noun.type, str(noun)
+    for token in tokens[1:-1]:
+        now.words.setdefault(token.type, []).append(str(token))
+    return now.amount("times", number(tokens[0]))
+
+
+def _repeated(said: Action, action: Action, several: bool, in_turn: bool) -> Groups:
+    """Return an action hand by hand where it is said so, and with pauses in between."""
+    times, words = action.amounts.get("times"), said.words
+    by_hand = words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
+    if in_turn or not (words.keys() & IN_TURN or by_hand):
+        if "EACH" in words and len(action.sides) != 2 and not several:
+            raise said.error("has 'each' for one thing; say it for each, with 'then'")
+        if not said.pause or several:
+            return [[action]]
+        if times is None:
+            raise said.error("has a pause between nothing; say what comes before and behind it")
+        return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times), said.pause)
+    if "seconds" in action.amounts:
+        raise said.error("has a time for hands in turn; say how often instead")
+    if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
+        raise said.error("can count single moves or pairs; say how many for each hand")
+    if "ONE_EACH" in words and times not in (None, 2.0):
+        raise said.error(f"says {times:g} times and once for each of two hands")
+    order = BOTH[::-1] if words.get("LEFT_AND_RIGHT", [""])[0].startswith("right") else BOTH
+    each, once = by_hand or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
+    count = (1 if by_hand else int(times or 1)) * 2 if each else int(times or 2)
+    once = {} if action.verb == "place" else once
+    return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], said.pause)
 
 
 def _at_once(group: list[Action], action: Action) -> bool:
     """Return whether "and" means at the same time: other hands, or hands and a walk without an end."""
-    if len(group) > 1 or action.verb == group[0].verb == "punch":
+    (other,) = group if len(group) == 1 else (action,)
+    if len(group) > 1 or action.verb == other.verb == "punch":
         return False
-    (other,) = group
     if other.moves_base != action.moves_base:
         base = other if other.moves_base else action
         return base.verb == "walk" and not base.amounts
     return not other.moves_base and not set(other.sides) & set(action.sides)
 
 
+def _together(groups: Groups, more: Groups) -> Groups:
+    """Return groups with actions at the same time as the last group."""
+    if len(more) > 1:
+        raise SourceError("two things one after the other during another are not clear; say them in order")
+    group = [*groups[-1]]
+    for action in (action for row in more for action in row):
+        for other in group:
+            if other.moves_base == action.moves_base and (action.moves_base or set(other.sides) & set(action.sides)):
+                who = "the robot" if action.moves_base else f"the {action.sides[0]} hand"
+                raise SourceError(f"{who} cannot {other.verb} and {action.verb} at the same time")
+        group.append(action)
+    for base in (a for a in group if a.verb in ("walk", "wait", "stop") and "seconds" in a.amounts):
+        free = [a for a in group if a.verb in GESTURES and not a.amounts]
+        group = [replace(a, amounts={"seconds": base.amounts["seconds"]}) if a in free else a for a in group]
+    return [*groups[:-1], group]
+
+
 def _apart(groups: Groups, pause: float) -> Groups:
     """Return groups with a pause [s] between them."""
     wait = [[Action(verb="wait", amounts={"seconds": pause})]] if pause else []
-    return [part for number, group in enumerate(groups) for part in ((wait if number else []) + [group])]
-
-
-def number(text: str) -> float:
-    """Return the value of a number in digits or words."""
-    value = 0.0
-    for word in text.replace("and half", "half").split():
-        if word == "hundred":
-            value = 100.0 * (value or 1.0)
-        elif word != "and":
-            value += NUMBERS[word] if word in NUMBERS else float(word)
-    return value
+    return [part for n, group in enumerate(groups) for part in ([*wait, group] if n else [group])]
