@@ -155,11 +155,11 @@ def grammar() -> Lark:
     return Lark(text, lexer="basic", postlex=kept, **options)
 
 
-def vocabulary(kinds: set[str] | None = None) -> list[str]:
+def vocabulary(kinds: set[str] | None = None) -> set[str]:
     """Return the words of some terminals, or of all."""
     text = " ".join(t.pattern.to_regexp() for t in grammar().terminals if kinds is None or t.name in kinds)
     text = re.sub(r"\(\?<?[=!](?:[^()]|\([^()]*\))*\)|\\\w", " ", text)
-    return sorted(set(re.findall(r"\b[a-z]{2,}\b", text)))
+    return set(re.findall(r"\b[a-z]{2,}\b", text))
 
 
 def parse(sentence: str) -> Groups:
@@ -193,7 +193,7 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
     token = getattr(error, "token", None)
     if unknown:
         expected = set(getattr(error, "expected", ())) if token == unknown[0] else set()
-        near = difflib.get_close_matches(unknown[0], vocabulary(expected), cutoff=0.7)
+        near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected) - {unknown[0]}), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
             f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}; "
@@ -245,9 +245,10 @@ class _Reader:
                 groups += self._timed(part)
                 continue
             goes_on = enumerated or not part[0][0].kind
+            group = groups[-1] if groups else [self.before] if self.before else []
             new = self._joined(part)
-            if groups and goes_on:
-                self._scope(groups[-1], part[0][-1], at_once=False)
+            if goes_on:
+                self._scope(group, part[0][-1], at_once=False)
             groups += new
         return groups
 
@@ -281,7 +282,8 @@ class _Reader:
         now = Action(text=self.text[tree.meta.start_pos : tree.meta.end_pos])
         now.kind, now.word = {"pose": ("PLACE", "with"), "delay": ("WAIT", "after")}.get(tree.data, ("", ""))
         for child in tree.children:
-            now.last = ""
+            if not isinstance(child, Token) or child.type in WAYS or child.type in ("HAND", "LEFT", "RIGHT"):
+                now.last = ""
             if isinstance(child, Token):
                 if child.type == "BACK_UP" and not now.kind:
                     now.kind, now.word = "RETREAT", str(child)
@@ -352,6 +354,10 @@ class _Reader:
         if several and "HAND" in last.words and not any(said.ways for said in unit[:-1]):
             for said in unit:
                 said.ways |= last.ways
+        paced = [said for said in unit if said.words.keys() & PACES.keys()]
+        if len(paced) == 1:
+            for said in unit:
+                said.words |= {kind: paced[0].words[kind] for kind in PACES if kind in paced[0].words}
         groups: Groups = []
         for said in unit:
             new = _repeated(said, self._action(said), several, in_turn)
@@ -448,6 +454,8 @@ class _Reader:
         if before.verb == "wave" and not (hand or "HAND" in before.words):
             raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
         now.kind, now.word = before.kind, before.word
+        if not now.words.keys() & PACES.keys():
+            now.words |= {kind: said for kind, said in before.words.items() if kind in PACES}
         now.ways = now.ways or (set(before.ways) if counts or not before.moves_base else set())
 
     def _base(self, now: Action) -> None:
@@ -502,8 +510,8 @@ class _Reader:
             return BOTH
         if len(named) > 1:
             raise now.error("names more than one hand; join them with 'and' or 'then'")
-        if not named and now.kind in ("WAVE", "PUNCH") and self.hands in ((), ("right",)):
-            return ("right",)
+        if not named and now.kind in ("WAVE", "PUNCH"):
+            return self.hands or ("right",)
         hand = (*named, "no")[0]
         first = "right" if "RIGHT" in now.words else "left" if "LEFT" in now.words else hand.split()[0]
         if first in ("both", "two", "each") or " and " in hand:
