@@ -70,28 +70,19 @@ VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, mov
 class Action:
     """One thing to do, and what was said of it."""
 
-    verb: str = ""
-    """step, walk, turn, stop, wait, wave, punch, cycle (up and down) or place (bring hands to a posture)."""
-    sides: tuple[str, ...] = ()
-    """Hands that move, or the side to turn to."""
-    way: str = ""
-    """forward or back for the base; the posture for hands."""
-    amounts: dict[str, float] = field(default_factory=dict)
-    """times, seconds, degrees, metres, m/s, as said."""
-    stays: bool = True
-    """Whether the seconds are how long a posture is held, not how long the movement takes."""
+    verb: str = ""  # step, walk, turn, stop, wait, wave, punch, cycle (up and down) or place (hands into a posture)
+    sides: tuple[str, ...] = ()  # hands that move, or the side to turn to
+    way: str = ""  # forward or back for the base; the posture for hands
+    amounts: dict[str, float] = field(default_factory=dict)  # times, seconds, degrees, metres, m/s, as said
+    stays: bool = True  # whether the seconds are how long a posture is held, not how long the movement takes
     speed: float = 1.0
     text: str = ""
-    kind: str = ""
-    """Terminal of its verb, if it has one."""
+    kind: str = ""  # terminal of its verb, if it has one
     word: str = ""
-    words: dict[str, list[str]] = field(default_factory=dict)
-    """For each other terminal its words."""
+    words: dict[str, list[str]] = field(default_factory=dict)  # for each other terminal its words
     ways: set[str] = field(default_factory=set)
-    last: str = ""
-    """The amount with which it ends."""
-    pause: float = 0.0
-    """Pause between its parts [s]."""
+    last: str = ""  # the amount with which it ends
+    pause: float = 0.0  # between its parts [s]
     along: list[Action] = field(default_factory=list)
 
     @property
@@ -109,6 +100,11 @@ class Action:
     def error(self, message: str) -> SourceError:
         """Return an error about it."""
         return SourceError(f"'{self.text}' {message}")
+
+    def refuse(self, wrong: object, message: str) -> None:
+        """Raise an error about it if something is wrong."""
+        if wrong:
+            raise self.error(message)
 
     def amount(self, name: str, value: float) -> None:
         """Note an amount; there is one of each kind."""
@@ -133,15 +129,6 @@ Groups = list[list[Action]]
 # ---------------------------------------------------------------------- sentence to tree
 
 
-class _Kept:
-    """Keeps terminals that no rule has."""
-
-    always_accept = ("UNKNOWN", "FILLER")
-
-    def process(self, stream: Any) -> Any:
-        return stream
-
-
 def _to_word_end(terminal: Any) -> None:
     if terminal.name not in ("WS", "_COMMA", "COMMA_AND", "_NEXT", "_THEN", "UNKNOWN"):
         terminal.pattern = PatternRE(f"(?:{terminal.pattern.to_regexp()})(?![\\w'])")
@@ -150,9 +137,9 @@ def _to_word_end(terminal: Any) -> None:
 @cache
 def grammar() -> Lark:
     """Return the grammar of `sentence.lark`."""
-    text, kept = files(__package__).joinpath("sentence.lark").read_text("utf-8"), _Kept()
+    text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
     options: dict[str, Any] = {"ambiguity": "explicit", "propagate_positions": True, "edit_terminals": _to_word_end}
-    return Lark(text, lexer="basic", postlex=kept, **options)
+    return Lark(text, lexer="basic", **options)
 
 
 def vocabulary(kinds: set[str] | None = None) -> set[str]:
@@ -351,6 +338,8 @@ class _Reader:
             rounds, lacking = int(last.amounts.pop("times")), []
         for said in lacking:
             said.amounts, said.stays = dict(last.amounts), last.stays
+        for said in unit if in_turn else ():
+            said.words.pop("ALTERNATE", None)
         if several and "HAND" in last.words and not any(said.ways for said in unit[:-1]):
             for said in unit:
                 said.ways |= last.ways
@@ -360,7 +349,7 @@ class _Reader:
                 said.words |= {kind: paced[0].words[kind] for kind in PACES if kind in paced[0].words}
         groups: Groups = []
         for said in unit:
-            new = _repeated(said, self._action(said), several, in_turn)
+            new = _repeated(said, self._action(said), several)
             for other in said.along:
                 new = _together(new, self._along(said, other))
             if groups and len(new) == 1 == len(new[0]) and not in_turn and _at_once(groups[-1], new[0][0]):
@@ -368,8 +357,7 @@ class _Reader:
             else:
                 groups += new
         if len(groups) > 1 and lacking and not each and name in ("seconds", "times"):
-            if name == "seconds":
-                raise last.error("has one time for two things one after the other; say it for each")
+            last.refuse(name == "seconds", "has one time for two things one after the other; say it for each")
             groups = [[replace(a, amounts={**a.amounts, "times": 1.0}) for a in group] for group in groups]
             rounds = int(last.amounts["times"])
         return _apart(groups * rounds, last.pause) if several else groups
@@ -392,8 +380,7 @@ class _Reader:
         """Return an action with its verb, hands and way."""
         self._complete(now)
         paces = [PACES[kind] for kind in now.words if kind in PACES for _ in now.words[kind]]
-        if len(paces) > 1 or (paces and "m/s" in now.amounts):
-            raise now.error("has two speeds; say one")
+        now.refuse(len(paces) > 1 or (paces and "m/s" in now.amounts), "has two speeds; say one")
         now.speed = (*paces, 1.0)[0]
         if "bare" in now.amounts:
             value = now.amounts.pop("bare")
@@ -402,8 +389,7 @@ class _Reader:
                     f"has the number {value:g} without a unit; say seconds, times, steps, degrees or metres"
                 )
             now.amount("degrees", value)
-        if "GREETING" in now.words and now.kind != "WAVE":
-            raise now.error(f"greets; only 'wave' does, not {now.word!r}")
+        now.refuse("GREETING" in now.words and now.kind != "WAVE", f"greets; only 'wave' does, not {now.word!r}")
         now.verb = now.kind.lower()
         (self._base if now.verb in BASE else self._of_hands)(now)
         for name, value in now.amounts.items():
@@ -445,12 +431,10 @@ class _Reader:
             or (before.verb == "turn" and side and not hand and not now.ways)
             or (before.verb in ("walk", "step") and not side and not hand and (counts or bool(now.ways)))
         )
-        if before is None or not fits:
-            raise now.error(f"has no verb; begin with {VERBS}")
+        now.refuse(before is None or not fits, f"has no verb; begin with {VERBS}")
         if counts:
             now.amount("times", now.amounts.pop("bare"))
-        if before.amounts and not now.amounts:
-            raise now.error("does not say how far, how long or how often; say it for each")
+        now.refuse(before.amounts and not now.amounts, "does not say how far, how long or how often; say it for each")
         if before.verb == "wave" and not (hand or "HAND" in before.words):
             raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
         now.kind, now.word = before.kind, before.word
@@ -460,16 +444,12 @@ class _Reader:
 
     def _base(self, now: Action) -> None:
         sides = [kind.lower() for kind in ("LEFT", "RIGHT") for _ in now.words.get(kind, [])]
-        if "HAND" in now.words or now.words.keys() & IN_TURN:
-            raise now.error(f"is not something a hand does: to {now.word}")
-        if now.speed > PACES["FAST"]:
-            raise now.error("is faster than the robot walks or turns; say quickly, or a speed")
+        now.refuse("HAND" in now.words or now.words.keys() & IN_TURN, f"is not something a hand does: to {now.word}")
+        now.refuse(now.speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
         if now.verb == "turn":
             degrees = now.amounts.get("degrees")
-            if now.ways - {"around"}:
-                raise now.error("is not something the robot does; it turns left or right")
-            if now.ways and degrees is None:
-                raise now.error("does not say how far; say turn around, or a number of degrees")
+            now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
+            now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
             if len(sides) > 1 or not (sides or degrees in (180.0, 360.0)):
                 raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
             now.sides = (*sides, "left")[:1]
@@ -505,11 +485,9 @@ class _Reader:
         """Return the hands that an action names."""
         named = [said for kind in ("HAND", "LEFT", "RIGHT") for said in now.words.get(kind, [])]
         if now.words.keys() & IN_TURN:
-            if now.words.keys() & {"LEFT", "RIGHT"}:
-                raise now.error("is not something that both hands do in turn")
+            now.refuse(now.words.keys() & {"LEFT", "RIGHT"}, "is not something that both hands do in turn")
             return BOTH
-        if len(named) > 1:
-            raise now.error("names more than one hand; join them with 'and' or 'then'")
+        now.refuse(len(named) > 1, "names more than one hand; join them with 'and' or 'then'")
         if not named and now.kind in ("WAVE", "PUNCH"):
             return self.hands or ("right",)
         hand = (*named, "no")[0]
@@ -520,17 +498,15 @@ class _Reader:
             return (first,)
         if first == "other" and len(self.hands) == 1:
             return (OPPOSITE[self.hands[0]],)
-        if first == "them" or (first == "it" and len(self.hands) == 1):
-            return self.hands or BOTH
-        if first in ("no", "it", "other"):
-            raise now.error("does not say which hand; say left hand, right hand or both hands")
-        if first not in ("one", "either", "any") and hand.endswith("s"):
-            return BOTH
-        return (
-            self.hands
-            if first not in ("one", "either", "any") and now.kind in ("LOWER", "PLACE") and self.hands
-            else ("right",)
+        if self.hands and (first == "them" or (first == "it" and len(self.hands) == 1)):
+            return self.hands
+        now.refuse(
+            first in ("no", "it", "them", "other"), "does not say which hand; say left hand, right hand or both hands"
         )
+        if first in ("one", "either", "any"):
+            return ("right",)
+        last = self.hands if now.kind in ("LOWER", "PLACE") else ()
+        return BOTH if hand.endswith("s") else last or ("right",)
 
 
 def _amount(now: Action, tokens: list[Any]) -> str:
@@ -558,20 +534,18 @@ def _counted(now: Action, tokens: list[Any]) -> None:
     return now.amount("times", number(tokens[0]))
 
 
-def _repeated(said: Action, action: Action, several: bool, in_turn: bool) -> Groups:
+def _repeated(said: Action, action: Action, several: bool) -> Groups:
     """Return an action hand by hand where it is said so, and with pauses in between."""
     times, words = action.amounts.get("times"), said.words
     by_hand = words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
-    if in_turn or not (words.keys() & IN_TURN or by_hand):
+    if not (words.keys() & IN_TURN or by_hand):
         if "EACH" in words and len(action.sides) != 2 and not several:
             raise said.error("has 'each' for one thing; say it for each, with 'then'")
         if not said.pause or several:
             return [[action]]
-        if times is None:
-            raise said.error("has a pause between nothing; say what comes before and behind it")
+        said.refuse(times is None, "has a pause between nothing; say what comes before and behind it")
         return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times), said.pause)
-    if "seconds" in action.amounts:
-        raise said.error("has a time for hands in turn; say how often instead")
+    said.refuse("seconds" in action.amounts, "has a time for hands in turn; say how often instead")
     if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
         raise said.error("can count single moves or pairs; say how many for each hand")
     if "ONE_EACH" in words and times not in (None, 2.0):
