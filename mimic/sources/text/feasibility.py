@@ -38,7 +38,8 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
         if turn / max(frame.duration, MIN_DURATION) > commands.turn_rate + ROUNDING:
             errors.append(
                 f"{where}: heading_deg changes by {np.degrees(turn):.0f} in {frame.duration:g} s; the robot turns by "
-                f"at most {np.degrees(commands.turn_rate):.0f} deg/s, so take at least {turn / commands.turn_rate:.1f} s"
+                f"at most {np.degrees(commands.turn_rate):.0f} deg/s, so take at least "
+                f"{turn / commands.turn_rate:.1f} s"
             )
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]
         errors += inside or [f"{where}: {text}" for text in _path(q, frame.q, frame.duration, reach)]

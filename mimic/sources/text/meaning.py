@@ -253,8 +253,9 @@ class _Reader:
 
     def _units(self, tree: Any) -> list[list[Action]]:
         """Return the actions of each unit, as they are said."""
-        if tree.data == "joined":
-            return [unit for child in tree.children for unit in self._units(child)]
+        if tree.data in ("joined", "delayed"):
+            children = tree.children if tree.data == "joined" else tree.children[::-1]
+            return [unit for child in children for unit in self._units(child)]
         said: list[Action] = []
         for child in [tree] if tree.data in ("pose", "delay") else tree.children:
             now = self._said(child)
@@ -389,6 +390,7 @@ class _Reader:
                     f"has the number {value:g} without a unit; say seconds, times, steps, degrees or metres"
                 )
             now.amount("degrees", value)
+        now.refuse("IN_PLACE" in now.words and now.kind != "TURN", "stays in place; only 'turn' and 'stay' do")
         now.refuse("GREETING" in now.words and now.kind != "WAVE", f"greets; only 'wave' does, not {now.word!r}")
         now.verb = now.kind.lower()
         (self._base if now.verb in BASE else self._of_hands)(now)
@@ -467,7 +469,7 @@ class _Reader:
         if now.word in ("open", "opening") and re.search("hand|fist", " ".join(now.words.get("HAND", []))):
             raise now.error("needs fingers, and the robot has none; say open the left arm, right arm or both arms")
         if now.verb in ("wave", "punch"):
-            if not now.ways <= ({"up and down"} if now.verb == "wave" else {"forward"}):
+            if not now.ways <= ({"up and down", "up"} if now.verb == "wave" else {"forward"}):
                 raise now.error(f"has a direction that to {now.word} does not take")
         elif now.verb == "cycle" or (now.ways == {"up and down"} and now.verb in ("raise", "place")):
             now.verb = "cycle"
@@ -525,6 +527,10 @@ def _counted(now: Action, tokens: list[Any]) -> None:
     if noun.type in UNITS:
         now.kind, now.word = now.kind or "TURN", now.word or str(noun)
         return now.amount(*UNITS[noun.type])
+    if noun.type == "TURN" and now.kind == "" and tokens[1].type == "DEGREES":
+        now.kind, now.word = "TURN", "turn"
+        now.words |= {token.type: [str(token)] for token in tokens[2:-1]}
+        return now.amount("degrees", number(tokens[0]))
     if noun.type == "TURN" or not (now.kind in ("", noun.type) or (noun.type == "STEP" and now.kind in MOVES)):
         raise now.error(f"has {' '.join(tokens)}; say how far, how often or how many degrees")
     now.ways |= {"back"} if now.kind == "RETREAT" else set()
