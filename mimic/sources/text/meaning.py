@@ -27,8 +27,9 @@ UNITS = {
     "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
+_TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
 NUMBERS = {word: float(n) for n, word in enumerate(f"{_SMALL} seventeen eighteen nineteen".split())}
-NUMBERS |= {w: 10.0 * n for n, w in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), 2)}
+NUMBERS |= {w: 10.0 * n for n, w in enumerate(_TENS.split(), 2)}
 NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0}
 WAYS = {
     "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out",
@@ -440,6 +441,9 @@ class _Reader:
         if before.verb == "wave" and not (hand or "HAND" in before.words):
             raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
         now.kind, now.word = before.kind, before.word
+        for kind in ("LEFT", "RIGHT") if not before.moves_base else ():
+            if kind in now.words:
+                now.words["HAND"] = [f"{kind.lower()} hand" for _ in now.words.pop(kind)] + now.words.get("HAND", [])
         if not now.words.keys() & PACES.keys():
             now.words |= {kind: said for kind, said in before.words.items() if kind in PACES}
         now.ways = now.ways or (set(before.ways) if counts or not before.moves_base else set())
@@ -466,6 +470,8 @@ class _Reader:
 
     def _of_hands(self, now: Action) -> None:
         now.sides = self._sides(now)
+        needs = now.kind in ("PLACE", "EXTEND", "STRETCH") and "HAND" not in now.words
+        now.refuse(needs, f"does not say what to {now.word}; say left hand, right hand or both hands")
         if now.word in ("open", "opening") and re.search("hand|fist", " ".join(now.words.get("HAND", []))):
             raise now.error("needs fingers, and the robot has none; say open the left arm, right arm or both arms")
         if now.verb in ("wave", "punch"):
