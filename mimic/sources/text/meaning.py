@@ -181,6 +181,8 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
     token = getattr(error, "token", None)
     if unknown:
         expected = set(getattr(error, "expected", ())) if token == unknown[0] else set()
+        if "_DO" not in expected:  # behind a verb
+            expected -= {*POSTURES, *MOVES, *map(str.upper, TAKES), "HOLD", "TURN_AROUND"}
         near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected) - {unknown[0]}), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
@@ -188,7 +190,7 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
             "docs/manual/text.md has the phrasebook, or ask a language model with --planner llm"
         )
     if not token:
-        return f"'{text}' ends too early; say it with a verb such as {VERBS}, and numbers with their unit"
+        return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS}, a time, or a unit"
     before = text[: token.start_pos].strip()
     where = f"behind '{before}'" if before else "at the beginning"
     return f"'{token.strip()}' {where} is not something the phrasebook understands; say it in parts, joined by 'then'"
@@ -392,7 +394,10 @@ class _Reader:
                 )
             now.amount("degrees", value)
         now.refuse("IN_PLACE" in now.words and now.kind != "TURN", "stays in place; only 'turn' and 'stay' do")
-        now.refuse("GREETING" in now.words and now.kind != "WAVE", f"greets; only 'wave' does, not {now.word!r}")
+        now.refuse(
+            "GREETING" in now.words and now.kind != "WAVE",
+            f"has {now.words.get('GREETING', [''])[0]!r}, which only goes with 'wave'",
+        )
         now.verb = now.kind.lower()
         (self._base if now.verb in BASE else self._of_hands)(now)
         for name, value in now.amounts.items():
@@ -476,7 +481,7 @@ class _Reader:
             raise now.error("needs fingers, and the robot has none; say open the left arm, right arm or both arms")
         if now.verb in ("wave", "punch"):
             if not now.ways <= ({"up and down", "up"} if now.verb == "wave" else {"forward"}):
-                raise now.error(f"has a direction that to {now.word} does not take")
+                raise now.error(f"has {', '.join(sorted(now.ways))!r}, which {now.word!r} does not take")
         elif now.verb == "cycle" or (now.ways == {"up and down"} and now.verb in ("raise", "place")):
             now.verb = "cycle"
         else:
