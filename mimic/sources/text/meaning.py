@@ -138,7 +138,7 @@ def _to_word_end(terminal: Any) -> None:
 @cache
 def grammar() -> Lark:
     """Return the grammar of `sentence.lark`."""
-    text = files(__package__).joinpath("sentence.lark").read_text("utf-8")
+    text = files("mimic.sources.text").joinpath("sentence.lark").read_text("utf-8")
     options: dict[str, Any] = {"ambiguity": "explicit", "propagate_positions": True, "edit_terminals": _to_word_end}
     return Lark(text, lexer="basic", **options)
 
@@ -180,7 +180,7 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
     unknown = list(dict.fromkeys(str(token) for token in grammar().lex(text) if token.type == "UNKNOWN"))
     token = getattr(error, "token", None)
     if unknown:
-        expected = set(getattr(error, "expected", ())) if token == unknown[0] else set()
+        expected: set[str] = set(getattr(error, "expected", ())) if token == unknown[0] else set()
         if "_DO" not in expected:  # behind a verb
             expected -= {*POSTURES, *MOVES, *map(str.upper, TAKES), "HOLD", "TURN_AROUND"}
         near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected) - {unknown[0]}), cutoff=0.7)
@@ -332,8 +332,9 @@ class _Reader:
         """Return the groups of actions with one verb: what is said behind the last one belongs to all of them."""
         last, name, several, rounds = unit[-1], unit[-1].last, len(unit) > 1, 1
         each, in_turn = "EACH" in last.words, several and any("ALTERNATE" in said.words for said in unit)
-        if in_turn and "times" in last.amounts and not each:
-            raise last.error("can count single moves or pairs; say how many for each hand")
+        last.refuse(any(said.pause for said in unit[:-1]), "comes behind a pause between parts; put the pause last")
+        either = in_turn and "times" in last.amounts and not each
+        last.refuse(either, "can count single moves or pairs; say how many for each hand")
         lacking = [said for said in unit[:-1] if name and name not in said.amounts]
         in_rounds = lacking and name == "times" and not each and unit[0].kind in MOVES
         if lacking and (len(lacking) < len(unit) - 1 or (not in_rounds and any(said.amounts for said in lacking))):
@@ -394,18 +395,16 @@ class _Reader:
                 )
             now.amount("degrees", value)
         now.refuse("IN_PLACE" in now.words and now.kind != "TURN", "stays in place; only 'turn' and 'stay' do")
-        now.refuse(
-            "GREETING" in now.words and now.kind != "WAVE",
-            f"has {now.words.get('GREETING', [''])[0]!r}, which only goes with 'wave'",
-        )
+        for word in now.words.get("GREETING", []):
+            now.refuse(now.kind != "WAVE", f"has {word!r}, which only goes with 'wave'")
         now.verb = now.kind.lower()
         (self._base if now.verb in BASE else self._of_hands)(now)
         for name, value in now.amounts.items():
             if name not in TAKES[now.verb]:
                 takes = ", ".join(TAKES[now.verb])
                 raise now.error(f"has {value:g} {name}, which {now.word!r} does not use; it takes {takes}")
-        if {"metres", "seconds", "m/s"} <= now.amounts.keys() or {"times", "metres"} <= now.amounts.keys():
-            raise now.error(f"says too much at once: {', '.join(now.amounts)}")
+        for much in ({"metres", "seconds", "m/s"}, {"times", "metres"}):
+            now.refuse(much <= now.amounts.keys(), f"says too much at once: {', '.join(now.amounts)}")
         self.hands = self.hands if now.moves_base else now.sides
         self.before = now
         return now
@@ -430,25 +429,26 @@ class _Reader:
             now.kind = now.word = "PLACE"
         if now.kind:
             return
-        if before is not None and before.verb == "place" and now.ways and not (hand or side):
+        if before is None:
+            raise now.error(f"has no verb; begin with {VERBS}")
+        if before.verb == "place" and now.ways and not (hand or side):
             now.kind, now.word, now.words["HAND"] = "PLACE", "move", ["them"]
             return
-        counts = before is not None and "times" in before.amounts and "bare" in now.amounts
-        fits = before is not None and (
-            (not before.moves_base and (side or hand) and not now.ways)
-            or (before.verb == "turn" and side and not hand and not now.ways)
-            or (before.verb in ("walk", "step") and not side and not hand and (counts or bool(now.ways)))
-        )
-        now.refuse(before is None or not fits, f"has no verb; begin with {VERBS}")
+        counts = "times" in before.amounts and "bare" in now.amounts
+        if before.moves_base:
+            goes_on = before.verb in ("walk", "step") and not side and (counts or bool(now.ways))
+            fits = not hand and (goes_on or (before.verb == "turn" and side and not now.ways))
+        else:
+            fits = (side or hand) and not now.ways
+        now.refuse(not fits, f"has no verb; begin with {VERBS}")
         if counts:
             now.amount("times", now.amounts.pop("bare"))
         now.refuse(before.amounts and not now.amounts, "does not say how far, how long or how often; say it for each")
         if before.verb == "wave" and not (hand or "HAND" in before.words):
             raise SourceError("'wave left and right' can mean two things; say with which hand, or with both hands")
         now.kind, now.word = before.kind, before.word
-        for kind in ("LEFT", "RIGHT") if not before.moves_base else ():
-            if kind in now.words:
-                now.words["HAND"] = [f"{kind.lower()} hand" for _ in now.words.pop(kind)] + now.words.get("HAND", [])
+        for kind in now.words.keys() & {"LEFT", "RIGHT"} if not before.moves_base else ():
+            now.words["HAND"] = [f"{kind.lower()} hand" for _ in now.words.pop(kind)] + now.words.get("HAND", [])
         if not now.words.keys() & PACES.keys():
             now.words |= {kind: said for kind, said in before.words.items() if kind in PACES}
         now.ways = now.ways or (set(before.ways) if counts or not before.moves_base else set())
@@ -491,6 +491,7 @@ class _Reader:
                 raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
             now.way = found[" ".join(sorted(ways))]
             again = now.amounts.get("times", 1.0) != 1.0
+            now.refuse(again and "seconds" in now.amounts and now.stays, "says how often and for how long; say 'in' and the time of all")
             now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
             now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
 
@@ -560,8 +561,8 @@ def _repeated(said: Action, action: Action, several: bool) -> Groups:
             raise said.error("has 'each' for one thing; say it for each, with 'then'")
         if not said.pause or several:
             return [[action]]
-        said.refuse(times is None, "has a pause between nothing; say what comes before and behind it")
-        return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times), said.pause)
+        said.refuse(not times, "has a pause between nothing; say what comes before and behind it")
+        return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times or 1), said.pause)
     said.refuse("seconds" in action.amounts, "has a time for hands in turn; say how often instead")
     if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
         raise said.error("can count single moves or pairs; say how many for each hand")
