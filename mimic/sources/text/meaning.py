@@ -122,7 +122,11 @@ class Action:
         self.words = {
             kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in {**self.words, **other.words}
         }
-        self.pause, self.stays, self.last = other.pause or self.pause, self.stays and other.stays, other.last
+        self.pause, self.stays, self.last = (
+            other.pause or self.pause,
+            self.stays and other.stays,
+            other.last or self.last,
+        )
 
 
 Groups = list[list[Action]]
@@ -273,7 +277,7 @@ class _Reader:
         now = Action(text=self.text[tree.meta.start_pos : tree.meta.end_pos])
         now.kind, now.word = {"pose": ("PLACE", "with"), "delay": ("WAIT", "after")}.get(tree.data, ("", ""))
         for child in tree.children:
-            if not isinstance(child, Token) or child.type in WAYS or child.type in ("HAND", "LEFT", "RIGHT"):
+            if (child.type if isinstance(child, Token) else child.data) in {*WAYS, "HAND", "LEFT", "RIGHT", "along"}:
                 now.last = ""
             if isinstance(child, Token):
                 if child.type == "BACK_UP" and not now.kind:
@@ -324,7 +328,9 @@ class _Reader:
             free = [a for a in group if name not in a.amounts]
         if free and not (at_once and name == "seconds"):
             value = f"{said.amounts[name]:g} {name}"
-            raise said.error(f"has {value}, which can belong to {free[0].verb} before it, too; say it for each")
+            raise said.error(
+                f"has {value}, which can belong to {free[0].word or free[0].verb} before it, too; say it for each"
+            )
         for action in free:
             action.amounts, action.stays = {name: said.amounts[name]}, said.stays
 
@@ -491,7 +497,10 @@ class _Reader:
                 raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
             now.way = found[" ".join(sorted(ways))]
             again = now.amounts.get("times", 1.0) != 1.0
-            now.refuse(again and "seconds" in now.amounts and now.stays, "says how often and for how long; say 'in' and the time of all")
+            now.refuse(
+                again and "seconds" in now.amounts and now.stays,
+                "says how often and for how long; say 'in' and the time of all",
+            )
             now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
             now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
 
