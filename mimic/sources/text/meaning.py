@@ -375,9 +375,9 @@ class _Reader:
 
     def _along(self, said: Action, other: Action) -> Groups:
         """Return what is said without a joint: "walk forward waving", "with both hands up"."""
-        if said.kind == "STOP" and other.word.endswith("ing") and other.kind in MOVES and not other.words:
-            return []
         if said.kind == "STOP" and other.word.endswith("ing"):
+            if other.kind in MOVES and not (other.words or other.amounts):
+                return []
             raise SourceError(f"'stop {other.word}' is not something the phrasebook does; say what to do instead")
         if other.word != "with" and not other.word.endswith("ing"):
             raise SourceError(f"'{other.word}' follows '{said.word}' without 'then', 'and' or 'while' between them")
