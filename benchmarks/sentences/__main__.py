@@ -14,7 +14,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from benchmarks.sentences.checks import does, sentences
+from benchmarks.sentences.checks import SENTENCES, does, sentences
 from mimic.config.pose import LanguageSettings
 from mimic.errors import SourceError
 from mimic.robot.reach import Reach
@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("--llm-tokens", type=int, default=8000, help="longest answer that is asked for")
     parser.add_argument("--first", type=int, help="only the first sentences of each half")
     parser.add_argument("--show", choices=["seen", "all", "none"], default="none", help="print outcomes of sentences")
+    parser.add_argument("--list", type=Path, default=SENTENCES, help="file of sentences, such as more.txt beside it")
     parser.add_argument("--out", type=Path, help="write every outcome as JSON")
     options = parser.parse_args()
     settings = LanguageSettings(
@@ -40,7 +41,7 @@ def main() -> None:
     reach = Reach()
     counts: dict[str, Counter[str]] = {"seen": Counter(), "held out": Counter()}
     rows = []
-    for sentence in sentences():
+    for sentence in sentences(options.list):
         half = "held out" if sentence.held_out else "seen"
         if options.first is not None and sum(row["half"] == half for row in rows) >= options.first:
             continue

@@ -19,6 +19,7 @@ from mimic.io.keyframes import KeyFrames
 from mimic.robot.reach import FRONT, Reach
 
 SENTENCES = Path(__file__).with_name("sentences.txt")
+MORE = Path(__file__).with_name("more.txt")
 STEP = 0.25
 """Length of a step as the manual gives it [m]."""
 SMALL = 0.12
@@ -71,9 +72,9 @@ class Move(Piece):
     after: np.ndarray
 
 
-def sentences() -> list[Sentence]:
-    """Return the list."""
-    lines = [line for line in SENTENCES.read_text().splitlines() if line and not line.startswith("#")]
+def sentences(path: Path = SENTENCES) -> list[Sentence]:
+    """Return a list."""
+    lines = [line for line in path.read_text().splitlines() if line and not line.startswith("#")]
     found = []
     for number, line in enumerate(lines):
         text, expected = line.rsplit(" => ", 1)

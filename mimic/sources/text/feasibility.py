@@ -8,12 +8,9 @@ from mimic.io.keyframes import KeyFrames
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.reach import FRONT, Reach
 
-MIN_DURATION = 0.1
-"""Least time between two key frames [s]."""
-POINTS_BETWEEN = 5
-"""Points on the way from one key frame to the next that must be clear, too."""
-ROUNDING = 1e-3
-"""An angle may be beyond its limit by this [rad], as text has few digits."""
+MIN_DURATION = 0.1  # least time between two key frames [s]
+POINTS_BETWEEN = 5  # points on the way from one key frame to the next that must be clear, too
+ROUNDING = 1e-3  # an angle may be beyond its limit by this [rad], as text has few digits
 
 
 def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]:
@@ -34,27 +31,19 @@ def violations(motion: KeyFrames, reach: Reach, max_seconds: float) -> list[str]
         where = f"frame {number}"
         if not frame.duration >= MIN_DURATION:
             errors.append(f"{where}: duration is {frame.duration:g} s; it must be at least {MIN_DURATION:g} s")
-        errors += [f"{where}: {text}" for text in _velocity(frame.velocity, reach)]
-        rate = abs(frame.heading - heading) / max(frame.duration, MIN_DURATION)
-        limit = reach.description.commands.turn_rate
-        if rate > limit + ROUNDING:
-            seconds = abs(frame.heading - heading) / limit
+        commands, turn = reach.description.commands, abs(frame.heading - heading)
+        for name, value, most in zip(("forward", "left"), frame.velocity, commands.velocity, strict=True):
+            if abs(value) > most + 1e-6:
+                errors.append(f"{where}: velocity {name} is {value:g} m/s; it must be within ±{most:g}")
+        if turn / max(frame.duration, MIN_DURATION) > commands.turn_rate + ROUNDING:
             errors.append(
-                f"{where}: heading_deg changes by {np.degrees(abs(frame.heading - heading)):.0f} "
-                f"in {frame.duration:g} s; the robot turns by at most {np.degrees(limit):.0f} deg/s, "
-                f"so take at least {seconds:.1f} s"
+                f"{where}: heading_deg changes by {np.degrees(turn):.0f} in {frame.duration:g} s; the robot turns by "
+                f"at most {np.degrees(commands.turn_rate):.0f} deg/s, so take at least "
+                f"{turn / commands.turn_rate:.1f} s"
             )
         inside = [f"{where}: {text}" for text in _angles(frame.q, reach)]
         errors += inside or [f"{where}: {text}" for text in _path(q, frame.q, frame.duration, reach)]
         q, heading = frame.q, frame.heading
-    return errors
-
-
-def _velocity(velocity: tuple[float, float], reach: Reach) -> list[str]:
-    errors = []
-    for name, value, limit in zip(("forward", "left"), velocity, reach.description.commands.velocity, strict=True):
-        if abs(value) > limit + 1e-6:
-            errors.append(f"velocity {name} is {value:g} m/s; it must be within ±{limit:g}")
     return errors
 
 

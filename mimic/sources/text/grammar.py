@@ -1,7 +1,7 @@
 """Sentences -> key frames by a phrasebook, without a language model (docs/manual/text.md).
 
-`lexicon` knows the words, `parser` makes actions of them, and this module gives each action its time, velocity, heading
-and postures.
+`sentence.lark` has the words, `meaning` makes actions of them, and this module gives each action its time, velocity,
+heading and postures.
 """
 
 from __future__ import annotations
@@ -16,20 +16,12 @@ from mimic.io.keyframes import MOST_FRAMES, KeyFrame, KeyFrames
 from mimic.records import SIDES, FloatArray
 from mimic.robot.arm_mapping import posture
 from mimic.robot.reach import FRONT, Reach
-from mimic.sources.text.parser import Action, parse
+from mimic.sources.text.meaning import Action, parse
 
-STEP_LENGTH, WALK_SPEED = 0.25, 0.25
-"""Length of one step [m]; default walking speed [m/s]."""
-WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0
-"""Default durations [s]."""
-MOVE_SECONDS = 0.8
-"""Duration of a move from one arm posture to the next [s]."""
-PUNCH_SECONDS = 0.35
-"""Duration of a punch out, and of its way back [s]."""
-TURN_RATE = math.radians(30)
-"""Default turning rate [rad/s]."""
-FASTEST_TURN = 1.1
-"""Largest factor on the turning rate."""
+STEP_LENGTH, WALK_SPEED = 0.25, 0.25  # length of a step [m]; default walking speed [m/s]
+WALK_SECONDS, STOP_SECONDS, HOLD_SECONDS = 3.0, 0.5, 1.0  # default durations [s]
+MOVE_SECONDS, PUNCH_SECONDS = 0.8, 0.35  # from one arm posture to the next; a punch out, and its way back [s]
+TURN_RATE, FASTEST_TURN = math.radians(30), 1.1  # default turning rate [rad/s]; largest factor on it
 
 _POSTURE_WORDS = {"open": "out to the side", "high and open": "up and out to the side"}
 
@@ -38,17 +30,10 @@ _POSTURE_WORDS = {"open": "out to the side", "high and open": "up and out to the
 class _Timeline:
     """What a group of actions does: the base piece by piece, each hand from posture to posture."""
 
-    base: list[tuple[float, float, float]] = field(default_factory=list)
-    """Duration [s], forward velocity [m/s], heading gained [rad]."""
-    hands: dict[str, list[tuple[float, FloatArray]]] = field(default_factory=dict)
-    """For a side: duration [s] and joints (3,) [rad] reached."""
-    open_end: bool = False
-    """Whether the base goes on for as long as the hands need."""
+    base: list[tuple[float, float, float]] = field(default_factory=list)  # duration [s], velocity [m/s], turn [rad]
+    hands: dict[str, list[tuple[float, FloatArray]]] = field(default_factory=dict)  # duration [s], joints (3,) [rad]
+    open_end: bool = False  # whether the base goes on for as long as the hands need
     understood: list[str] = field(default_factory=list)
-    """The actions in words."""
-
-    def hand_seconds(self) -> float:
-        return max((sum(duration for duration, _ in moves) for moves in self.hands.values()), default=0.0)
 
 
 def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
@@ -63,7 +48,8 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     for group in parse(sentence):
         timeline = _Timeline()
         for action in group:
-            (_add_base if action.moves_base else _add_hands)(action, timeline, hands, reach)
+            add = _add_base if action.moves_base else _add_hands
+            timeline.understood.append(add(action, timeline, hands, reach))
         rows, heading = _frames(timeline, hands, heading)
         frames += rows
         if len(frames) > MOST_FRAMES:
@@ -71,20 +57,18 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
     return KeyFrames(frames=tuple(frames), sentence=sentence, planner="grammar")
 
 
-def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> None:
+def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
     said = action.amounts
     if action.verb in ("stop", "wait"):
         seconds = said.get("seconds", STOP_SECONDS if action.verb == "stop" else HOLD_SECONDS)
         timeline.base.append((seconds, 0.0, 0.0))
-        timeline.understood.append(f"{action.verb} {seconds:g} s")
-        return
+        return f"{action.verb} {seconds:g} s"
     if action.verb == "turn":
         degrees = said.get("degrees", 90.0)
         angle = math.radians(degrees) * (1.0 if action.sides == ("left",) else -1.0)
         seconds = said.get("seconds", abs(angle) / (TURN_RATE * min(action.speed, FASTEST_TURN)))
         timeline.base.append((seconds, 0.0, angle))
-        timeline.understood.append(f"turn {action.sides[0]} {degrees:g}° in {seconds:.3g} s")
-        return
+        return f"turn {action.sides[0]} {degrees:g}° in {seconds:.3g} s"
     most = float(reach.description.commands.velocity[0])
     metres = STEP_LENGTH * said["times"] if "times" in said else said.get("metres")
     speed = said.get("m/s", min(most, WALK_SPEED * action.speed))
@@ -98,22 +82,20 @@ def _add_base(action: Action, timeline: _Timeline, hands: dict[str, FloatArray],
     timeline.open_end = action.verb == "walk" and metres is None and "seconds" not in said
     timeline.base.append((seconds, speed * (-1.0 if action.way == "back" else 1.0), 0.0))
     count = f" {said['times']:g} times," if said.get("times", 1.0) > 1 else ""
-    timeline.understood.append(f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s")
+    return f"{action.verb} {action.way}{count} {speed * seconds:.3g} m in {seconds:.3g} s"
 
 
-def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> None:
+def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray], reach: Reach) -> str:
     said = action.amounts
-    move = MOVE_SECONDS / action.speed
-    quick = PUNCH_SECONDS / action.speed
-    default = 2.0 if action.verb == "wave" else 1.0
-    start: list[tuple[str, float]] = [("guard", move)] if action.verb == "punch" else []
-    cycle: list[tuple[str, float]] = {
+    move, quick = MOVE_SECONDS / action.speed, PUNCH_SECONDS / action.speed
+    start = [("guard", move)] if action.verb == "punch" else []
+    cycle = {
         "wave": [("wave high", move), ("wave low", move)],
         "punch": [("forward", quick), ("guard", quick)],
         "cycle": [("up", move), ("down", move)],
         "place": [(action.way, move)],
     }[action.verb]
-    times = int(said.get("times", default))
+    times = int(said.get("times", 2.0 if action.verb == "wave" else 1.0))
     if "seconds" in said and "times" not in said and action.verb != "place":
         left = said["seconds"] - sum(duration for _, duration in start)
         times = max(1, round(left / sum(duration for _, duration in cycle)))
@@ -125,22 +107,22 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
     for side in action.sides:
         own = slice(0, 3) if side == "left" else slice(3, 6)
         way = [(duration * factor, posture(name, reach)[own]) for name, duration in names]
-        timeline.hands[side] = [*way, *([(said["seconds"], way[-1][1])] if holds else [])]
+        there = holds and np.allclose(way[-1][1], hands[side])  # "raise it and keep it up for 2 seconds"
+        timeline.hands[side] = [*([] if there else way), *([(said["seconds"], way[-1][1])] if holds else [])]
     who = "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
-    if action.verb == "place":
-        text = f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}"
-        text += f" and hold {said['seconds']:g} s" if holds else ""
-    else:
-        verb = "raise and lower" if action.verb == "cycle" else f"{action.verb} with"
-        text = f"{verb} {who} {times} time{'s' if times > 1 else ''}"
     took = f" in {said['seconds']:g} s" if "seconds" in said and not holds else ""
-    timeline.understood.append(text + took)
+    if action.verb == "place":
+        hold = f" and hold {said['seconds']:g} s" if holds else ""
+        return f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}{hold}{took}"
+    verb = "raise and lower" if action.verb == "cycle" else f"{action.verb} with"
+    return f"{verb} {who} {times} time{'s' if times > 1 else ''}{took}"
 
 
 def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -> tuple[list[KeyFrame], float]:
     """Return a key frame for each moment at which the base or a hand changes; updates ``hands`` to where they end."""
     base = list(timeline.base)
-    lacking = timeline.hand_seconds() - sum(part[0] for part in base)
+    moving = max((sum(duration for duration, _ in moves) for moves in timeline.hands.values()), default=0.0)
+    lacking = moving - sum(part[0] for part in base)
     if lacking > 1e-9:
         forward = base[-1][1] if base and timeline.open_end else 0.0
         base.append((lacking, forward, 0.0))
@@ -153,18 +135,14 @@ def _frames(timeline: _Timeline, hands: dict[str, FloatArray], heading: float) -
     moments = np.unique(np.round(np.concatenate([ends, *(t[1:] for t, _ in tracks.values())]), 6))
     moments = moments[moments > 1e-6]
     gains = np.cumsum([0.0, *(part[2] for part in base)])
-    frames, before = [], 0.0
+    frames, before, what = [], 0.0, " while ".join(timeline.understood)
     for moment in moments:
         part = min(int(np.searchsorted(ends, moment - 1e-6)), len(base) - 1)
         q = np.concatenate([[np.interp(moment, t, own[:, i]) for i in range(3)] for t, own in tracks.values()])
         turned = float(np.interp(moment, [0.0, *ends], gains))
         frames.append(
             KeyFrame(
-                duration=float(moment - before),
-                velocity=(base[part][1], 0.0),
-                heading=heading + turned,
-                q=q,
-                what=" while ".join(timeline.understood),
+                duration=float(moment - before), velocity=(base[part][1], 0.0), heading=heading + turned, q=q, what=what
             )
         )
         before = float(moment)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import queue
 import threading
 from collections.abc import Callable, Iterator
 from itertools import groupby
@@ -28,12 +27,8 @@ if TYPE_CHECKING:
 
 CORRECTIONS = 3
 """How often a model may correct its answer."""
-LONGEST_SENTENCE = 2000
-"""Characters of a sentence at most."""
-LARGEST_BODY = 4_000_000
-"""Largest response of an endpoint [bytes]."""
-REPORTED = 12
-"""At most this many errors go back at once."""
+LONGEST_SENTENCE, LARGEST_BODY = 2000, 4_000_000  # characters of a sentence; bytes of an endpoint's response
+REPORTED = 12  # at most this many errors go back at once
 
 Chat = Callable[[list[dict[str, str]]], str]
 
@@ -182,26 +177,30 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
                 if not _without_refused_option(options, str(error)):
                     raise
 
+    late = f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout"
+    failures: list[tuple[Any, str]] = [
+        ((openai.APITimeoutError, TimeoutError), f"{late}, or use --planner grammar"),
+        (openai.APIConnectionError, f"no server answers at {where} (%s); is the server running there?"),
+        (openai.RateLimitError, f"{where} refuses for now, too many requests or no credit (429): %s"),
+        (openai.AuthenticationError, f"{where} does not accept the key in OPENAI_API_KEY (401): %s"),
+        (openai.APIStatusError, f"{where} answers with an error: %s"),
+        (Exception, f"{where} has no chat completions API: %s; check --llm-url"),
+    ]
+
     def chat(messages: list[dict[str, str]]) -> str:
         try:
             return _within(settings.llm_timeout, lambda: ask(messages))
-        except (openai.APITimeoutError, TimeoutError):
-            raise SourceError(
-                f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout, or use "
-                "--planner grammar"
-            ) from None
-        except openai.APIConnectionError as error:
-            raise SourceError(f"no server answers at {where} ({error}); is the server running there?") from None
-        except openai.RateLimitError as error:
-            raise SourceError(
-                f"{where} refuses for now, too many requests or no credit (429): {_brief(error)}"
-            ) from None
-        except openai.AuthenticationError as error:
-            raise SourceError(f"{where} does not accept the key in OPENAI_API_KEY (401): {_brief(error)}") from None
-        except openai.APIStatusError as error:
-            raise SourceError(f"{where} answers with an error ({error.status_code}): {_brief(error)}") from None
-        except (openai.OpenAIError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
-            raise SourceError(f"{where} has no chat completions API: {_brief(error)}; check --llm-url") from None
+        except (
+            openai.OpenAIError,
+            OSError,
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+            RecursionError,
+        ) as error:
+            text = next(text for kind, text in failures if isinstance(error, kind))
+            raise SourceError(text.replace("%s", " ".join(str(error).split())[:200])) from None
 
     return chat
 
@@ -238,23 +237,19 @@ def _within(seconds: float, work: Callable[[], str]) -> str:
     Raises:
         TimeoutError: If it takes longer.
     """
-    done: queue.SimpleQueue[str | BaseException] = queue.SimpleQueue()
+    outcome: list[str | BaseException] = []
 
     def run() -> None:
         try:
-            done.put(work())
+            outcome.append(work())
         except BaseException as error:
-            done.put(error)
+            outcome.append(error)
 
-    threading.Thread(target=run, daemon=True).start()
-    try:
-        outcome = done.get(timeout=seconds)
-    except queue.Empty:
-        raise TimeoutError from None
-    if isinstance(outcome, BaseException):
-        raise outcome
-    return outcome
-
-
-def _brief(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if not outcome:
+        raise TimeoutError
+    if isinstance(outcome[0], BaseException):
+        raise outcome[0]
+    return outcome[0]

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from benchmarks.sentences.checks import Sentence, does, sentences
+from benchmarks.sentences.checks import MORE, Sentence, does, sentences
 from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
 from mimic.robot.reach import Reach
@@ -43,6 +43,18 @@ def test_three_fifths_of_each_half_are_executed(held_out, planned):
 
 def test_none_is_silently_wrong(planned, reach):
     assert [s.text for s, motion in planned if motion is not None and not does(motion, s, reach)] == []
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_of_more_sentences_none_is_wrong_and_three_quarters_of_the_possible_are_executed(held_out, reach):
+    outcomes = Counter()
+    for sentence in (s for s in sentences(MORE) if s.held_out == held_out):
+        try:
+            outcomes["right" if does(plan_by_grammar(sentence.text, reach), sentence, reach) else sentence.text] += 1
+        except SourceError:
+            outcomes["refused" if "no" in sentence.readings else f"refused: {sentence.text}"] += 1
+    assert outcomes.keys() == {"right", "refused"}
+    assert outcomes["right"] >= 60
 
 
 def mirrored(motion: KeyFrames) -> KeyFrames:
