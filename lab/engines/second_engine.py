@@ -1,6 +1,6 @@
 """The policy in a second physics engine: Drake, which shares no code with MuJoCo.
 
-    python -m benchmarks.second_engine --robots 40 --out second_engine.json
+    python -m lab.engines.second_engine --robots 40 --out second_engine.json
 
 Drake reads the robot's MJCF with its own parser; bodies, joints, solver (SAP) and contacts (compliant points) are its
 own. The law of the motors is written here once more from the numbers of the robot description: gains, limits of torque

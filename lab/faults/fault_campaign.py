@@ -1,6 +1,6 @@
 """Many runs with a fault each, random in time and kind: does every one end damped, off, in time, with a whole log.
 
-python benchmarks/fault_campaign.py OUT.json [in-process runs] [runs over TCP]
+python -m lab.faults.fault_campaign OUT.json [in-process runs] [runs over TCP]
 
 In process: the emulated robot in its own time, one bus or two. Over TCP: the emulated robot served over socketcand and
 slcan in turn, `mimic TARGETS --robot` and its watchdog as processes of their own, which also get signals or are
@@ -24,9 +24,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from benchmarks.faults_in_process import CUTS, play
+from lab.faults.faults_in_process import CUTS, play
 from mimic.config.emulator import EmulateSettings
 from mimic.control.recorder import ROWS, salvage
 from mimic.emulator.faults import CAN_KINDS, random_fault

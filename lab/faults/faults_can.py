@@ -1,6 +1,6 @@
 """An emulated robot on CAN behind a proxy, with a second master and a watchdog.
 
-Used by benchmarks/faults_outside.py.
+Used by lab/faults/faults_outside.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults_scene import Trouble
+from lab.faults.faults_scene import Trouble
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot

@@ -1,6 +1,6 @@
 """One run on the emulated robot in its own time, with a fault drawn by a seed: of robot, bus or program.
 
-Used by benchmarks/fault_campaign.py and by the tests.
+Used by lab/faults/fault_campaign.py and by the tests.
 """
 
 from __future__ import annotations

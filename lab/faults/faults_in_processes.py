@@ -1,6 +1,6 @@
 """Faults of both emulated robots with real processes and sockets, in real time.
 
-python -m benchmarks.faults_in_processes OUT.jsonl {can,stock} [runs] [first seed] [kinds...]
+python -m lab.faults.faults_in_processes OUT.jsonl {can,stock} [runs] [first seed] [kinds...]
 
 `mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog others, and a proxy stands between them: over
 TCP for socketcand, over multicast for LCM. A run in its turn has one of these: what the proxies do, a second program on
@@ -29,12 +29,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.fault_campaign import USER, incomplete, targets
-from benchmarks.faults_scene import print_failures
-from benchmarks.lcm_proxy import KINDS as LCM_KINDS
-from benchmarks.lcm_proxy import LcmProxy, wiring_through
-from benchmarks.tcp_proxy import KINDS as TCP_KINDS
-from benchmarks.tcp_proxy import TcpProxy
+from lab.faults.fault_campaign import USER, incomplete, targets
+from lab.faults.faults_scene import print_failures
+from lab.faults.lcm_proxy import KINDS as LCM_KINDS
+from lab.faults.lcm_proxy import LcmProxy, wiring_through
+from lab.faults.tcp_proxy import KINDS as TCP_KINDS
+from lab.faults.tcp_proxy import TcpProxy
 from mimic.hardware.can.python_can import open_link
 from mimic.hardware.cybergear.codec import Codec
 from mimic.hardware.cybergear.messages import Operation, Stop

@@ -1,6 +1,6 @@
 """Runs on both emulated robots, in their own time, with a fault that their emulators know nothing of.
 
-python -m benchmarks.faults_outside OUT.json {can,stock} [runs] [first seed]
+python -m lab.faults.faults_outside OUT.json {can,stock} [runs] [first seed]
 
 Between driver and robot stands a proxy that delays, drops, corrupts, repeats or forges what goes through; a second
 program commands the robot; processes are killed or stand still; the disk is full. A run in three has a fault of the
@@ -20,10 +20,8 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from benchmarks import faults_can, faults_stock
-from benchmarks.faults_scene import Scene, Trouble, print_failures
+from lab.faults import faults_can, faults_stock
+from lab.faults.faults_scene import Scene, Trouble, print_failures
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
 from mimic.control.recorder import RunRecorder, salvage

@@ -1,7 +1,7 @@
 """What the scenes of the fault campaign have in common: the trouble that was drawn, and what is asked of a scene.
 
-Used by benchmarks/faults_outside.py, with benchmarks/faults_can.py and benchmarks/faults_stock.py; its list of failures
-also by benchmarks/faults_in_processes.py.
+Used by lab/faults/faults_outside.py, with lab/faults/faults_can.py and lab/faults/faults_stock.py; its list of failures
+also by lab/faults/faults_in_processes.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """An emulated stock robot behind a proxy, with a second program on its network.
 
-Used by benchmarks/faults_outside.py.
+Used by lab/faults/faults_outside.py.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults_scene import Trouble
+from lab.faults.faults_scene import Trouble
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.board import EmulatedBoard
 from mimic.emulator.board_link import EmulatedBoardLink

@@ -1,7 +1,7 @@
 """A network between a program and a stock robot's board: relays LCM messages from one multicast group to another.
 
-What goes through can be delayed, lost, damaged, repeated or forged. Used by benchmarks/stock_firmware and
-benchmarks/faults_in_processes.py; everything stays on the loopback.
+What goes through can be delayed, lost, damaged, repeated or forged. Used by lab/stock_firmware and
+lab/faults/faults_in_processes.py; everything stays on the loopback.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from benchmarks.proxy import Proxy
+from lab.faults.proxy import Proxy
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.wiring import BoardWiring, load_board
 

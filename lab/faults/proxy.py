@@ -1,6 +1,6 @@
 """What the networks between a program and an emulated robot have in common: when they disturb, and their thread.
 
-Used by benchmarks/lcm_proxy.py and benchmarks/tcp_proxy.py.
+Used by lab/faults/lcm_proxy.py and lab/faults/tcp_proxy.py.
 """
 
 from __future__ import annotations

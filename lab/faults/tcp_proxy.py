@@ -1,6 +1,6 @@
 """A connection between a program and a socketcand server that does not do what it should.
 
-Used by benchmarks/faults_in_processes.py.
+Used by lab/faults/faults_in_processes.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from benchmarks.proxy import Proxy
+from lab.faults.proxy import Proxy
 
 KINDS = ("delays", "drops", "corrupts", "repeats", "forges", "garbage", "stalls", "half_closes", "resets", "refuses")
 """What it does: lets some messages wait, loses some, changes letters in some, sends old ones in their place, writes a

@@ -4,7 +4,7 @@ Each effect at the greatest size of the table, logs of 16 s without noise, repla
 replay with the baseline parameters only. What is left with the true numbers is the step of the replay, and any
 disagreement about what an equation of the catalogue means.
 
-    python -m benchmarks.hidden_effects.agreement [NAME ...] > table.md
+    python -m lab.hidden_effects.agreement [NAME ...] > table.md
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.hidden_effects.families import FAMILIES
-from benchmarks.hidden_effects.generator import FLOOR, Machine, simulate
-from benchmarks.hidden_effects.scenarios import STRENGTHS, Scenario, build, reachable
+from lab.hidden_effects.families import FAMILIES
+from lab.hidden_effects.generator import FLOOR, Machine, simulate
+from lab.hidden_effects.scenarios import STRENGTHS, Scenario, build, reachable
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import hung_robot

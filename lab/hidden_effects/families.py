@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import ALIENS, Alien, Machine, robot_numbers
+from lab.hidden_effects.generator import ALIENS, Alien, Machine, robot_numbers
 from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectValues
 from mimic.records import JOINTS, FloatArray

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects import physics as ph
+from lab.hidden_effects import physics as ph
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.excitation import Excitation
 from mimic.io.joint_log import JointLog

@@ -1,8 +1,8 @@
 """An arm of two links in closed form, logged by a clock of its own: a machine that shares no code with mimic's replay.
 
 The targets are sent every 20 ms. The rows are written by one of several clocks, each with the newest target beside the
-reading, as loggers do. ``python -m benchmarks.planar_arm`` calibrates one log for each clock and effect and prints what
-was found.
+reading, as loggers do. ``python -m lab.hidden_effects.planar_arm`` calibrates one log for each clock and effect and
+prints what was found.
 
 Equations of motion: Spong, Hutchinson, Vidyasagar 2006, section 7.4 (planar elbow manipulator). Midpoint rule, with dry
 friction as a set-valued law solved for the velocity at the end of a step, so that a joint at rest does not creep.

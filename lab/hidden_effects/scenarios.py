@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
-from benchmarks.hidden_effects.generator import ALIENS, CLOCKS, OTHER_LAWS, Machine
+from lab.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
+from lab.hidden_effects.generator import ALIENS, CLOCKS, OTHER_LAWS, Machine
 from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.excitation import Excitation, Kind, hung_ranges, probe_targets

@@ -1,8 +1,8 @@
 """Held-out error against replays: least squares, and the paper's random search, on the same log and the same replay.
 
-    python -m benchmarks.search_cost OUT.png [--samples 8192] [--seconds 10] [--results OUT.json]
+    python -m lab.hidden_effects.search_cost OUT.png [--samples 8192] [--seconds 10] [--results OUT.json]
 
-The log is of a hidden hung CyberDog 2 with nothing but the baseline parameters wrong (benchmarks/hidden_effects).
+The log is of a hidden hung CyberDog 2 with nothing but the baseline parameters wrong (lab/hidden_effects).
 Random search draws friction, damping, masses and delay as Li et al. 2024 do and keeps the sample with the least error
 over the fitted blocks. Both are judged on blocks that neither used.
 """
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import FLOOR, measured, simulate
-from benchmarks.hidden_effects.scenarios import Scenario, build
+from lab.hidden_effects.generator import FLOOR, measured, simulate
+from lab.hidden_effects.scenarios import Scenario, build
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.records import FloatArray

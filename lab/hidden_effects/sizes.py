@@ -7,9 +7,9 @@ the noise floor. Each motion carries the effect on the abad of one leg, the hip 
 three times with the legs exchanged; the table holds the geometric mean for each of the three joints. Between simulated
 sizes (seven, a factor apart) the relation is taken as straight in logarithms.
 
-    python -m benchmarks.hidden_effects.sizes [NAME ...]       # measures these, or all
-    python -m benchmarks.hidden_effects.sizes --quick [NAME ...]   # the same with 16 s, 5 points and 1 turn
-    python -m benchmarks.hidden_effects.sizes --plot FILE.png  # draws the table
+    python -m lab.hidden_effects.sizes [NAME ...]       # measures these, or all
+    python -m lab.hidden_effects.sizes --quick [NAME ...]   # the same with 16 s, 5 points and 1 turn
+    python -m lab.hidden_effects.sizes --plot FILE.png  # draws the table
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, PARTS, alien, hidden_effect
-from benchmarks.hidden_effects.generator import ALIENS, FLOOR, Machine, simulate
+from lab.hidden_effects.families import ALIEN_CAPS, FAMILIES, PARTS, alien, hidden_effect
+from lab.hidden_effects.generator import ALIENS, FLOOR, Machine, simulate
 from mimic.dynamics.catalogue import effect
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.excitation import hung_ranges, probe_targets

@@ -1,6 +1,6 @@
 """Error of the training physics against a converged solver during the stand-up, for several iteration limits; on a CPU.
 
-    python benchmarks/solver_accuracy.py [policies/stand_track.onnx]
+    python -m lab.hidden_effects.solver_accuracy [policies/stand_track.onnx]
 
 The same random robots from the same lying starts get the actions of the policy in the reference. The error is the
 largest difference of a joint position in each world.

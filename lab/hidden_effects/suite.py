@@ -1,7 +1,7 @@
 """Calibrate many hidden machines in parallel and write one JSON line for each.
 
-    python -m benchmarks.hidden_effects.suite OUT --processes 8 --limit 560 [--only single/stribeck] [--rounds 6]
-    python -m benchmarks.hidden_effects.suite OUT --balanced --seconds 24 --log-limit 480 --limit 1500
+    python -m lab.hidden_effects.suite OUT --processes 8 --limit 560 [--only single/stribeck] [--rounds 6]
+    python -m lab.hidden_effects.suite OUT --balanced --seconds 24 --log-limit 480 --limit 1500
 
 OUT/results.jsonl grows as results come; scenarios that are in it are not run again. At the time limit the workers are
 ended, what is done stays, and OUT/unfinished.json says what was cut off. Each worker uses one thread. A log that takes
@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import CLOCKS, FINE_RATE, FLOOR, Machine, Truth, measured, read_by, simulate
-from benchmarks.hidden_effects.scenarios import Built, Scenario, balanced, build, for_choosing, ordered
+from lab.hidden_effects.generator import CLOCKS, FINE_RATE, FLOOR, Machine, Truth, measured, read_by, simulate
+from lab.hidden_effects.scenarios import Built, Scenario, balanced, build, for_choosing, ordered
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel, hung_robot, read_machine

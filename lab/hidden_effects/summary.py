@@ -1,6 +1,6 @@
 """Read results of the suite, judge them against the goals, and draw the detection limit.
 
-    python -m benchmarks.hidden_effects.summary RESULTS.jsonl ... [--markdown FILE] [--plot FILE.png]
+    python -m lab.hidden_effects.summary RESULTS.jsonl ... [--markdown FILE] [--plot FILE.png]
 
 How a result is judged:
     right        every hidden effect that the motion shows is among the names, and no name is false or rival     as
@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from benchmarks.hidden_effects.generator import CLOCKS
-from benchmarks.hidden_effects.scenarios import FAINT, Scenario, for_choosing
+from lab.hidden_effects.generator import CLOCKS
+from lab.hidden_effects.scenarios import FAINT, Scenario, for_choosing
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import JOINTS, FloatArray
 
 Record = Mapping[str, Any]
 STRENGTHS = ("strong", "medium", "weak", *FAINT)
 
-BEGIN, END = "<!-- measured: benchmarks/hidden_effects/summary.py -->", "<!-- end of measured -->"
+BEGIN, END = "<!-- measured: lab/hidden_effects/summary.py -->", "<!-- end of measured -->"
 
 SHOWN = 0.1
 """Least change of positions, in noise floors, that a motion must show of an effect for the log to tell of it."""

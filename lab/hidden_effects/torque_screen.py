@@ -1,7 +1,7 @@
 """How often the torque screen ranks and claims what is hidden, on machines that share no code with mimic's replay.
 
-    python -m benchmarks.torque_screen --seeds 2
-    python -m benchmarks.torque_screen --real ../shared/data/logs
+    python -m lab.hidden_effects.torque_screen --seeds 2
+    python -m lab.hidden_effects.torque_screen --real ../shared/data/logs
 
 A planar arm of two links in closed form (Spong, Hutchinson, Vidyasagar 2006, section 7.4), stepped at 20 us by the
 semi-implicit Euler rule, logged at 200 Hz by a clock of its own 3 ms beside the targets. A quarter of the laws differ
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, identify, read_emps, servo_logs
+from lab.real_logs.logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, identify, read_emps, servo_logs
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
-from skeleton import SIDES, SIGN, Motion
-from surface import Array
+
+from lab.people.skeleton import SIDES, SIGN, Motion
+from lab.people.surface import Array
 
 FINE_HZ = 120.0
 Rng = np.random.Generator

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import rooms
-from mannequin import Look
 from scipy.spatial.transform import Rotation
-from skeleton import Build, Motion, pose
-from surface import Array
+
+from lab.people import rooms
+from lab.people.mannequin import Look
+from lab.people.skeleton import Build, Motion, pose
+from lab.people.surface import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

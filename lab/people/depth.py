@@ -1,9 +1,9 @@
 """How well the depth of the arms is known: clips with exact truth, with the detector's depth and the estimated one.
 
-    python benchmarks/depth.py VIDEO [...]
+    python -m lab.people.depth VIDEO [...]
 
 Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera axes (examples/videos, or what
-examples/videos/depth_clips.py --video wrote). Wrists are compared from their own shoulder in torso axes, each with its
+lab/people/depth_clips.py --video wrote). Wrists are compared from their own shoulder in torso axes, each with its
 own heading, and the toe targets that follow from them.
 """
 

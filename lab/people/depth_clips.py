@@ -1,9 +1,9 @@
 """Render random clips of the mannequin, look at them through BlazePose, and keep what it sees beside the truth.
 
-    python examples/videos/depth_clips.py OUT --set tuning --clips 5 --video              # clips to tune on
-    python examples/videos/depth_clips.py OUT --set aside --first 5 --clips 5 --video     # and five kept aside
-    python benchmarks/depth.py OUT/*.mp4                                                   # what they say
-    python examples/videos/depth_clips.py OUT/train --clips 500                            # clips to train on
+    python -m lab.people.depth_clips OUT --set tuning --clips 5 --video              # clips to tune on
+    python -m lab.people.depth_clips OUT --set aside --first 5 --clips 5 --video     # and five kept aside
+    python -m lab.people.depth OUT/*.mp4                                                   # what they say
+    python -m lab.people.depth_clips OUT/train --clips 500                            # clips to train on
 
 Each clip is one .npz: what BlazePose found in each frame (world, image, score) and the exact joints. The clips are
 small and plainly lit, because BlazePose looks at 256 x 256 pixels anyway. A clip depends on its number only.
@@ -19,16 +19,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
-import mannequin
 import mujoco
 import numpy as np
-import rooms
-from arm_motions import FAMILIES, KEPT_ASIDE, TUNING, Rng, motion_of
-from scene import Shot, build_scene, text
 from scipy.spatial.transform import Rotation
-from skeleton import TRUTH_NAMES, Build, pose
-from surface import Array, mesh_of
 
+from lab.people import mannequin, rooms
+from lab.people.arm_motions import FAMILIES, KEPT_ASIDE, TUNING, Rng, motion_of
+from lab.people.scene import Shot, build_scene, text
+from lab.people.skeleton import TRUTH_NAMES, Build, pose
+from lab.people.surface import Array, mesh_of
 from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.pose_model import pose_model
 

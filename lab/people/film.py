@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from clips import Clip, camera_axes
-from mannequin import skins
-from scene import Shot, build_scene, text
 from scipy.spatial.transform import Rotation
-from skeleton import Frames, Motion, pose
-from surface import Array
+
+from lab.people.clips import Clip, camera_axes
+from lab.people.mannequin import skins
+from lab.people.scene import Shot, build_scene, text
+from lab.people.skeleton import Frames, Motion, pose
+from lab.people.surface import Array
 
 WIDTH, HEIGHT = 640, 480
 

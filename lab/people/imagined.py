@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from arm_motions import FAMILIES, Rng, motion_of
-from depth_clips import View, camera_axes, eye_of, random_view
 from scipy.spatial.transform import Rotation
-from skeleton import SIDES, TRUTH_NAMES, Build, pose
 from torch import nn
 
+from lab.people.arm_motions import FAMILIES, Rng, motion_of
+from lab.people.depth_clips import View, camera_axes, eye_of, random_view
+from lab.people.skeleton import SIDES, TRUTH_NAMES, Build, pose
 from mimic.records import LANDMARKS, FloatArray
 from mimic.sources.video.depth import RATE_HZ
 

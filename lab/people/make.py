@@ -1,8 +1,8 @@
 """Render the example videos and their exact truth.
 
-    python examples/videos/make.py boxing            # writes boxing.mp4 and boxing.npz beside this file
-    python examples/videos/make.py boxing --sheet boxing.png
-    python examples/videos/make.py boxing --check    # tracks the clip and compares it with the truth
+    python -m lab.people.make boxing            # writes boxing.mp4 and boxing.npz into examples/videos
+    python -m lab.people.make boxing --sheet boxing.png
+    python -m lab.people.make boxing --check    # tracks the clip and compares it with the truth
 
 MuJoCo renders off-screen: set MUJOCO_GL to egl or osmesa on a machine without a display.
 """
@@ -19,15 +19,16 @@ from typing import TYPE_CHECKING
 import av
 import cv2
 import numpy as np
-from clips import clip_of, truth
-from motions import MOTIONS, RATE_HZ
-from skeleton import SIDES, TRUTH_NAMES
-from surface import Array
+
+from lab.people.clips import clip_of, truth
+from lab.people.motions import MOTIONS, RATE_HZ
+from lab.people.skeleton import SIDES, TRUTH_NAMES
+from lab.people.surface import Array
 
 if TYPE_CHECKING:
-    from film import Film
+    from lab.people.film import Film
 
-HERE = Path(__file__).parent
+VIDEOS = Path(__file__).parents[2] / "examples" / "videos"
 
 
 def write_video(path: Path, film: Film, frames: int, crf: int, progress: bool = True) -> None:
@@ -103,7 +104,7 @@ def main() -> None:
     parser.add_argument("--sheet", type=Path, help="only write a contact sheet of a few frames to this PNG")
     parser.add_argument("--at", help="times for the sheet [s], separated by commas")
     parser.add_argument("--passes", type=int, default=4, help="pictures averaged to one frame")
-    parser.add_argument("--out", type=Path, default=HERE, help="folder to write to")
+    parser.add_argument("--out", type=Path, default=VIDEOS, help="folder to write to")
     parser.add_argument("--truth", action="store_true", help="only write the truth")
     parser.add_argument("--check", action="store_true", help="only compare BlazePose with the truth")
     args = parser.parse_args()
@@ -120,7 +121,7 @@ def main() -> None:
             for label, value in check(video, joints).items():
                 print(f"  {label:36s} {value:8.3f}")
         elif args.sheet:
-            from film import Film
+            from lab.people.film import Film
 
             n = len(motion.t)
             times = [float(v) for v in args.at.split(",")] if args.at else list(motion.t[:: max(1, n // 12)][:12])
@@ -129,7 +130,7 @@ def main() -> None:
         else:
             np.savez_compressed(video.with_suffix(".npz"), t=motion.t, names=np.array(TRUTH_NAMES), joints=joints)
             if not args.truth:
-                from film import Film
+                from lab.people.film import Film
 
                 write_video(video, Film(motion, clip, args.passes), len(motion.t), clip.crf)
                 print(f"{video.name}: {len(motion.t)} frames, {video.stat().st_size / 1e6:.2f} MB")

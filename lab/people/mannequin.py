@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from skeleton import SIDES, SIGN, Build, rest_frames
-from surface import Array, Field, Mesh, below, blend, both, carve, cone, ellipsoid, grown, mesh_of
+
+from lab.people.skeleton import SIDES, SIGN, Build, rest_frames
+from lab.people.surface import Array, Field, Mesh, below, blend, both, carve, cone, ellipsoid, grown, mesh_of
 
 Colour = tuple[float, float, float]
 Weights = dict[str, Array]

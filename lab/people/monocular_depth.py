@@ -1,6 +1,6 @@
 """What one camera costs the robot: clamped toe targets of each single view against those of all four together.
 
-    python benchmarks/monocular_depth.py [FOLDER]     # by default ../shared/data/videos/real/multiview
+    python -m lab.people.monocular_depth [FOLDER]     # by default ../shared/data/videos/real/multiview
 
 The folder holds the same frames from several cameras (cam*.mp4) and the landmarks triangulated from them (.npz).
 """

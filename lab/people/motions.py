@@ -11,8 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
-from skeleton import SIDES, SIGN, Motion
-from surface import Array
+
+from lab.people.skeleton import SIDES, SIGN, Motion
+from lab.people.surface import Array
 
 RATE_HZ = 30.0
 FINE = 8

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from surface import Array
+
+from lab.people.surface import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

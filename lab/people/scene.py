@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import rooms
-from mannequin import Look, Skin, face_geoms, skin_file
-from skeleton import Build, rest_frames
-from surface import Array
+
+from lab.people import rooms
+from lab.people.mannequin import Look, Skin, face_geoms, skin_file
+from lab.people.skeleton import Build, rest_frames
+from lab.people.surface import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

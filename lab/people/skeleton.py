@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from surface import Array
+
+from lab.people.surface import Array
 
 SIDES = ("L", "R")
 SIGN = {"L": 1.0, "R": -1.0}

@@ -1,7 +1,7 @@
 """Train the network that estimates the depth of arms, on clips with truth as the detector sees them.
 
-    python examples/videos/depth_clips.py CLIPS --clips 400                 # hours on one core; it can be interrupted
-    python examples/videos/train_depth.py CLIPS assets/depth/arms.onnx --minutes 6
+    python -m lab.people.depth_clips CLIPS --clips 400                 # hours on one core; it can be interrupted
+    python -m lab.people.train_depth CLIPS assets/depth/arms.onnx --minutes 6
 
 Every eighth clip is left out and says how good the network is while it learns. Noise, another tempo, frames that hang
 and a turned camera make each clip new every time; clips that are only imagined (imagined.py) are added.
@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import onnx
 import torch
-from arm_motions import Rng
-from imagined import Tracked, imagine
 from scipy.ndimage import gaussian_filter1d
-from skeleton import SIDES, TRUTH_NAMES
 from torch import nn
 
+from lab.people.arm_motions import Rng
+from lab.people.imagined import Tracked, imagine
+from lab.people.skeleton import SIDES, TRUTH_NAMES
 from mimic.config.pose import PoseSettings
 from mimic.records import LANDMARKS, FloatArray
 from mimic.sources.video.depth import FEATURES, RATE_HZ, WINDOW, framed, sight

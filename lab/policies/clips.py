@@ -1,6 +1,6 @@
 """How well the simulated robot follows each clip: a table with toe error, lag, clamping and standing.
 
-    python benchmarks/clips.py [--rate 0.1] [VIDEO ...]      # without videos: the shipped examples
+    python -m lab.policies.clips [--rate 0.1] [VIDEO ...]      # without videos: the shipped examples
 
 Pose tracks are cached by content, as the mimic command does.
 """
@@ -21,7 +21,7 @@ from mimic.retargeting.commands import command_track
 from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "videos"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "videos"
 
 
 def main() -> None:

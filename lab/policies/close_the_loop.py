@@ -1,6 +1,6 @@
 """The whole loop with a robot that is hidden: log it, calibrate, and see whether the corrected model predicts it.
 
-    python benchmarks/close_the_loop.py OUT [--seconds 40] [--episodes 10] [--look-for load_friction,stribeck]
+    python -m lab.policies.close_the_loop OUT [--seconds 40] [--episodes 10] [--look-for load_friction,stribeck]
 
 A robot whose effects only this script knows hangs and is logged; ``mimic calibrate`` explains the log; then the shipped
 policy is judged on the model as described, on the hidden robot, and on the corrected model. The corrected model is

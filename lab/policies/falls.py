@@ -1,6 +1,6 @@
 """Compares answers to a fall: sit down, damp at once, or damp after the fall.
 
-python benchmarks/falls.py policies/stand_track.onnx policies/sit_down.onnx [episodes]
+python -m lab.policies.falls policies/stand_track.onnx policies/sit_down.onnx [episodes]
 
 The same pushes of 0.5 to 1.3 m/s every 3 s for each answer, on robots of the paper's Table II in plain MuJoCo; only
 episodes that fall count. Measured from the moment when the robot is about to fall, for the same time.

@@ -1,6 +1,6 @@
 """States at which the policy may switch to sitting down, recorded in plain MuJoCo: the starts of that training.
 
-python benchmarks/handover_states.py policies/stand_track.onnx --write policies/handovers.npz
+python -m lab.policies.handover_states policies/stand_track.onnx --write policies/handovers.npz
 
 Three kinds of rows: while standing, walking and turning; while standing up; and while falling after a hard push.
 """

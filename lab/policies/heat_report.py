@@ -1,6 +1,6 @@
 """Time until the hottest motor reaches its limit, while standing and while playing a video.
 
-python benchmarks/heat_report.py policies/stand_track.onnx [examples/videos/boxing.mp4]
+python -m lab.policies.heat_report policies/stand_track.onnx [examples/videos/boxing.mp4]
 
 Nominal robot in plain MuJoCo; the motion is repeated for ever, without the stand-up.
 """

@@ -1,6 +1,6 @@
 """Averages the weights of policies that continue from one checkpoint, or of checkpoints of one training.
 
-    python benchmarks/mean_policy.py OUT.onnx ONE.onnx OTHER.onnx …
+    python -m lab.policies.mean_policy OUT.onnx ONE.onnx OTHER.onnx …
 
 Policies that continue from the same checkpoint lie in one basin of the loss, and their mean is a policy between them
 (Wortsman et al. 2022, "Model soups"). Policies trained from scratch do not, and their mean falls.

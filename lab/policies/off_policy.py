@@ -1,6 +1,6 @@
 """A trial of off-policy learning in the training worlds, to compare with PPO: soft actor-critic as in FastSAC.
 
-    python -m benchmarks.off_policy OUT worlds=4096 history=10 minutes=10 seed=1 snapshots=[4,7] --student 1
+    python -m lab.policies.off_policy OUT worlds=4096 history=10 minutes=10 seed=1 snapshots=[4,7] --student 1
 
 ``name=value`` sets a field of MdpSettings or LearnSettings as in ``python -m mimic.train``; of the latter seed, device,
 minutes, snapshots, reaching, reaching_share, mirror and mixed_precision count. Writes OUT/policy.onnx and
@@ -543,7 +543,7 @@ def train(folder: Path, mdp: MdpSettings, learn: LearnSettings, sac: SacSettings
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.off_policy",
+        prog="python -m lab.policies.off_policy",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,10 +1,10 @@
-"""The tables of docs/experiments/policy.md for a policy, as Markdown: Table III, walking, standing, robustness.
+"""The tables of lab/results/policy.md for a policy, as Markdown: Table III, walking, standing, robustness.
 
 Measure and print, about 25 minutes on 2 cores; with --write into the page, with the heat map; or from stored results:
 
-    python benchmarks/policy_report.py [POLICY]
-    python benchmarks/policy_report.py [POLICY] --write docs/experiments/policy.md
-    python benchmarks/policy_report.py [POLICY] --table a.json --stand-up b.json --calm c.json --robustness d.json
+    python -m lab.policies.policy_report [POLICY]
+    python -m lab.policies.policy_report [POLICY] --write lab/results/policy.md
+    python -m lab.policies.policy_report [POLICY] --table a.json --stand-up b.json --calm c.json --robustness d.json
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mimic.robot.description import load_description
 from mimic.view.report.robustness import draw_heat_map
 
 HERE = Path(__file__).resolve().parent
-BEGIN, END = "<!-- measured: benchmarks/policy_report.py -->", "<!-- end of measured -->"
+BEGIN, END = "<!-- measured: lab/policies/policy_report.py -->", "<!-- end of measured -->"
 
 
 def row(*cells: str) -> str:

@@ -1,6 +1,6 @@
 """Extremes of healthy robots: the measurements behind [safety] in robot.toml.
 
-python benchmarks/safety_envelope.py [episodes]
+python -m lab.policies.safety_envelope [episodes]
 
 Robots of the paper's Table II stand up, follow random commands, and sit down, in plain MuJoCo. The IMU is read as an
 MTi gives it: quaternion in steps of 1/32767, rate of turn in steps of 2^-9 rad/s. Episodes in which the robot was about

@@ -1,6 +1,6 @@
 """How long a robot stands without readings or commands: what the tolerances of the safety rules rest on.
 
-python benchmarks/tolerances.py OUT.json [robots for each case]
+python -m lab.policies.tolerances OUT.json [robots for each case]
 
 Each run is an emulated robot that stands, follows random commands and meets one fault, with no rule to end the run.
 Its true orientation a second and a half after the fault says whether it still stands.
@@ -13,8 +13,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import RunSettings

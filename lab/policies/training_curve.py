@@ -1,8 +1,8 @@
 """How good a policy is after each minute of its training: the paper's table, not the reward, against time.
 
     python -m mimic.train out minutes=9.3 snapshots=[2,3,4,5,6,7,8]
-    python benchmarks/training_curve.py out [more folders] [--episodes 10] [--write docs/images/training_curve.png]
-    python benchmarks/training_curve.py "defaults=one,two,three" "no gait=four" --write docs/images/ablations.png
+    python -m lab.policies.training_curve out [more folders] [--episodes 10] [--write docs/images/training_curve.png]
+    python -m lab.policies.training_curve "defaults=one,two,three" "no gait=four" --write docs/images/ablations.png
 
 Every ``policy_<minutes>min.onnx`` of the folder, and policy.onnx at its end, is judged under all of the paper's rules;
 a point is the mean over three evaluation seeds, and over the folders where there are several: training seeds of the

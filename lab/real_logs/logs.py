@@ -1,6 +1,6 @@
 """Public logs of real machines as logs and models that ``mimic calibrate`` takes.
 
-    python benchmarks/real_logs.py ../shared/data/logs OUT
+    python -m lab.real_logs.logs ../shared/data/logs OUT
 
 writes OUT/emps.parquet, emps_pulses.parquet, emps.xml, go2.parquet, its halves go2_first and go2_second.parquet,
 go2.xml, four servo_MOTION.parquet and servo.xml, and prints what the EMPS data say about their own controller and how

@@ -1,6 +1,6 @@
 """Other ways to fit a model, on the same logs: what each names, how well it predicts another log, what it costs.
 
-    python -m benchmarks.rivals ../shared/data/logs [--only leg EMPS] [--methods mujoco.sysid] [--results OUT.jsonl]
+    python -m lab.rivals ../shared/data/logs [--only leg EMPS] [--methods mujoco.sysid] [--results OUT.jsonl]
 
 Every method gets the same logs and the same model. What it found is replayed, by one and the same replay, over another
 log of the same machine that no method saw. Prints a table in Markdown; with ``--results`` finished rows are kept and
@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.rivals.cases import Case, emps_case, leg_case, servo_case
-from benchmarks.rivals.methods import METHODS, Found
+from lab.rivals.cases import Case, emps_case, leg_case, servo_case
+from lab.rivals.methods import METHODS, Found
 from mimic.dynamics.machine import as_logged
 from mimic.errors import MimicError
 from mimic.sysid.noise import noise_floor

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.hidden_effects.generator import measured, simulate
-from benchmarks.hidden_effects.scenarios import Scenario, build
-from benchmarks.hidden_effects.suite import hung, legs_mjcf
-from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, identify, read_emps, servo_logs
+from lab.hidden_effects.generator import measured, simulate
+from lab.hidden_effects.scenarios import Scenario, build
+from lab.hidden_effects.suite import hung, legs_mjcf
+from lab.real_logs.logs import EMPS_MJCF, SERVO_MJCF, emps_log, identify, read_emps, servo_logs
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.rivals.cases import Case, switched_on
+from lab.rivals.cases import Case, switched_on
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues

@@ -1,7 +1,7 @@
 """How many of 200 natural sentences a planner executes, refuses, or gets wrong.
 
-    python -m benchmarks.sentences                                                   # the phrasebook
-    python -m benchmarks.sentences --llm-url http://127.0.0.1:11434/v1 --llm-model NAME
+    python -m lab.sentences                                                   # the phrasebook
+    python -m lab.sentences --llm-url http://127.0.0.1:11434/v1 --llm-model NAME
 
 Each motion is measured on its key frames (`checks`), whatever made it. "Wrong" is a motion that does something else
 than the sentence says; a refusal is never wrong, but it is counted apart where the sentence can be executed.
@@ -14,7 +14,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from benchmarks.sentences.checks import does, sentences
+from lab.sentences.checks import does, sentences
 from mimic.config.pose import LanguageSettings
 from mimic.errors import SourceError
 from mimic.robot.reach import Reach

@@ -1,12 +1,12 @@
 """mimic --robot cyberdog2 on the maker's firmware.
 
-python -m benchmarks.stock_firmware build                         copy and build the firmware, 7 minutes
-python -m benchmarks.stock_firmware series OUT.jsonl [JOBS] [CASE=N ...]
+python -m lab.stock_firmware build                         copy and build the firmware, 7 minutes
+python -m lab.stock_firmware series OUT.jsonl [JOBS] [CASE=N ...]
                                                                   robots of Table II lie, stand up, box, sit down;
                                                                   JOBS side by side; goes on where it was stopped
-python -m benchmarks.stock_firmware one CASE SEED TARGETS         one of them
-python -m benchmarks.stock_firmware cut [ROUNDS]                  processes killed, cable cut: what drives the robot
-python -m benchmarks.stock_firmware compare                       the emulated board given the same commands
+python -m lab.stock_firmware one CASE SEED TARGETS         one of them
+python -m lab.stock_firmware cut [ROUNDS]                  processes killed, cable cut: what drives the robot
+python -m lab.stock_firmware compare                       the emulated board given the same commands
 
 Needs real time: two cores that do little else, or root, to whom the system gives real-time priority.
 """
@@ -23,10 +23,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.stock_firmware.compare import compare
-from benchmarks.stock_firmware.firmware import Bench, NotHere, build, inside_network, require_built
-from benchmarks.stock_firmware.firmware import upright as uprightness
-from benchmarks.stock_firmware.series import CASES, MODEL, PLAN, children, command, play_one, series, table, targets
+from lab.stock_firmware.compare import compare
+from lab.stock_firmware.firmware import Bench, NotHere, build, inside_network, require_built
+from lab.stock_firmware.firmware import upright as uprightness
+from lab.stock_firmware.series import CASES, MODEL, PLAN, children, command, play_one, series, table, targets
 
 STANDING = 0.35
 """Height of the trunk above which the robot stands [m]."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.stock_firmware.firmware import Bench
+from lab.stock_firmware.firmware import Bench
 from mimic.emulator.motor_mode import MotorModeRules
 from mimic.hardware.stock.messages import MOTOR_CTRL, MOTOR_CTRL_STATE, SPI_DATA, TIMED_OUT, define
 from mimic.hardware.stock.wiring import PARTS, load_board

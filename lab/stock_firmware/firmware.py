@@ -133,7 +133,7 @@ def require_built() -> Path:
     """
     folder = place()
     if not (folder / "build" / "bench.mimic").is_file():
-        raise NotHere(f"the maker's firmware is not built in {folder}; run: python -m benchmarks.stock_firmware build")
+        raise NotHere(f"the maker's firmware is not built in {folder}; run: python -m lab.stock_firmware build")
     if subprocess.run([folder / "run.sh", "true"], capture_output=True, check=False).returncode:
         raise NotHere("this computer gives no network namespace to its user (unshare), which keeps messages here")
     return folder
@@ -182,7 +182,7 @@ def inside_network(arguments: list[str]) -> int | None:
 def through_network(arguments: list[str]) -> list[str]:
     """Return the command that runs this benchmark with other arguments inside a network of its own."""
     inside = ["env", f"{INSIDE}=1", f"PYTHONPATH={ROOT}"]
-    return [*inside, str(require_built() / "run.sh"), sys.executable, "-m", "benchmarks.stock_firmware", *arguments]
+    return [*inside, str(require_built() / "run.sh"), sys.executable, "-m", "lab.stock_firmware", *arguments]
 
 
 class Bench:

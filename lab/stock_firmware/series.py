@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lcm_proxy import LcmProxy, wiring_through
-from benchmarks.stock_firmware.firmware import ROOT, Bench, save_model, through_network
-from benchmarks.stock_firmware.firmware import upright as uprightness
+from lab.faults.lcm_proxy import LcmProxy, wiring_through
+from lab.stock_firmware.firmware import ROOT, Bench, save_model, through_network
+from lab.stock_firmware.firmware import upright as uprightness
 from mimic.config.play import Randomisation
 from mimic.dynamics.robot_model import draw_variation, load_model, vary_model
 from mimic.flows.play import play

@@ -1,18 +1,13 @@
 """Faults on the emulated robot in its own time, one for each rule.
 
-benchmarks/fault_campaign.py plays hundreds of all kinds.
+lab/faults/fault_campaign.py plays hundreds of all kinds.
 """
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from benchmarks.faults_in_process import KINDS_OF_FAULT, Outcome, play
+from lab.faults.faults_in_process import KINDS_OF_FAULT, Outcome, play
 
 pytestmark = pytest.mark.slow
 

@@ -1,24 +1,21 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 pytest.importorskip("numba")
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks.hidden_effects import physics, suite, summary
-from benchmarks.hidden_effects.agreement import disagreement
-from benchmarks.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
-from benchmarks.hidden_effects.generator import (
+from lab.hidden_effects import physics, suite, summary
+from lab.hidden_effects.agreement import disagreement
+from lab.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effect
+from lab.hidden_effects.generator import (
     ALIENS,
     CLOCKS,
     ENCODER,
@@ -32,7 +29,7 @@ from benchmarks.hidden_effects.generator import (
     read_by,
     simulate,
 )
-from benchmarks.hidden_effects.scenarios import (
+from lab.hidden_effects.scenarios import (
     Scenario,
     balanced,
     build,

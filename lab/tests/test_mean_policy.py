@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 onnx = pytest.importorskip("onnx", reason="the train extra brings onnx")
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from onnx import numpy_helper  # noqa: E402
 
-from benchmarks.mean_policy import contract_of, mean_policy  # noqa: E402
+from lab.policies.mean_policy import contract_of, mean_policy  # noqa: E402
 from mimic.io.assets import shipped  # noqa: E402
 from mimic.policy.contract import METADATA_KEY  # noqa: E402
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
 torch = pytest.importorskip("torch", reason="the train extra brings PyTorch")
 pytest.importorskip("rsl_rl", reason="the train extra brings rsl-rl-lib")
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks.off_policy import Learner, SacSettings, Student  # noqa: E402
+from lab.policies.off_policy import Learner, SacSettings, Student  # noqa: E402
 
 WORLDS, KEPT = 16, 12
 

@@ -1,18 +1,15 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("numba")
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks.rivals.__main__ import error_of, named, run, table
-from benchmarks.rivals.cases import leg_case
-from benchmarks.rivals.methods import METHODS, as_given, of_baseline, of_mujoco, of_sindy
+from lab.rivals.__main__ import error_of, named, run, table
+from lab.rivals.cases import leg_case
+from lab.rivals.methods import METHODS, as_given, of_baseline, of_mujoco, of_sindy
 
 
 def verdict(names: tuple[str, ...] | None, hidden: tuple[str, ...]) -> str:

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.second_engine import main, plain_mjcf
+from lab.engines.second_engine import main, plain_mjcf
 from mimic.dynamics.robot_model import load_model
 from mimic.records import JOINTS
 from mimic.robot.description import load_description

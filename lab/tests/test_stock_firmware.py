@@ -6,14 +6,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from benchmarks.stock_firmware.firmware import ROOT, NotHere, require_built
-from benchmarks.stock_firmware.series import ended, table
+from lab.stock_firmware.firmware import ROOT, NotHere, require_built
+from lab.stock_firmware.series import ended, table
 
 
 def test_a_robot_that_was_refused_is_counted_apart_from_one_that_fell():
@@ -38,7 +35,7 @@ def test_same_commands_and_readings_give_the_same_error_flags_and_torques():
         require_built()
     except NotHere as reason:
         pytest.skip(str(reason))
-    command = [sys.executable, "-m", "benchmarks.stock_firmware", "compare"]
+    command = [sys.executable, "-m", "lab.stock_firmware", "compare"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=True)
     found = json.loads(done.stdout)

@@ -1,14 +1,12 @@
 """Sets of effects that are claimed from torques alone, on an arm in closed form."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("numba")
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from benchmarks.torque_screen import KD, KP, MJCF, SINGLES, arm_log, screen
+from lab.hidden_effects.torque_screen import KD, KP, MJCF, SINGLES, arm_log, screen
 from mimic.dynamics.machine import read_machine
 
 

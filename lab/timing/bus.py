@@ -1,6 +1,6 @@
 """Load of the emulated bus against arithmetic, and how long twelve commands take to their twelve answers.
 
-    python benchmarks/bus.py                # both: in the emulation's own time, then across processes for 20 s each
+    python -m lab.timing.bus                # both: in the emulation's own time, then across processes for 20 s each
 
 Arithmetic: mean bits of a command, an answer, an orientation and a rate of turn with realistic payloads, stuffing and
 check sum included (141.9, 137.5, 114.8, 102.1), times how often each is sent.

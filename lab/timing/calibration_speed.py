@@ -1,7 +1,7 @@
 """Time of a calibration on a device: replays, baseline fit, the paper's random search, everything.
 
-    python -m benchmarks.calibration_speed pack LOG.parquet LOG.npz                # where pyarrow is not installed
-    python -m benchmarks.calibration_speed run LOG.npz --device cuda --out OUT.json [--samples 8192] [--only PART …]
+    python -m lab.timing.calibration_speed pack LOG.parquet LOG.npz                # where pyarrow is not installed
+    python -m lab.timing.calibration_speed run LOG.npz --device cuda --out OUT.json [--samples 8192] [--only PART …]
 
 The log is one of the hung CyberDog 2. Each part is timed by itself after the kernels are compiled; the table and
 OUT.json grow part by part, so that what was measured stays where a later part is cut off. ``agreement`` holds the

@@ -1,6 +1,6 @@
 """A camera followed live: latency of every frame, and how far the live targets are from those of the whole clip.
 
-    python benchmarks/live_camera.py [--beta 4 --min-cutoff 1.5] [VIDEO ...]     # by default the shipped clips
+    python -m lab.timing.live_camera [--beta 4 --min-cutoff 1.5] [VIDEO ...]     # by default the shipped clips
 
 Each clip is played in real time in place of a camera, with the simulated robot in the same process. Run it on a quiet
 computer.
@@ -25,7 +25,7 @@ from mimic.flows.run_folder import COMMANDS, LIVE, METRICS
 from mimic.io import store
 from mimic.records import CommandTrack, LiveTrack
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "videos"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "videos"
 
 
 def behind(live: CommandTrack, whole: CommandTrack, blend: float) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """How well the loop keeps its time with the emulated robot in a process beside it.
 
-python benchmarks/loop_timing.py [seconds] [socketcand|slcan]
+python -m lab.timing.loop_timing [seconds] [socketcand|slcan]
 
 `mimic --robot` stands until Ctrl-C; the figures are those of its own health.parquet, from standing up to sitting
 down. The machine's load is printed with them: on a shared machine they say how it is when others compute too. A third

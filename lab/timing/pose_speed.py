@@ -1,6 +1,6 @@
 """Frames per second of video -> wrist track at 720p, and the ratio to the detector alone.
 
-    python benchmarks/pose_speed.py [VIDEO] [--rounds 3]
+    python -m lab.timing.pose_speed [VIDEO] [--rounds 3]
 
 The video (default: an example clip) is scaled to 1280x720 H.264 in a temporary file. "BlazePose alone" is the time for
 loading the detector and inside it, for the same frames. Rounds alternate, and the best of each counts, so that other
@@ -27,7 +27,7 @@ from mimic.sources.video.decoding import open_video
 from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.video import track_video
 
-EXAMPLES = Path(__file__).parents[1] / "examples" / "videos"
+EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 SIZE = (1280, 720)
 
 

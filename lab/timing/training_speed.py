@@ -1,8 +1,8 @@
 """Where the time of training goes: physics, rewards and observations, inference, learning, and the whole loop.
 
-    CUDA_VISIBLE_DEVICES=7 python3 benchmarks/training_speed.py --out $OUT/speed.json      # everything, below 8 minutes
-    python3 benchmarks/training_speed.py --only physics,captured seed=2            # some stages, other settings
-    CUDA_VISIBLE_DEVICES=6,7 python3 benchmarks/training_speed.py --only gpus worlds=8192 --out $OUT/gpus.json
+    CUDA_VISIBLE_DEVICES=7 python3 lab/timing/training_speed.py --out $OUT/speed.json      # everything, below 8 minutes
+    python3 lab/timing/training_speed.py --only physics,captured seed=2            # some stages, other settings
+    CUDA_VISIBLE_DEVICES=6,7 python3 lab/timing/training_speed.py --only gpus worlds=8192 --out $OUT/gpus.json
 
 Each stage runs in a process of its own, so that one that fails or hangs does not lose the others; its lines are printed
 as they come, and the JSON is written anew after each stage. ``name=value`` sets a field as in ``python -m

@@ -1,6 +1,6 @@
 """Time and memory of what a user runs: start-up, the whole command, and the simulated run alone.
 
-python benchmarks/whole_command.py [VIDEO]        # by default examples/videos/boxing.mp4
+python -m lab.timing.whole_command [VIDEO]        # by default examples/videos/boxing.mp4
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "videos" / "boxing.mp4"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "videos" / "boxing.mp4"
 
 
 def command(*words: str, cache: Path) -> tuple[float, float]:

@@ -70,6 +70,7 @@ def test_the_table_of_commands_names_each_command() -> None:
 def test_the_navigation_of_the_site_has_every_page(site: ModuleType) -> None:
     configuration = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    written |= {f"results/{path.name}" for path in (ROOT / "lab" / "results").glob("*.md")}
     assert written | {"changelog.md"} == set(navigation(configuration["nav"]))
 
 
