@@ -218,7 +218,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
         sys.exit(f"{given.write} lacks the lines {BEGIN} and {END}")
     before, after = page.split(BEGIN)[0], page.split(END)[1]
     given.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
-    draw_heat_map({**robust, "policy": given.policy.name}, HERE.parent / "docs" / "images" / "robustness.png")
+    draw_heat_map({**robust, "policy": given.policy.name}, HERE.parents[1] / "docs" / "images" / "robustness.png")
 
 
 if __name__ == "__main__":

@@ -186,7 +186,7 @@ class MdpSettings:
     solver_iterations: int = 4
     """Newton iterations of the training physics; the evaluation uses MuJoCo's 100. After 0.6 s of standing up in steps
     of 2.5 ms nine of ten worlds are within 1e-2 rad of the evaluation's state and the worst 2e-2 away; 5 to 7: 7e-3 and
-    2e-2; 10: 8e-5 and 6e-3 (lab/hidden_effects/solver_accuracy.py). Six take 13 % more time."""
+    2e-2; 10: 8e-5 and 6e-3. Six take 13 % more time."""
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     friction_speed: float = 0.1
