@@ -1,9 +1,9 @@
-"""The tables of lab/results/policy.md for a policy, as Markdown: Table III, walking, standing, robustness.
+"""The tables of lab/results/policy.md and robustness.md for a policy, as Markdown.
 
-Measure and print, about 25 minutes on 2 cores; with --write into the page, with the heat map; or from stored results:
+Measure and print, about 25 minutes on 2 cores; with --write into both pages, with the heat map; or from stored results:
 
     python -m lab.policies.policy_report [POLICY]
-    python -m lab.policies.policy_report [POLICY] --write lab/results/policy.md
+    python -m lab.policies.policy_report [POLICY] --write lab/results
     python -m lab.policies.policy_report [POLICY] --table a.json --stand-up b.json --calm c.json --robustness d.json
 """
 
@@ -158,7 +158,7 @@ def main() -> None:
     parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate --stand-up")
     parser.add_argument("--calm", type=Path, help="JSON of mimic evaluate --calm")
     parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
-    parser.add_argument("--write", type=Path, help="markdown file whose measured part is replaced")
+    parser.add_argument("--write", type=Path, help="folder of both pages; their measured parts are replaced")
     given = parser.parse_args()
     cached_policy(str(given.policy))
     report(given, load_description().name)
@@ -188,37 +188,41 @@ def report(given: argparse.Namespace, robot: str) -> None:
     text = "\n\n".join(
         [
             f"Policy `{given.policy.name}`, SHA-256 `{digest[:12]}…`, on {robot}.",
-            "### The paper's Table III",
+            "## The paper's Table III",
             f"`mimic evaluate {given.policy} --table`, {episodes} episodes a row, all of the paper's terminations.",
             paper_table(table),
-            "### Walking",
+            "## Walking",
             "The robot as described, three walks each, 3 to 12 s after the start. Faster than "
             f"{fastest:g} m/s was not trained.",
             walking_table(table["walking"], "m_s"),
             "On the spot, the same for turns:",
             walking_table(table["turning"], "rad_s"),
-            "### Calm",
+            "## Calm",
             f"`mimic evaluate {given.policy} --calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
             "100 for each push.",
             calm_table(calm),
-            "### Standing up and standing still",
+            "## Standing up and standing still",
             f"`mimic evaluate {given.policy} --stand-up`, {rise['summary']['starts']} starts, "
             f"{rise['summary']['still_episodes']} nominal robots that stand still.",
             stand_up_table(rise),
-            "### Robustness",
-            f"`mimic evaluate {given.policy} --robustness`, {points} episodes at each point.",
-            robustness_table(robust),
         ]
     )
-    if given.write is None:
-        print(text)
-        return
-    page = given.write.read_text()
+    asked = f"`mimic evaluate {given.policy} --robustness`, {points} episodes at each point."
+    pages = {"policy.md": text, "robustness.md": f"{asked}\n\n{robustness_table(robust)}"}
+    for name, measured in pages.items():
+        if given.write is None:
+            print(measured)
+        else:
+            write(given.write / name, measured)
+    if given.write is not None:
+        draw_heat_map({**robust, "policy": given.policy.name}, HERE.parents[1] / "docs" / "images" / "robustness.png")
+
+
+def write(path: Path, measured: str) -> None:
+    page = path.read_text()
     if BEGIN not in page or END not in page:
-        sys.exit(f"{given.write} lacks the lines {BEGIN} and {END}")
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    given.write.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
-    draw_heat_map({**robust, "policy": given.policy.name}, HERE.parents[1] / "docs" / "images" / "robustness.png")
+        sys.exit(f"{path} lacks the lines {BEGIN} and {END}")
+    path.write_text(f"{page.split(BEGIN)[0]}{BEGIN}\n\n{measured}\n\n{END}{page.split(END)[1]}")
 
 
 if __name__ == "__main__":

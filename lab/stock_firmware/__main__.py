@@ -1,14 +1,14 @@
 """mimic --robot cyberdog2 on the maker's firmware.
 
-python -m lab.stock_firmware build                         copy and build the firmware, 7 minutes
 python -m lab.stock_firmware series OUT.jsonl [JOBS] [CASE=N ...]
-                                                                  robots of Table II lie, stand up, box, sit down;
-                                                                  JOBS side by side; goes on where it was stopped
+                                                     robots of Table II lie, stand up, box, sit down;
+                                                     JOBS side by side; goes on where it was stopped
 python -m lab.stock_firmware one CASE SEED TARGETS         one of them
 python -m lab.stock_firmware cut [ROUNDS]                  processes killed, cable cut: what drives the robot
 python -m lab.stock_firmware compare                       the emulated board given the same commands
 
-Needs real time: two cores that do little else, or root, to whom the system gives real-time priority.
+MIMIC_FIRMWARE names the folder of the built firmware. Needs real time: two cores that do little else, or root, to whom
+the system gives real-time priority.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import time
 from pathlib import Path
 
 from lab.stock_firmware.compare import compare
-from lab.stock_firmware.firmware import Bench, NotHere, build, inside_network, require_built
+from lab.stock_firmware.firmware import Bench, NotHere, inside_network, require_built
 from lab.stock_firmware.firmware import upright as uprightness
 from lab.stock_firmware.series import CASES, MODEL, PLAN, children, command, play_one, series, table, targets
 
@@ -91,9 +91,6 @@ CUT = ("host", "sender", "both", "host stopped", "cable")
 def main(arguments: list[str]) -> int:
     what, *more = arguments or [""]
     try:
-        if what == "build":
-            print(build())
-            return 0
         if what == "series" and more:
             jobs = int(more[1]) if len(more) > 1 else 1
             plan = {name: int(count) for name, count in (word.split("=") for word in more[2:])} or PLAN

@@ -1,10 +1,9 @@
-"""Builds the maker's firmware and its bench, and runs them beside whatever speaks to them."""
+"""Runs the maker's firmware, built elsewhere, and its bench beside whatever speaks to them."""
 
 from __future__ import annotations
 
 import csv
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,159 +16,35 @@ import numpy as np
 
 ROOT = Path(__file__).parents[2]
 
-SOURCE = ROOT.parent / "shared" / "firmware"
-"""Tarball of the firmware, bench and scripts."""
-
 PLACE = "MIMIC_FIRMWARE"
-"""Environment variable: folder of a copy of SOURCE to build in, or that is built."""
+"""Environment variable: folder of the built firmware: `run.sh`, which runs a command in a network namespace,
+`build/firmware/control/user/cyberdog_control`, and the bench, `build/bench.mimic`, which plays the simulator's part
+with a MuJoCo model (.xml, .mjb) and takes --gains, --delay, --imu-lag, --seed, --push and --noise."""
 
 INSIDE = "MIMIC_FIRMWARE_NETWORK"
 """Set inside the network of the bench, which reaches nothing else."""
-
-EXTENSIONS = (
-    (
-        "mjModel* m             = mj_loadXML( o.model.c_str(), nullptr, error, sizeof error );",
-        'bool     compiled      = o.model.size() > 4 && o.model.substr( o.model.size() - 4 ) == ".mjb";\n'
-        "    mjModel* m             = compiled ? mj_loadModel( o.model.c_str(), nullptr )"
-        " : mj_loadXML( o.model.c_str(), nullptr, error, sizeof error );",
-    ),
-    (
-        "bool        hang = false, attach = false;",
-        "bool        hang = false, attach = false;\n    std::string gains;\n"
-        "    int         delay = 0, imu_lag = 0, seed = 0;\n"
-        "    double      push = 0, noise[ 4 ] = { 0, 0, 0, 0 };",
-    ),
-    (
-        'else if ( a == "--spi" ) o.spi = v;',
-        'else if ( a == "--gains" ) o.gains = v;\n        else if ( a == "--delay" ) o.delay = atoi( v.c_str() );\n'
-        '        else if ( a == "--imu-lag" ) o.imu_lag = atoi( v.c_str() );\n'
-        '        else if ( a == "--seed" ) o.seed = atoi( v.c_str() );\n'
-        '        else if ( a == "--push" ) o.push = atof( v.c_str() );\n'
-        '        else if ( a == "--noise" )\n'
-        '            sscanf( v.c_str(), "%lf,%lf,%lf,%lf", o.noise, o.noise + 1, o.noise + 2, o.noise + 3 );\n'
-        '        else if ( a == "--spi" ) o.spi = v;',
-    ),
-    (
-        "const SpiCommand c = out.spiCommand;",
-        "static std::deque< SpiCommand > waiting;\n        waiting.push_back( out.spiCommand );\n"
-        "        const SpiCommand c = waiting.front();\n"
-        "        if ( ( int )waiting.size() > o.delay ) waiting.pop_front();",
-    ),
-    (
-        "double want = cp[ k ][ l ] * ( cq[ k ][ l ] - qq ) + cd[ k ][ l ] * ( cv[ k ][ l ] - vv ) + ct[ k ][ l ];",
-        "double want = factor[ 0 ][ i ] * cp[ k ][ l ] * ( cq[ k ][ l ] - qq )"
-        " + factor[ 1 ][ i ] * cd[ k ][ l ] * ( cv[ k ][ l ] - vv ) + ct[ k ][ l ];",
-    ),
-    (
-        "long   tick = 0, late = 0;",
-        "double factor[ 2 ][ 12 ];\n"
-        "    for ( int i = 0; i < 24; i++ ) factor[ i / 12 ][ i % 12 ] = 1;\n"
-        "    for ( size_t i = 0, at = 0; i < 24 && !o.gains.empty() && at != std::string::npos; i++ ) {\n"
-        "        factor[ i / 12 ][ i % 12 ] = atof( o.gains.c_str() + at );\n"
-        "        at = o.gains.find( ',', at );\n"
-        "        if ( at != std::string::npos ) at++;\n"
-        "    }\n"
-        "    long   tick = 0, late = 0;",
-    ),
-    ("#include <cstdlib>", "#include <cstdlib>\n#include <deque>\n#include <random>"),
-    (
-        "        in.cheater_state.orientation << q[ 0 ], q[ 1 ], q[ 2 ], q[ 3 ];\n",
-        "        in.cheater_state.orientation << q[ 0 ], q[ 1 ], q[ 2 ], q[ 3 ];\n"
-        "        static std::mt19937 draw( o.seed );\n"
-        "        auto around = [ & ]( double half ) {\n"
-        "            return half > 0 ? std::uniform_real_distribution<>( -half, half )( draw ) : 0.0;\n"
-        "        };\n"
-        "        mjtNum turn[ 4 ] = { 1, around( o.noise[ 2 ] ) / 2, around( o.noise[ 2 ] ) / 2,"
-        " around( o.noise[ 2 ] ) / 2 }, seen[ 4 ];\n"
-        "        mju_normalize4( turn );\n"
-        "        mju_mulQuat( seen, q, turn );\n"
-        "        in.vectorNav.quat << seen[ 1 ], seen[ 2 ], seen[ 3 ], seen[ 0 ];\n"
-        "        for ( int k = 0; k < 3; k++ ) in.vectorNav.gyro[ k ] += around( o.noise[ 3 ] );\n"
-        "        static std::deque< std::decay_t< decltype( in.vectorNav ) > > felt;\n"
-        "        felt.push_back( in.vectorNav );\n"
-        "        if ( ( int )felt.size() > o.imu_lag + 1 ) felt.pop_front();\n"
-        "        in.vectorNav = felt.front();\n"
-        "        static double next_push = 5.0;\n"
-        "        if ( o.push > 0 && tick * TICK >= next_push ) {\n"
-        "            double way = around( M_PI ), speed = o.push * ( 1 + around( 1 ) ) / 2;\n"
-        "            d->qvel[ 0 ] += speed * cos( way ), d->qvel[ 1 ] += speed * sin( way );\n"
-        "            next_push += 5.0 + ( 1 + around( 1 ) ) / 8;\n"
-        "        }\n",
-    ),
-    (
-        "qs[ k ][ l ]      = SIGN[ k ] * d->qpos[ qadr[ i ] ];",
-        "qs[ k ][ l ]      = SIGN[ k ] * d->qpos[ qadr[ i ] ] + around( o.noise[ 0 ] );",
-    ),
-    (
-        "vs[ k ][ l ]      = SIGN[ k ] * d->qvel[ vadr[ i ] ];",
-        "vs[ k ][ l ]      = SIGN[ k ] * d->qvel[ vadr[ i ] ] + around( o.noise[ 1 ] );",
-    ),
-)
-"""Additions to the bench: compiled models (.mjb), factors on the gains of each motor, a delay of commands in ticks; a
-push of the trunk up to so many m/s every 5 s; half widths of the noise of joint positions [rad], velocities [rad/s],
-orientation about each axis [rad] and rate of turn [rad/s], drawn each tick; a lag of the IMU in ticks."""
-
 
 REAL_TIME = ("chrt", "-f", "5") if os.geteuid() == 0 else ("nice", "-n", "0")
 """Bench and firmware run before other work where that is allowed: a robot's board does nothing else either."""
 
 
 class NotHere(Exception):
-    """The firmware cannot be built or run here; says why."""
-
-
-def place() -> Path:
-    """Return the folder in which the firmware is built."""
-    given = os.environ.get(PLACE)
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return Path(given) if given else base / "mimic" / "stock_firmware"
+    """The firmware is not here or cannot run here; says why."""
 
 
 def require_built() -> Path:
-    """Return the folder of the built firmware with the extended bench.
+    """Return the folder of the built firmware and bench.
 
     Raises:
         NotHere: If it is not built.
     """
-    folder = place()
-    if not (folder / "build" / "bench.mimic").is_file():
-        raise NotHere(f"the maker's firmware is not built in {folder}; run: python -m lab.stock_firmware build")
+    folder = Path(os.environ.get(PLACE, ""))
+    if not os.environ.get(PLACE) or not (folder / "build" / "bench.mimic").is_file():
+        given = f"{folder} has no build/bench.mimic" if os.environ.get(PLACE) else "it is not set"
+        raise NotHere(f"{PLACE} must name the folder of the built firmware and bench; {given}")
     if subprocess.run([folder / "run.sh", "true"], capture_output=True, check=False).returncode:
         raise NotHere("this computer gives no network namespace to its user (unshare), which keeps messages here")
     return folder
-
-
-def build() -> Path:
-    """Build firmware and bench, if that is not done, and return the folder.
-
-    Raises:
-        NotHere: If the sources are absent or it cannot be built.
-    """
-    folder = place()
-    if not (folder / "build" / "bench").is_file():
-        if not (folder / "build.sh").is_file():
-            if not SOURCE.is_dir():
-                raise NotHere(f"there is no {SOURCE} with the maker's firmware")
-            shutil.copytree(SOURCE, folder, dirs_exist_ok=True)
-        print(f"building in {folder}, some 7 minutes", flush=True)
-        own = str(Path(sys.executable).parent)  # whose lcm-gen, of the package from PyPI, writes another C++
-        path = os.pathsep.join(p for p in os.environ.get("PATH", "").split(os.pathsep) if p != own)
-        if subprocess.run(
-            ["nice", "-n", "15", "./build.sh"], cwd=folder, env=os.environ | {"PATH": path}, check=False
-        ).returncode:
-            raise NotHere(f"building in {folder} failed; see build/*.log there")
-    original = (folder / "bench.cpp").read_text(encoding="utf-8")
-    extended = original
-    for before, after in EXTENSIONS:
-        if extended.count(before) != 1:
-            raise NotHere(f"the bench in {folder} is another one: it lacks {before!r}")
-        extended = extended.replace(before, after)
-    script = (folder / "build.sh").read_text(encoding="utf-8")
-    compile_bench = script[script.index("mj=$(") : script.index('echo "built')]
-    compile_bench = compile_bench.replace("bench.cpp -o build/bench", "build/bench.mimic.cpp -o build/bench.mimic")
-    (folder / "build" / "bench.mimic.cpp").write_text(extended, encoding="utf-8")
-    subprocess.run(["nice", "-n", "15", "sh", "-ec", compile_bench], cwd=folder, check=True)
-    return require_built()
 
 
 def inside_network(arguments: list[str]) -> int | None:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from lab.faults.lcm_proxy import LcmProxy, wiring_through
+from lab.faults.proxies import LcmProxy, wiring_through
 from lab.stock_firmware.firmware import ROOT, Bench, save_model, through_network
 from lab.stock_firmware.firmware import upright as uprightness
 from mimic.config.play import Randomisation

@@ -206,7 +206,7 @@ class MdpSettings:
     each episode that is lived to its end."""
     level_down: float = 0.0
     """… and falls by this, at least to LEAST_LEVEL, when the robot does; 0 leaves every level at 1. With 0.12,
-    the one tried, levels went down to 0.4, and hard pushes were learned less well (lab/results/policy.md)."""
+    the one tried, levels went down to 0.4, and hard pushes were learned less well (lab/results/training.md)."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
     command_margin: float = 0.09
@@ -228,7 +228,7 @@ class MdpSettings:
     disturbance_share_at_first: float = 0.2
     """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before; it grows to 1.
     On a ground that bounces fully from the beginning a policy learns to stand and step with almost straight legs, and
-    keeps that (lab/results/policy.md)."""
+    keeps that (lab/results/training.md)."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.045

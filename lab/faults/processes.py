@@ -1,11 +1,8 @@
-"""Faults of both emulated robots with real processes and sockets, in real time.
+"""Runs of both emulated robots with real processes and sockets, in real time.
 
-python -m lab.faults.faults_in_processes OUT.jsonl {can,stock} [runs] [first seed] [kinds...]
-
-`mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog others, and a proxy stands between them: over
-TCP for socketcand, over multicast for LCM. A run in its turn has one of these: what the proxies do, a second program on
-the robot, processes killed or stopped, a full disk, signals. What the motors did at the end is what the emulator
-says when it ends. Needs root or user namespaces, for a network and a small disk of its own.
+`mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog or sending process others, and a proxy stands
+between them: over TCP for socketcand, over multicast for LCM. What the motors did at the end is what the emulator says
+when it ends. Needs root or user namespaces, for a network and a small disk of its own.
 """
 
 from __future__ import annotations
@@ -17,10 +14,8 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -29,53 +24,33 @@ from typing import Any
 
 import numpy as np
 
-from lab.faults.fault_campaign import USER, incomplete, targets
-from lab.faults.faults_scene import print_failures
-from lab.faults.lcm_proxy import KINDS as LCM_KINDS
-from lab.faults.lcm_proxy import LcmProxy, wiring_through
-from lab.faults.tcp_proxy import KINDS as TCP_KINDS
-from lab.faults.tcp_proxy import TcpProxy
+from lab.faults.can_scene import CUTS
+from lab.faults.proxies import LcmProxy, TcpProxy, wiring_through
+from lab.faults.trouble import CASES, logged, stood
+from mimic.control.recorder import ROWS, salvage
+from mimic.emulator.faults import random_fault
 from mimic.hardware.can.python_can import open_link
 from mimic.hardware.cybergear.codec import Codec
 from mimic.hardware.cybergear.messages import Operation, Stop
 from mimic.hardware.stock.messages import MOTOR_CTRL
+from mimic.io import store
+from mimic.policy.runtime import load_policy
+from mimic.records import RunLog, TargetTrack
+from mimic.robot.description import load_description
 
-ROOT = Path(__file__).parents[1]
-
-INSIDE = "MIMIC_OWN_NETWORK"
-"""Set inside a network and a /tmp of its own."""
+ROOT = Path(__file__).parents[2]
 
 HELPERS = {"can": "mimic.hardware.watchdog", "stock": "mimic.hardware.stock.process"}
 """Module of the second process of a run."""
 
-PROCESSES = (
-    "host_killed",
-    "helper_killed",
-    "both_killed",
-    "host_stopped",
-    "helper_stopped",
-    "both_stopped",
-    "emulator_stopped",
-    "disk_full",
-    "disk_small",
-    "ctrl_c",
-    "ctrl_c_thrice",
-    "terminated",
-    "terminal_closed",
-    "second_check",
-    "second_watch",
-    "second_run",
-    "second_probe",
-    "master_commands",
-)
-"""What happens to processes, and what others do."""
-
-CAN_ONLY = ("master_stops", "second_damp", "second_zero", "second_scan")
-
-DISKS = ("disk_full", "disk_small")
+CUT_OFF = ("host_killed", "both_killed", "disk_full", "disk_small")
+"""After these the process could write no more."""
 
 WITHIN = (0.2, 7.0)
 """When it happens, after the robot was switched on [s]; in the 2.5 s before, a stock robot is limp."""
+
+USER = 2
+"""Exit status of what is refused."""
 
 HANG = 90.0
 """A run that has not ended by then hangs [s]."""
@@ -88,6 +63,9 @@ DISK = 3
 
 REAL_TIME = ["chrt", "-f", "5"] if os.geteuid() == 0 else []
 """The emulator must not be late on a busy computer."""
+
+SECOND = {"run": ["--yes"], "probe": ["--yes"], "watch": ["--seconds", "2"], "zero": ["--yes"]}
+"""More words of a second command beside the run."""
 
 
 class Process:
@@ -158,7 +136,7 @@ class Process:
         self.end(20.0)
 
 
-def helper_of(pid: int, module: str) -> int | None:
+def _helper(pid: int, module: str) -> int | None:
     """Return the second process that a process started."""
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in listed.read_text().split():
@@ -168,38 +146,38 @@ def helper_of(pid: int, module: str) -> int | None:
     return None
 
 
-def _kill(pid: int | None, number: int) -> None:
-    if pid is not None:
-        with suppress(ProcessLookupError):
-            os.kill(pid, number)
+def _kill(pids: Sequence[int | None], number: int) -> None:
+    for pid in pids:
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, number)
 
 
 class _Robot:
     """An emulator in a process, a proxy before it, and the words that `mimic` needs to reach it."""
 
-    def __init__(self, robot: str, seed: int, work: Path, stack: ExitStack, *, own_timeout: bool) -> None:
+    def __init__(self, robot: str, seed: int, work: Path, stack: ExitStack, more: Sequence[str]) -> None:
+        own = (
+            ["--listen", "127.0.0.1:0", "--zeroed", "--placement", "0.03"]
+            if robot == "can"
+            else ["--board", "cyberdog2"]
+        )
+        words = ["emulate", "--every", "0", "--seed", str(seed), *own, *more]
         self.kind = robot
-        common = ["emulate", "--every", "0", "--seed", str(seed)]
+        self.emulator = stack.enter_context(Process(*words, first=REAL_TIME))
+        line = self.emulator.until("ready") or ""
+        found = re.search(r"socketcand://127\.0\.0\.1:(\d+)/can0", line)
+        if not line or (robot == "can" and found is None):
+            raise RuntimeError(f"the emulator does not start: {self.emulator.said}")
         self.proxy: TcpProxy | LcmProxy
-        if robot == "can":
-            timeout = ["--can-timeout"] if own_timeout else []
-            words = [*common, "--listen", "127.0.0.1:0", "--zeroed", "--placement", "0.03", *timeout]
-            self.emulator = stack.enter_context(Process(*words, first=REAL_TIME))
-            line = self.emulator.until("ready") or ""
-            found = re.search(r"socketcand://127\.0\.0\.1:(\d+)/can0", line)
-            if found is None:
-                raise RuntimeError(f"the emulator does not start: {self.emulator.said}")
+        self.direct = "" if found is None else found[0]
+        if found is not None:
             self.proxy = stack.enter_context(TcpProxy(int(found[1]), seed))
-            self.direct = f"socketcand://127.0.0.1:{found[1]}/can0"
             self.words = [f"socketcand://127.0.0.1:{self.proxy.port}/can0", "--zeroed"]
             self.event = "switched on"
         else:
-            self.emulator = stack.enter_context(Process(*common, "--board", "cyberdog2", first=REAL_TIME))
-            if self.emulator.until("ready") is None:
-                raise RuntimeError(f"the emulator does not start: {self.emulator.said}")
             self.proxy = stack.enter_context(LcmProxy(seed))
             wiring = wiring_through(work / "board.toml")
-            self.direct = ""
             self.words = ["cyberdog2", "--interface", "lo", "--wiring", str(wiring)]
             self.event = "motor mode"
 
@@ -245,65 +223,44 @@ def _fill(disk: Path) -> None:
 
 def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.Generator) -> dict[str, Any]:
     """Do what the kind says; return what is known of it."""
+    own, helper = host.process.pid, _helper(host.process.pid, HELPERS[scene.kind])
     lasts = float(rng.choice([0.05, 0.2, 1.0, 1e9]))
-    helper = helper_of(host.process.pid, HELPERS[scene.kind])
     known: dict[str, Any] = {"lasts": lasts, "helper": helper, "at": time.monotonic()}
-    proxied = TCP_KINDS if scene.kind == "can" else LCM_KINDS
-    if kind in proxied:
-        share, lag = float(rng.uniform(0.05, 0.6)), float(rng.uniform(0.002, 0.08))
-        scene.proxy.disturb(kind, share, lag, lasts)
+    if CASES[kind].place == "messages":
+        scene.proxy.disturb(kind, float(rng.uniform(0.05, 0.6)), float(rng.uniform(0.002, 0.08)), lasts)
+    if CASES[kind].place in ("messages", "robot"):
         return known
     pause = known["lasts"] = float(rng.choice([0.05, 0.3, 2.0]))
-    match kind:
-        case "host_killed":
-            host.signal(signal.SIGKILL)
-        case "helper_killed":
-            _kill(helper, signal.SIGKILL)
-        case "both_killed":
-            _kill(helper, signal.SIGKILL)
-            host.signal(signal.SIGKILL)
-        case "host_stopped" | "helper_stopped" | "both_stopped" | "emulator_stopped":
-            own = host.process.pid
-            stopped = {"host_stopped": [own], "helper_stopped": [helper], "both_stopped": [helper, own]}
-            for number in (signal.SIGSTOP, signal.SIGCONT):
-                for pid in stopped.get(kind, [scene.emulator.process.pid]):
-                    _kill(pid, number)
-                time.sleep(pause if number == signal.SIGSTOP else 0.0)
-        case "disk_full":
+    whose = {"host": [own], "helper": [helper], "both": [helper, own], "emulator": [scene.emulator.process.pid]}
+    match kind.split("_"):
+        case [who, "killed"]:
+            _kill(whose[who], signal.SIGKILL)
+        case [who, "stopped"]:
+            _kill(whose[who], signal.SIGSTOP)
+            time.sleep(pause)
+            _kill(whose[who], signal.SIGCONT)
+        case ["disk", "full"]:
             _fill(disk)
-        case "disk_small":
-            pass  # the logs fit on it, and the scene does not
-        case "ctrl_c" | "ctrl_c_thrice":
-            for _ in range(1 if kind == "ctrl_c" else 3):
+        case ["ctrl", "c", *more]:
+            for _ in range({"": 1, "twice": 2, "thrice": 3}["".join(more)]):
                 host.signal(signal.SIGINT)
                 time.sleep(pause)
-        case "terminated":
+        case ["sigterm"]:
             host.signal(signal.SIGTERM)
-        case "terminal_closed":
+        case ["terminal", "closed"]:
             host.signal(signal.SIGHUP)
-        case _ if kind.startswith("second_"):
-            verb = kind.removeprefix("second_")
+        case ["second", verb]:
             words = ["--robot"] if verb == "run" else ["robot", verb]
             knows_zeros = verb in ("check", "watch", "run", "probe")
             reach = [word for word in scene.words if knows_zeros or word != "--zeroed"]
-            more = {
-                "run": ["--yes", "-o", str(disk / "second")],
-                "probe": ["--yes", "-o", str(disk / "second.parquet")],
-                "watch": ["--seconds", "2"],
-                "zero": ["--yes"],
-            }
-            second = Process(*words, *reach, *more.get(verb, []))
+            to = {"run": ["-o", str(disk / "second")], "probe": ["-o", str(disk / "second.parquet")]}.get(verb, [])
+            second = Process(*words, *reach, *SECOND.get(verb, []), *to)
             known["second_hung"] = not second.end(60.0)
             known["second"] = second.said.strip().splitlines()[-1:]
             known["second_traceback"] = _traceback(second.said)
-        case _:
+        case ["master", *_]:
             _master(scene, kind, rng, min(pause, 1.0))
     return known
-
-
-def kinds_of(robot: str) -> tuple[str, ...]:
-    """Return what can happen."""
-    return (*TCP_KINDS, *PROCESSES, *CAN_ONLY) if robot == "can" else (*LCM_KINDS, *PROCESSES)
 
 
 def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) -> dict[str, Any]:
@@ -311,17 +268,21 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
     rng = np.random.default_rng([seed, 61, len(robot)])
     kind = kinds[seed % len(kinds)]
     start, own_timeout = float(rng.uniform(*WITHIN)), bool(rng.random() < 0.5)
+    of_robot = CASES[kind].place == "robot"
+    fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,)) if of_robot else None
     began = time.monotonic()
     disk = work / "disk"
     disk.mkdir()
-    if kind in DISKS:
+    small = kind in ("disk_full", "disk_small")
+    if small:
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}m", "tmpfs", str(disk)], check=True)
     run = disk / "run"
     known: dict[str, Any] = {}
     with ExitStack() as stack:
-        scene = _Robot(robot, seed, work, stack, own_timeout=own_timeout)
-        words = [str(motion), "--robot", *scene.words, "--yes", "--no-view", "-o", str(run)]
-        host = stack.enter_context(Process(*words))
+        faults = [] if fault is None else ["--fault", str(fault)]
+        timeout = ["--can-timeout"] if robot == "can" and own_timeout else []
+        scene = _Robot(robot, seed, work, stack, [*faults, *timeout])
+        host = stack.enter_context(Process(str(motion), "--robot", *scene.words, "--yes", "--no-view", "-o", str(run)))
         moved = scene.emulator.until(scene.event) is not None
         time.sleep(start)
         if host.alive():
@@ -332,27 +293,32 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
             time.sleep(0.1)
         time.sleep(4.0 if robot == "stock" else 0.5)  # a stock board damps by itself, 0.5 s after the last message
         left = scene.left()
-    if kind == "disk_full":
-        (disk / "filler").unlink(missing_ok=True)
-        (disk / "filler2").unlink(missing_ok=True)
-    cut_off = kind in ("host_killed", "both_killed", *DISKS)
-    stopped = known["lasts"] if kind in ("host_stopped", "both_stopped") and known else 0.0
-    lost = incomplete(run, known["at"] if cut_off and known else None, stopped) if run.exists() else ""
-    if not run.exists() and host.process.returncode != USER:
-        lost = "there is no run folder"  # it was not refused, nor did it end before its first tick
-    if kind in DISKS:
+    for file in disk.glob("filler*"):
+        file.unlink()
+    log = logged(run) if known and run.exists() else None
+    before = 0 if log is None else int(np.searchsorted(log.t_host, known["at"])) - 1
+    lost = ""
+    if run.exists():
+        stopped = known["lasts"] if kind in ("host_stopped", "both_stopped") and known else 0.0
+        lost = incomplete(run, known["at"] if kind in CUT_OFF and known else None, stopped)
+    elif host.process.returncode != USER:  # it was not refused, nor did it end before its first tick
+        lost = "there is no run folder"
+    if small:
         subprocess.run(["umount", "-l", str(disk)], check=False)
     driven = left.startswith("driven") or left == "nothing"
-    gone = kind == "both_killed" or (kind in ("refuses", "stalls") and known.get("lasts", 0.0) > SETTLE)
+    lasts = np.inf if fault is not None and np.isinf(fault.until) else known.get("lasts") or 0.0
+    gone = kind == "both_killed" or (kind in ("refuses", "stalls", *CUTS) and lasts > SETTLE)
     beyond = robot == "can" and gone and not own_timeout
     lines = [line.strip() for line in host.said.splitlines() if line.strip("─│┌┐└┘├┤┬┴┼ ")]
     told = any("cut the power" in line or "did not confirm" in line for line in lines[-3:])
     return {
         "robot": robot,
         "seed": seed,
-        "fault": kind,
+        "kind": kind,
+        "fault": kind if fault is None else str(fault),
         "begin": round(start, 2),
         "lasts": known.get("lasts"),
+        "stood": stood(log, before),
         "own_timeout": own_timeout,
         "moved": moved,
         "status": host.process.returncode,
@@ -389,44 +355,37 @@ def _rule(run: Path) -> str:
     return ""
 
 
-def table(rows: list[dict[str, Any]]) -> None:
-    """Print how the runs ended."""
-    for robot in sorted({row["robot"] for row in rows}):
-        mine = [row for row in rows if row["robot"] == robot]
-        print(f"{robot}: {len(mine)} runs")
-        print_failures(mine)
-        print("  driven, beyond reach:", [(r["seed"], r["fault"]) for r in mine if r["driven"] and not r["undamped"]])
-        for kind in dict.fromkeys(row["fault"] for row in mine):
-            print(f"  {kind:18s}", dict(Counter(row["rule"] or "–" for row in mine if row["fault"] == kind)))
+def targets(path: Path) -> Path:
+    """Write three seconds of hands that sway."""
+    contract = load_policy(None, load_description()).contract
+    t = 0.02 * np.arange(150)
+    toes = np.array(contract.neutral_toes).reshape(2, 3) + 0.04 * np.sin(3 * t)[:, None, None]
+    yes, no = np.ones((150, 2), dtype=bool), np.zeros((150, 2), dtype=bool)
+    nothing = {"valid": yes, "moved": np.zeros((150, 2)), "limited": no, "wanted": toes}
+    store.save(TargetTrack(t=t, p_BE=toes, heading=np.zeros(150), **nothing), path, made_by=store.provenance())
+    return path
 
 
-def _own_network() -> int | None:
-    """Run this again in a network and with mounts of its own; None where it is there already."""
-    if os.environ.get(INSIDE):
-        return None
-    script = 'ip link set lo up && ip link set lo multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
-    user = [] if os.geteuid() == 0 else ["-r"]
-    words = ["unshare", *user, "-n", "-m", "sh", "-c", script, "sh", sys.executable, "-m", __spec__.name]
-    return subprocess.run([*words, *sys.argv[1:]], env=os.environ | {INSIDE: "1"}, check=False).returncode
+def incomplete(run: Path, killed: float | None, stopped: float = 0.0) -> str:
+    """Return what the log of a run lacks, or nothing.
 
-
-def main() -> int:
-    status = _own_network()
-    if status is not None:
-        return status
-    out, robot = Path(sys.argv[1]), sys.argv[2]
-    runs, first = (int(sys.argv[i]) if len(sys.argv) > i else default for i, default in ((3, 24), (4, 0)))
-    kinds = sys.argv[5:] or kinds_of(robot)
-    with tempfile.TemporaryDirectory() as name, out.open("a") as file:
-        motion = targets(Path(name) / "targets.parquet")
-        for seed in range(first, first + runs):
-            work = Path(name) / f"run{seed}"
-            work.mkdir()
-            file.write(json.dumps(play(robot, seed, motion, work, kinds)) + "\n")
-            file.flush()
-    table([json.loads(line) for line in out.read_text().splitlines()])
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    Args:
+        run: Its folder.
+        killed: When the process was killed or could write no more; None where it ended by itself.
+        stopped: How long the process was stopped; there is no row of that time [s].
+    """
+    if killed is not None:
+        if (run / "log.parquet").exists():
+            return ""  # it had ended before
+        log, _ = salvage(run)
+        if not len(log.t_host):
+            return ""  # it had not begun its first tick
+        gap = killed - float(log.t_host[-1])
+        return f"the last row is {gap:.3f} s older than the kill" if gap > 0.15 else ""
+    if not (run / "log.parquet").exists():
+        return "there is no log.parquet"
+    if (run / ROWS).exists():
+        return "rows were left behind"
+    log = store.load(run / "log.parquet", RunLog)
+    gap = float(np.diff(log.t_host).max())
+    return f"rows are {gap:.2f} s apart" if gap > 2.0 + stopped else ""
