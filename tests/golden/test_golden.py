@@ -12,7 +12,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +49,10 @@ PENDULUM = """<mujoco model="pendulum"><worldbody><body name="rod">
 HIDDEN = {
     "coulomb": {"level": 0.4},
     "viscous": {"coefficient": 0.2},
-    "stribeck": {"level": 0.3, "speed": 0.1},
     "spring": {"stiffness": 2.0, "moment": 0.1},
 }
-"""Effects, each hidden in a pendulum of its own, in the units of the catalogue."""
+"""Effects, each hidden in a pendulum of its own, in the units of the catalogue. Only the last is searched for; the others
+are in the baseline."""
 
 
 def public_names() -> list[str]:
@@ -124,7 +124,7 @@ def calibrations() -> dict[str, Any]:
             numbers = "\n".join(f"{key} = {value}" for key, value in values.items())
             file.write_text(f'[[effect]]\nname = "{name}"\njoints = ["pivot"]\n{numbers}\n', encoding="utf-8")
             log = mimic.simulate_log(file, model, LogMotion(seconds=12.0), LogSettings(timestep=0.001))
-            found = mimic.calibrate(log, model, SEARCH)
+            found = mimic.calibrate(log, model, SEARCH if name == "spring" else replace(SEARCH, most_effects=0))
             made[name] = {e.name: {k: float(v[0]) for k, v in e.values.items()} for e in found.effects}
     return made
 
