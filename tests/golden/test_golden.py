@@ -40,7 +40,7 @@ LEFT_OUT = ("observation", "t_host")
 """Arrays that are large, or differ from run to run."""
 
 SEARCH = CalibrateSettings(
-    baseline=("coulomb", "viscous"), effects=("stribeck", "spring"), most_effects=1, threads=1, timestep=0.004
+    baseline=("coulomb", "viscous"), effects=("spring",), most_effects=1, threads=1, timestep=0.004
 )
 PENDULUM = """<mujoco model="pendulum"><worldbody><body name="rod">
 <joint name="pivot" type="hinge" axis="0 1 0" range="-90 90" armature="0.01"/>
@@ -51,8 +51,8 @@ HIDDEN = {
     "viscous": {"coefficient": 0.2},
     "spring": {"stiffness": 2.0, "moment": 0.1},
 }
-"""Effects, each hidden in a pendulum of its own, in the units of the catalogue. Only the last is searched for; the others
-are in the baseline."""
+"""Effects, each hidden in a pendulum of its own, in the units of the catalogue. Only the last is searched for; the
+others are in the baseline."""
 
 
 def public_names() -> list[str]:
