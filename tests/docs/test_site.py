@@ -10,10 +10,13 @@ from types import ModuleType
 import pytest
 import yaml
 
+import mimic
 from mimic.cli.app import DEFAULTS, app
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "policies").glob("*.md")])
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(p for name in ("docs", "lab", "policies", "examples") for p in (ROOT / name).rglob("*.md"))]
+)
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +62,22 @@ def test_the_command_reference_has_every_command_and_every_option(site: ModuleTy
                     options += 1
         assert f"## {' '.join(('mimic', *name))}\n" in reference
     assert options > 100, "the walk over the commands found too little"
+
+
+def test_the_reference_of_the_library_has_every_public_name() -> None:
+    pages = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "reference" / "api").glob("*.md"))
+    shown = dict(
+        re.findall(
+            r"^::: (\S+)\n(?:    options:\n(?:      (?!members).*\n)*(?:      members: \[(.*)\])?)?", pages, re.M
+        )
+    )
+    for name in mimic.__all__:
+        if name != "__version__":
+            module = mimic._MODULE_OF[name]
+            assert module in shown, f"{name} of {module} is on no page of the reference"
+            assert not shown[module] or name in shown[module].split(", "), (
+                f"{name} is no member on the page of {module}"
+            )
 
 
 def test_the_table_of_commands_names_each_command() -> None:
