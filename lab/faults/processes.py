@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
@@ -69,70 +67,49 @@ SECOND = {"run": ["--yes"], "probe": ["--yes"], "watch": ["--seconds", "2"], "ze
 
 
 class Process:
-    """A process of mimic's command line, and what it has said."""
+    """A process of mimic's command line; for a with statement."""
 
-    def __init__(self, *words: str, first: list[str] | None = None) -> None:
-        self.began = time.monotonic()
-        self.process = subprocess.Popen(
-            [*(first or []), sys.executable, "-m", "mimic", *words],
-            cwd=ROOT,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=os.environ | {"COLUMNS": "500", "PYTHONPATH": str(ROOT)},
-            start_new_session=True,
-        )
-        self._lines: queue.Queue[str | None] = queue.Queue()
-        self.said = ""
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
+    def __init__(self, output: Path, *words: str, first: Sequence[str] = ()) -> None:
+        self._output = output
+        with output.open("w") as file:
+            self.process = subprocess.Popen(
+                [*first, sys.executable, "-m", "mimic", *words],
+                cwd=ROOT,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=os.environ | {"COLUMNS": "500", "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+                start_new_session=True,
+            )
 
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self._lines.put(line)
-            self.said += line
-        self._lines.put(None)
+    @property
+    def said(self) -> str:
+        """What it has printed."""
+        return self._output.read_text(encoding="utf-8", errors="replace")
 
-    def until(self, wanted: str, seconds: float = 60.0) -> str | None:
-        """Return the first line with these words; None where it ends or takes too long."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            try:
-                line = self._lines.get(timeout=left)
-            except queue.Empty:
-                break
-            if line is None or wanted in line:
-                return line
-        return None
-
-    def alive(self) -> bool:
-        return self.process.poll() is None
-
-    def signal(self, number: int) -> None:
-        with suppress(ProcessLookupError):
-            self.process.send_signal(number)
+    def until(self, wanted: str, seconds: float = 60.0) -> str:
+        """Return the first line with these words; empty where it ends or takes too long."""
+        end, lines, alive = time.monotonic() + seconds, [""], True
+        while alive and not any(wanted in line for line in lines) and time.monotonic() < end:
+            time.sleep(0.02)
+            alive, lines = self.process.poll() is None, self.said.splitlines()
+        return next((line for line in lines if wanted in line), "")
 
     def end(self, seconds: float) -> bool:
         """Wait for its end, kill it if that takes too long, and return whether it ended by itself."""
         try:
             self.process.wait(seconds)
-            ended = True
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-            ended = False
-        self._thread.join(5.0)
-        return ended
+            return False
+        return True
 
     def __enter__(self) -> Process:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
-        if self.alive():
-            self.signal(signal.SIGCONT)
-            self.signal(signal.SIGTERM)
+        _kill([self.process.pid] if self.process.poll() is None else [], signal.SIGCONT, signal.SIGTERM)
         self.end(20.0)
 
 
@@ -146,11 +123,12 @@ def _helper(pid: int, module: str) -> int | None:
     return None
 
 
-def _kill(pids: Sequence[int | None], number: int) -> None:
-    for pid in pids:
-        if pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(pid, number)
+def _kill(pids: Sequence[int | None], *numbers: int) -> None:
+    for number in numbers:
+        for pid in pids:
+            if pid is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, number)
 
 
 class _Robot:
@@ -164,8 +142,8 @@ class _Robot:
         )
         words = ["emulate", "--every", "0", "--seed", str(seed), *own, *more]
         self.kind = robot
-        self.emulator = stack.enter_context(Process(*words, first=REAL_TIME))
-        line = self.emulator.until("ready") or ""
+        self.emulator = stack.enter_context(Process(work / "emulator.txt", *words, first=REAL_TIME))
+        line = self.emulator.until("ready")
         found = re.search(r"socketcand://127\.0\.0\.1:(\d+)/can0", line)
         if not line or (robot == "can" and found is None):
             raise RuntimeError(f"the emulator does not start: {self.emulator.said}")
@@ -183,8 +161,7 @@ class _Robot:
 
     def left(self) -> str:
         """End the emulator, and return what it says of its motors."""
-        self.emulator.signal(signal.SIGCONT)
-        self.emulator.signal(signal.SIGTERM)
+        _kill([self.emulator.process.pid], signal.SIGCONT, signal.SIGTERM)
         self.emulator.end(20.0)
         found = re.search(r"motors at the end\W+(.*?)\s*[│|]?\s*$", self.emulator.said, re.MULTILINE)
         return "nothing" if found is None else found[1].strip()
@@ -213,12 +190,10 @@ def _master(scene: _Robot, kind: str, rng: np.random.Generator, seconds: float) 
 
 def _fill(disk: Path) -> None:
     """Fill a disk, and keep it full for a while."""
-    with suppress(OSError), (disk / "filler").open("wb", buffering=0) as file:
-        while True:
-            file.write(bytes(4096))
-    with suppress(OSError), (disk / "filler2").open("wb", buffering=0) as file:
-        while True:
-            file.write(b"0")
+    for name, size in (("filler", 4096), ("filler2", 1)):
+        with suppress(OSError), (disk / name).open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(size))
 
 
 def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.Generator) -> dict[str, Any]:
@@ -243,18 +218,18 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
             _fill(disk)
         case ["ctrl", "c", *more]:
             for _ in range({"": 1, "twice": 2, "thrice": 3}["".join(more)]):
-                host.signal(signal.SIGINT)
+                _kill([own], signal.SIGINT)
                 time.sleep(pause)
         case ["sigterm"]:
-            host.signal(signal.SIGTERM)
+            _kill([own], signal.SIGTERM)
         case ["terminal", "closed"]:
-            host.signal(signal.SIGHUP)
+            _kill([own], signal.SIGHUP)
         case ["second", verb]:
             words = ["--robot"] if verb == "run" else ["robot", verb]
             knows_zeros = verb in ("check", "watch", "run", "probe")
             reach = [word for word in scene.words if knows_zeros or word != "--zeroed"]
             to = {"run": ["-o", str(disk / "second")], "probe": ["-o", str(disk / "second.parquet")]}.get(verb, [])
-            second = Process(*words, *reach, *SECOND.get(verb, []), *to)
+            second = Process(disk.parent / "second.txt", *words, *reach, *SECOND.get(verb, []), *to)
             known["second_hung"] = not second.end(60.0)
             known["second"] = second.said.strip().splitlines()[-1:]
             known["second_traceback"] = _traceback(second.said)
@@ -282,10 +257,12 @@ def play(robot: str, seed: int, motion: Path, work: Path, kinds: Sequence[str]) 
         faults = [] if fault is None else ["--fault", str(fault)]
         timeout = ["--can-timeout"] if robot == "can" and own_timeout else []
         scene = _Robot(robot, seed, work, stack, [*faults, *timeout])
-        host = stack.enter_context(Process(str(motion), "--robot", *scene.words, "--yes", "--no-view", "-o", str(run)))
-        moved = scene.emulator.until(scene.event) is not None
+        host = stack.enter_context(
+            Process(work / "host.txt", str(motion), "--robot", *scene.words, "--yes", "--no-view", "-o", str(run))
+        )
+        moved = bool(scene.emulator.until(scene.event))
         time.sleep(start)
-        if host.alive():
+        if host.process.poll() is None:
             known = _happen(kind, scene, host, disk, rng)
         ended = host.end(HANG)
         helper, settled = known.get("helper"), time.monotonic()

@@ -34,7 +34,7 @@ AFTER = {
 TOLERATED = ("frames_lost", "frames_late", "imu_forged", "joint_jammed", "policy_wild", "target_nan")
 """Faults that may pass without ending the run."""
 
-FROM_OUTSIDE = ("delays", "repeats", "master_commands", "host_killed", "disk_full")
+FROM_OUTSIDE = ("repeats", "master_commands", "host_killed")
 
 SOON = 0.22
 """120 ms of a silent IMU or eight readings of an encoder, and the ticks in which it is seen [s]."""
