@@ -110,8 +110,8 @@ def motions() -> dict[str, Any]:
 
 
 def videos() -> dict[str, Any]:
-    """Return the toe targets of each clip as the pose model sees it."""
-    return {clip: sampled(mimic.load_motion(VIDEOS / f"{clip}.mp4").targets) for clip in CLIPS}
+    """Return the toe targets of each clip as the pose model sees it, tracked anew."""
+    return {c: sampled(mimic.retarget(mimic.track_video(VIDEOS / f"{c}.mp4", cache=False))) for c in CLIPS}
 
 
 def calibrations() -> dict[str, Any]:
