@@ -29,6 +29,7 @@ ADDED = {
     "examples/videos/README.md": "examples/videos.md",
     "policies/sit_down.md": "policies/sit_down.md",
     "policies/stand_track.md": "policies/stand_track.md",
+    **{f"lab/results/{page.name}": f"results/{page.name}" for page in (ROOT / "lab" / "results").glob("*.md")},
 }
 """Where the site has a Markdown file from outside docs/. README.md stands for the site's own first page."""
 

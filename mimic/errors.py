@@ -19,7 +19,7 @@ class MissingExtra(MimicError, ImportError):
     def __init__(self, library: str, extra: str) -> None:
         self.library, self.extra = library, extra
         super().__init__(
-            f"this needs {library}, which is not installed; install it with: pip install 'mimic-retarget[{extra}]'"
+            f"this needs {library}, which is not installed; in a checkout of mimic: pip install '.[{extra}]'"
         )
 
 

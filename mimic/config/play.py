@@ -11,7 +11,7 @@ from mimic.config.ranges import check_range
 TOE_LAG = 0.06
 """How far the toes of the shipped policy lag behind their commands [s].
 
-Source: thirteen clips (docs/experiments/results.md). A lead of 0, 40, 60, 80 and 100 ms leaves a mean toe error of
+Source: thirteen clips (lab/results/results.md). A lead of 0, 40, 60, 80 and 100 ms leaves a mean toe error of
 2.33, 1.63, 1.42, 1.47 and 1.71 cm.
 """
 

@@ -18,7 +18,7 @@ class RewardWeights:
     toes_fine: float = 3.0
     gait: float = 12.0
     drift: float = 0.0
-    """Off: not shown to be good for anything (docs/experiments/policy.md)."""
+    """Off: not shown to be good for anything (lab/results/training.md)."""
     slip: float = -4.0
     foot_shift: float = -8.0
     terminations: float = -4.0

@@ -95,7 +95,7 @@ class SitDownSettings:
     clock_hz: float = 0.08
     """Frequency of the clock, which starts with the sitting down and tells the policy how far it should be [Hz]."""
     states: str = "handovers.npz"
-    """File of recorded states in policies/, or a path; see benchmarks/handover_states.py."""
+    """File of recorded states in policies/, or a path; see lab/policies/handover_states.py."""
     steady_share: float = 0.45
     """Share of episodes that start from a state recorded while standing, walking and turning."""
     rising_share: float = 0.1
@@ -186,7 +186,7 @@ class MdpSettings:
     solver_iterations: int = 4
     """Newton iterations of the training physics; the evaluation uses MuJoCo's 100. After 0.6 s of standing up in steps
     of 2.5 ms nine of ten worlds are within 1e-2 rad of the evaluation's state and the worst 2e-2 away; 5 to 7: 7e-3 and
-    2e-2; 10: 8e-5 and 6e-3 (benchmarks/solver_accuracy.py). Six take 13 % more time."""
+    2e-2; 10: 8e-5 and 6e-3. Six take 13 % more time."""
     linesearch_iterations: int = 6
     """Line-search iterations of the training physics."""
     friction_speed: float = 0.1
@@ -206,7 +206,7 @@ class MdpSettings:
     each episode that is lived to its end."""
     level_down: float = 0.0
     """… and falls by this, at least to LEAST_LEVEL, when the robot does; 0 leaves every level at 1. With 0.12,
-    the one tried, levels went down to 0.4, and hard pushes were learned less well (docs/experiments/policy.md)."""
+    the one tried, levels went down to 0.4, and hard pushes were learned less well (lab/results/training.md)."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
     command_margin: float = 0.09
@@ -228,7 +228,7 @@ class MdpSettings:
     disturbance_share_at_first: float = 0.2
     """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before; it grows to 1.
     On a ground that bounces fully from the beginning a policy learns to stand and step with almost straight legs, and
-    keeps that (docs/experiments/policy.md)."""
+    keeps that (lab/results/training.md)."""
     slip_height: float = 0.033
     """A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
     swing_height: float = 0.045

@@ -17,7 +17,7 @@ from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
-from mimic.io.assets import user_cache
+from mimic.io.assets import manual, user_cache
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
 from mimic.sources.not_read import NOT_READ
 
@@ -117,7 +117,7 @@ def load_motion(
     ending = path.suffix.lower()
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
     if reader is None and ending in NOT_READ:
-        raise SourceError(f"{path.name} is {NOT_READ[ending]}")
+        raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
     return (reader or VIDEO).read(path, loading)
 
 

@@ -19,6 +19,11 @@ def user_cache(name: str) -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "mimic" / name
 
 
+def manual(page: str) -> str:
+    """Return the path of a page of the manual, such as ``manual("log-format.md")``; for messages."""
+    return str(shipped("docs", "manual", page))
+
+
 def shipped(*parts: str) -> Path:
     """Return the path of a shipped file or folder, such as ``shipped("assets", "cyberdog2")``.
 

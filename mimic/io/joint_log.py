@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import CalibrationError
+from mimic.io.assets import manual
 from mimic.io.store import plain, written_whole
 from mimic.records import BoolArray, FloatArray, IntArray
 
@@ -134,11 +135,11 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     if notes:
         metadata = {**metadata, **_notes(json.dumps(notes).encode(), f"what is said of {path}")}
     if "t" not in columns:
-        raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See docs/manual/log-format.md")
+        raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See {manual('log-format.md')}")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))
     if not joints:
         raise CalibrationError(
-            f"{path} has no column q.<joint>; it has {_some(columns)}. See docs/manual/log-format.md"
+            f"{path} has no column q.<joint>; it has {_some(columns)}. See {manual('log-format.md')}"
         )
     found: dict[str, FloatArray] = {}
     for channel in CHANNELS:

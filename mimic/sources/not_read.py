@@ -14,11 +14,11 @@ NOT_READ = {
     ),
     **dict.fromkeys((".mvn", ".mvnx"), "an Xsens MVN recording, which is not read; export it as BVH or C3D"),
     ".vmd": "a MikuMikuDance motion, which is not read; export it as BVH",
-    ".csv": "a table, which is not read; store its positions as NPZ (docs/manual/motion-formats.md)",
+    ".csv": "a table, which is not read; store its positions as NPZ",
     ".tsv": "a Qualisys table, which is not read; export it as C3D or TRC",
-    ".json": "JSON, which is not read; store the key points as NPZ (docs/manual/motion-formats.md)",
-    ".npy": "a single array, which is not read; store it with its times by numpy.savez (docs/manual/motion-formats.md)",
-    ".mcap": "an MCAP log, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
-    ".bag": "a ROS bag, which is not read; export the motion as NPZ (docs/manual/motion-formats.md)",
+    ".json": "JSON, which is not read; store the key points as NPZ",
+    ".npy": "a single array, which is not read; store it with its times by numpy.savez",
+    ".mcap": "an MCAP log, which is not read; export the motion as NPZ",
+    ".bag": "a ROS bag, which is not read; export the motion as NPZ",
 }
 """Formats of motion that are not read, and what to do instead."""

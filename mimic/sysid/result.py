@@ -18,7 +18,7 @@ from mimic.records import BoolArray, FloatArray, IntArray
 class Thresholds:
     """What a calibration decides by.
 
-    "Suite" is benchmarks/hidden_effects: these were chosen by its logs before one half of them was set apart.
+    "Suite" is lab/hidden_effects: these were chosen by its logs before one half of them was set apart.
     """
 
     z: float = 3.0
@@ -52,7 +52,7 @@ class Thresholds:
     """Coherence with the torque at a peak, from which on the robot's own motion made it; chosen, not measured."""
     shortlist: int = 8
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
-    the worst was fifth of either (benchmarks/torque_screen)."""
+    the worst was fifth of either (lab/hidden_effects/torque_screen)."""
     finished: int = 4
     """Effects of each set that are fitted to the end, most of the cost of a search."""
     beam: int = 2

@@ -93,7 +93,7 @@ class CapturedPPO(PPO):
 
         Adam has then averaged gradients of zero, and makes its first steps three times as large as the learning rate,
         which itself had no reason to fall. A policy with little spread does not survive that. So its averages begin
-        anew, and the rate at its smallest. Source: docs/experiments/policy.md.
+        anew, and the rate at its smallest. Source: lab/results/training.md.
         """
         self.policy_share = 1.0
         self.learning_rate = RATE_RANGE[0]

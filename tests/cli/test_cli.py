@@ -292,7 +292,7 @@ def test_training_without_its_libraries_names_the_extra(here, capsys, monkeypatc
     for module in [name for name in sys.modules if name.startswith("mimic.train")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "torch", None)
-    refused("train new", "pip install 'mimic-retarget[train]'", here, capsys)
+    refused("train new", "in a checkout of mimic: pip install '.[train]'", here, capsys)
 
 
 @pytest.mark.parametrize("line", ["film.mp4 --sim --video film.mp4", "retarget film.mp4 -o film.mp4"])

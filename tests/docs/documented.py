@@ -13,6 +13,7 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "examples").rglob("*.md")),
     *sorted((ROOT / "policies").glob("*.md")),
+    *sorted((ROOT / "lab").rglob("*.md")),
 ]
 
 _BLOCK = re.compile(
@@ -42,7 +43,7 @@ NOT_RUN = {
     r"^mimic export": "needs the folder of a run; tests/flows/test_export.py makes one",
     r"--pose-model": "needs a file of the reader; tests/sources/video/test_pose_model.py makes one",
     r"^mimic demo": "tracks a whole clip; the first command of the README does the same",
-    r"^python (-m )?benchmarks|^python examples/videos/make\.py": "takes minutes, or writes into the repository",
+    r"^python -m lab\.": "takes minutes, or writes into the repository",
     r"OPTION|FOLDER|\[|…": "a form, not a command",
 }
 """Pattern of a command -> why it is only parsed."""

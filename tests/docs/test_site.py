@@ -10,10 +10,13 @@ from types import ModuleType
 import pytest
 import yaml
 
+import mimic
 from mimic.cli.app import DEFAULTS, app
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "policies").glob("*.md")])
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(p for name in ("docs", "lab", "policies", "examples") for p in (ROOT / name).rglob("*.md"))]
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +64,22 @@ def test_the_command_reference_has_every_command_and_every_option(site: ModuleTy
     assert options > 100, "the walk over the commands found too little"
 
 
+def test_the_reference_of_the_library_has_every_public_name() -> None:
+    pages = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "reference" / "api").glob("*.md"))
+    shown = dict(
+        re.findall(
+            r"^::: (\S+)\n(?:    options:\n(?:      (?!members).*\n)*(?:      members: \[(.*)\])?)?", pages, re.M
+        )
+    )
+    for name in mimic.__all__:
+        if name != "__version__":
+            module = mimic._MODULE_OF[name]
+            assert module in shown, f"{name} of {module} is on no page of the reference"
+            assert not shown[module] or name in shown[module].split(", "), (
+                f"{name} is no member on the page of {module}"
+            )
+
+
 def test_the_table_of_commands_names_each_command() -> None:
     table = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     missing = [name for name in app if not name.startswith("-") and f"`mimic {name}" not in table]
@@ -70,6 +89,7 @@ def test_the_table_of_commands_names_each_command() -> None:
 def test_the_navigation_of_the_site_has_every_page(site: ModuleType) -> None:
     configuration = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    written |= {f"results/{path.name}" for path in (ROOT / "lab" / "results").glob("*.md")}
     assert written | {"changelog.md"} == set(navigation(configuration["nav"]))
 
 

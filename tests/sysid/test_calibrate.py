@@ -257,7 +257,7 @@ def test_baseline_parameters_that_stop_at_a_bound_are_reported(arm: MachineModel
 def test_a_device_whose_libraries_are_missing_is_reported_in_a_line(arm: MachineModel, monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "mimic.sysid.gpu_replay", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
-    with pytest.raises(MissingExtra, match=r"(torch|mujoco_warp).*pip install 'mimic-retarget\[train\]'"):
+    with pytest.raises(MissingExtra, match=r"(torch|mujoco_warp).*pip install '\.\[train\]'"):
         calibrate(clean_log(arm), arm, settings(device="cuda"))
 
 

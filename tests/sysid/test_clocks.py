@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.planar_arm import CLOCKS, DELAY, EFFECTS, arm_log, arm_model
+from lab.hidden_effects.planar_arm import CLOCKS, DELAY, EFFECTS, arm_log, arm_model
 from mimic.config.sysid import CalibrateSettings
 from mimic.sysid.calibrate import calibrate
 

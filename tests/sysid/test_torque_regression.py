@@ -133,7 +133,7 @@ def test_a_joint_at_rest_is_refused_with_what_to_do(machine: MachineModel) -> No
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("../shared/data/logs/emps").exists(), reason="needs the EMPS data")
 def test_asymmetric_friction_of_a_worn_screw_is_first(tmp_path: Path) -> None:
-    from benchmarks.real_logs import ASYMMETRIC, EMPS_MJCF, emps_log, identify, read_emps
+    from lab.real_logs.logs import ASYMMETRIC, EMPS_MJCF, emps_log, identify, read_emps
 
     columns = read_emps(Path("../shared/data/logs/emps/DATA_EMPS.parquet"))
     (tmp_path / "emps.xml").write_text(EMPS_MJCF, encoding="utf-8")

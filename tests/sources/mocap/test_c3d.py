@@ -51,7 +51,7 @@ def test_markers_of_a_c3d_file_become_a_person_in_metres(tmp_path):
 def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):
     path = write(tmp_path / "walk.c3d")
     monkeypatch.setitem(sys.modules, "ezc3d", None)
-    with pytest.raises(MissingExtra, match=r"mimic-retarget\[c3d\]"):
+    with pytest.raises(MissingExtra, match=r"in a checkout of mimic: pip install '\.\[c3d\]'"):
         track_mocap(path, MocapSettings(), PoseSettings())
 
 

@@ -338,7 +338,7 @@ def test_without_the_client_the_extra_is_named(reach, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(MissingExtra, match=r"mimic-retarget\[language\]"):
+    with pytest.raises(MissingExtra, match=r"in a checkout of mimic: pip install '\.\[language\]'"):
         plan(SENTENCE, reach, LanguageSettings(llm_model="some"))
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from benchmarks.sentences.checks import MORE, Sentence, does, sentences
+from lab.sentences.checks import MORE, Sentence, does, sentences
 from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
 from mimic.robot.reach import Reach

@@ -1,0 +1,218 @@
+"""An emulated robot on CAN in its own time, with a proxy, a second program on the bus, and a watchdog."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lab.faults.trouble import Trouble
+from mimic.config.emulator import EmulateSettings
+from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.link import EmulatedLink
+from mimic.emulator.robot import EmulatedRobot
+from mimic.errors import BusError, FrameError
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.link import Received
+from mimic.hardware.cybergear.codec import Codec
+from mimic.hardware.cybergear.messages import (
+    Enable,
+    Fault,
+    Feedback,
+    GetDeviceId,
+    Mode,
+    Operation,
+    ReadParameter,
+    SetZero,
+    Stop,
+    WriteParameter,
+)
+from mimic.hardware.plant import CanRobot
+from mimic.hardware.watchdog import BEAT_TIMEOUT, damp_and_stop
+from mimic.hardware.wiring import load_wiring
+from mimic.records import JOINTS, JointCommand, Tick
+from mimic.robot.description import RobotDescription
+
+CUTS = ("bus_off", "unplugged", "motor_deaf", "stalled", "frames_lost", "frames_late", "frames_corrupted")
+"""Faults that can keep a motor from hearing anybody; without a timeout of its own it then goes on."""
+
+ANSWERS = "answers"
+"""The way of frames from the motors; the way of the others is the number of their bus."""
+
+
+class ProxyLink:
+    """A link whose frames pass through somebody else's hands."""
+
+    def __init__(self, link: EmulatedLink, trouble: Trouble) -> None:
+        """Stand between a link and whoever uses it."""
+        self._link, self._trouble = link, trouble
+        self._ready: deque[Received] = deque()
+        self._codec = Codec()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._link, name)
+
+    def send(self, bus: int, frame: CanFrame) -> None:
+        self._flush()
+        if self._trouble.doing("refuses_frames", "fails"):
+            raise BusError("the proxy takes no frames")
+        if not self._trouble.doing("sends_nothing"):
+            for one in self._trouble.through(bus, frame, self._damaged):
+                self._link.send(bus, one)
+
+    def receive(self, timeout: float) -> Received | None:
+        end = self._link.now() + timeout
+        while True:
+            self._flush()
+            if self._ready:
+                return self._ready.popleft()._replace(t=self._link.now())
+            left = max(end - self._link.now(), 0.0)
+            if self._trouble.doing("fails"):
+                self._link.sleep(min(left, 0.002))
+                raise BusError("the proxy has failed")
+            received = self._link.receive(left if self._trouble.next_due() is None else min(left, 0.002))
+            if received is None:
+                if self._link.now() >= end:
+                    return None
+            elif not self._trouble.doing("hears_nothing"):
+                self._ready.extend(self._trouble.through(ANSWERS, received, self._damaged_answer, self._forged))
+
+    def _flush(self) -> None:
+        for way, message in self._trouble.due():
+            if way == ANSWERS:
+                self._ready.append(message)
+            else:
+                self._link.send(way, message)
+
+    def _damaged(self, frame: CanFrame) -> CanFrame:
+        bit = 1 << int(self._trouble.rng.integers(29))
+        identifier = frame.id ^ bit if frame.extended and self._trouble.hit() else frame.id
+        return CanFrame(identifier, self._trouble.damaged(frame.data), frame.extended)
+
+    def _damaged_answer(self, received: Received) -> Received:
+        return received._replace(frame=self._damaged(received.frame))
+
+    def _forged(self, received: Received) -> Received:
+        frame, rng = received.frame, self._trouble.rng
+        try:
+            message = self._codec.decode(frame)
+        except FrameError:
+            return received._replace(frame=CanFrame(frame.id, rng.bytes(len(frame.data)), frame.extended))
+        if not isinstance(message, Feedback):
+            return received
+        q, dq, tau = (float(x) for x in rng.uniform(-1, 1, 3) * [3.0, 25.0, 12.0])
+        bits = Fault(int(rng.integers(64))) if self._trouble.hit() else Fault(0)
+        warm, mode = float(rng.uniform(20, 90)), Mode(int(rng.integers(3)))
+        forged = replace(message, q=q, dq=dq, tau=tau, temperature=warm, mode=mode, faults=bits)
+        return received._replace(frame=self._codec.encode(forged))
+
+
+class _Watched:
+    """A watchdog that damps the robot by a link of its own, as the process does."""
+
+    def __init__(self, link: EmulatedLink, trouble: Trouble) -> None:
+        self._link, self._trouble, self._over = link, trouble, False
+
+    def arm(self) -> None: ...
+
+    def beat(self) -> None: ...
+
+    def disarm(self) -> None: ...
+
+    def alive(self) -> bool:
+        return not self._over and not self._trouble.doing("watchdog_gone")
+
+    def take_over(self) -> str:
+        if not self.alive():
+            return ""
+        self._over = True
+        return damp_and_stop("", load_wiring(), self._link, lambda *_, **__: self._link)  # type: ignore[return-value]
+
+
+class _Driver(CanRobot):
+    """A driver that counts its steps, beside which a second program speaks once in each."""
+
+    steps = 0
+    master: Callable[[], None]
+
+    def step(self, command: JointCommand) -> Tick:
+        self.steps += 1
+        self.master()
+        return super().step(command)
+
+
+class CanScene:
+    """An emulated robot on CAN and what is between it and its driver."""
+
+    def __init__(
+        self, description: RobotDescription, rng: np.random.Generator, seed: int, fault: EmulatedFault | None
+    ) -> None:
+        """Switch the robot on: on one or two buses, half of them with motors that have a timeout of their own."""
+        self._own_timeout, buses = bool(rng.random() < 0.5), int(rng.choice([1, 2]))
+        self._fault = fault
+        wiring = load_wiring(buses=buses)
+        settings = EmulateSettings(zeroed=True, placement=0.03, seed=seed, can_timeout=self._own_timeout)
+        self.robot = EmulatedRobot(description, wiring, settings, faults=[] if fault is None else [fault])
+        link = EmulatedLink(self.robot)
+        link.sleep(0.3)
+        self.trouble = Trouble(rng, self.now)
+        self._other = EmulatedLink(self.robot)
+        self._watchdog = _Watched(EmulatedLink(self.robot), self.trouble)
+        self.plant = _Driver(ProxyLink(link, self.trouble), wiring, description, watchdog=self._watchdog)  # type: ignore[arg-type]
+        self.plant.master = self._master
+
+    def now(self) -> float:
+        return self.robot.now
+
+    def _master(self) -> None:
+        """Let the second program speak."""
+        kind, rng, codec = self.trouble.kind, self.trouble.rng, Codec()
+        if not kind.startswith("master_") or not self.trouble.doing():
+            return
+        frames: list[CanFrame] = []
+        for motor in range(1, 13):
+            q, dq, tau = (float(x) for x in rng.uniform(-1, 1, 3) * [2.0, 5.0, 6.0])
+            message = {
+                "master_commands": Operation(motor=motor, q=q, dq=dq, kp=float(rng.uniform(0, 60)), kd=1.0, tau=tau),
+                "master_stops": Stop(motor=motor, host=0xFD),
+                "master_zeroes": SetZero(motor=motor, host=0xFD),
+                "master_enables": Enable(motor=motor, host=0x80),
+                "master_sets_torque": WriteParameter(motor=motor, host=0xFD, index=0x700B, value=abs(tau)),
+                "master_asks": ReadParameter(motor=motor, host=0xFD, index=0x7019),
+                "master_floods": GetDeviceId(motor=motor, host=0xFD),
+            }[kind]
+            if rng.random() < 0.5:
+                frames.append(codec.encode(message))
+        if kind == "master_floods":
+            frames += [CanFrame(int(rng.integers(16)), bytes(8), extended=False) for _ in range(120)]
+        for frame in frames:
+            self._other.send(0, frame)
+
+    def stands_still(self, seconds: float) -> None:
+        self._other.sleep(min(seconds, BEAT_TIMEOUT))
+        if seconds > BEAT_TIMEOUT:
+            self._watchdog.take_over()
+
+    def is_alone(self) -> None:
+        self._watchdog.take_over()
+
+    def wait(self, seconds: float) -> None:
+        self._other.sleep(seconds)
+
+    def on(self) -> list[str]:
+        return list(self.robot.switched_on())
+
+    def driven(self) -> list[str]:
+        return list(self.robot.driven())
+
+    def reachable(self) -> bool:
+        lost = self._fault is not None and self._fault.kind in CUTS and np.isinf(self._fault.until)
+        return self._own_timeout or not lost
+
+    def told(self) -> bool:
+        ending, on = self.plant.ending, self.on()
+        words = ("did not confirm", "cut the power", "all motors", "stopped")
+        return any(word in ending for word in words) or all(joint in ending for joint in on if joint in JOINTS)

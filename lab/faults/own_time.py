@@ -1,0 +1,213 @@
+"""One run of either emulated robot in its own time, with a fault that a seed draws."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from lab.faults.can_scene import CanScene
+from lab.faults.stock_scene import StockScene
+from lab.faults.trouble import CASES, cases, stood
+from mimic.config.play import RunSettings
+from mimic.control.loop import run_policy
+from mimic.control.recorder import RunRecorder, salvage
+from mimic.control.signals import Signals
+from mimic.control.supervisor import Supervisor
+from mimic.control.tick import Safety
+from mimic.emulator.faults import random_fault
+from mimic.errors import MimicError
+from mimic.evaluation.policy import command_script
+from mimic.policy.runtime import load_policy
+from mimic.robot.description import load_description
+
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.5)
+
+RAMP, TRACK = 1.0, 3.0
+"""[s]"""
+
+WITHIN = (0.1, 8.4)
+"""When a fault begins, after the robot is ready [s]: from the ramp into the sitting down."""
+
+HANG = 60.0
+"""A run that takes longer than this in the robot's time hangs [s]."""
+
+SCENES: dict[str, Any] = {"can": CanScene, "stock": StockScene}
+
+
+class Killed(BaseException):
+    """This program is gone."""
+
+
+class FullDisk(RunRecorder):
+    """A recorder whose disk may be full."""
+
+    full = False
+
+    def row(self, values: Any, health: Any) -> None:
+        self._write()
+        super().row(values, health)
+
+    def event(self, event: Any) -> None:
+        self._write()
+        super().event(event)
+
+    def _write(self) -> None:
+        if self.full:
+            raise OSError(28, "No space left on device")
+
+
+class _Run:
+    """What the seed's fault does to the program that drives the robot, tick by tick."""
+
+    def __init__(self, kind: str, start: float, lasts: float, scene: Any, recorder: FullDisk) -> None:
+        self.kind, self.start, self.lasts, self.scene, self.recorder = kind, start, lasts, scene, recorder
+        self.signals, self.steps, self._begin, self._paused = Signals(), 0, np.inf, False
+        self._rng = scene.trouble.rng
+
+    def passed(self, more: float = 0.0) -> bool:
+        """Return whether the fault has begun, some time ago [s]."""
+        return self.scene.now() >= self._begin + self.start + more
+
+    def sink(self, tick: object) -> None:
+        now = self.scene.now()
+        if self._begin == np.inf:
+            self._begin = now
+            self.scene.trouble.start(self.kind, self.start, self.lasts)
+        if now - self._begin > HANG:
+            raise TimeoutError
+        self.steps += 1
+        if not self.passed():
+            return
+        match self.kind:
+            case "host_killed":
+                raise Killed
+            case "sink_raises":
+                raise RuntimeError("a bug in the viewer")
+            case "host_stopped" if not self._paused:
+                self._paused = True
+                self.scene.stands_still(float(self._rng.choice([0.03, 0.08, 0.3, 2.0])))
+            case "disk_full":
+                self.recorder.full = True
+            case "terminal_closed":
+                self.signals.interrupts, self.signals.hung_up = 1, True
+            case "many_ctrl_c":
+                self.signals.interrupts += 1
+            case "ctrl_c" | "ctrl_c_twice":
+                self.signals.interrupts = 2 if self.kind == "ctrl_c_twice" and self.passed(0.5) else 1
+            case "sigterm":
+                self.signals.terminated = True
+
+    def act(self, policy: Any, seen: np.ndarray) -> np.ndarray:
+        if self.passed():
+            match self.kind:
+                case "policy_nan":
+                    return np.full(12, np.nan)
+                case "policy_wild":
+                    return self._rng.normal(0.0, 50.0, 12)
+                case "policy_raises":
+                    raise RuntimeError("a bug in the policy")
+                case "policy_slow":
+                    self.scene.wait(float(self._rng.choice([0.005, 0.025, 0.04, 0.15])))
+        return policy.act(seen)
+
+
+def play(
+    robot: str, seed: int, folder: Path, kind: str | None = None, at: float | None = None, seconds: float = TRACK
+) -> dict[str, Any]:
+    """Play a run with the fault of a seed and return how it ended.
+
+    Args:
+        robot: `can` or `stock`.
+        seed: Draws fault, robot and commands.
+        folder: Run folder.
+        kind: One of CASES; by default drawn too.
+        at: When it begins, after the robot is ready [s], to stay; by default drawn too.
+        seconds: For how long it follows commands [s].
+    """
+    rng = np.random.default_rng([seed, 47, len(robot)])
+    kind = str(rng.choice(cases(robot, "own_time"))) if kind is None else kind
+    start = float(rng.uniform(*WITHIN)) if at is None else at
+    lasts = np.inf if at is not None else float(rng.choice([0.05, 0.2, 1.0, np.inf]))
+    fault = None
+    if CASES[kind].place == "robot":
+        fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
+        fault = fault if at is None else replace(fault, until=np.inf)
+    description = load_description()
+    scene = SCENES[robot](description, rng, seed, fault)
+    policies = [load_policy(None, description), load_policy(None, description, task="sit_down")]
+    recorder = FullDisk(folder, policies[0].contract.observation_size, {"dt": description.dt})
+    run, supervisor = _Run(kind, start, lasts, scene, recorder), Supervisor(description)
+    safety = Safety(supervisor=supervisor, signals=run.signals, recorder=recorder, ramp=RAMP)
+    track = command_script(description, seconds, rng)
+    if kind == "target_nan":
+        toes = track.p_BE.copy()
+        toes[int(rng.integers(len(toes))), 0, 0] = np.nan
+        track = replace(track, p_BE=toes)
+    first, last = (
+        SimpleNamespace(contract=p.contract, path=p.path, act=lambda seen, p=p: run.act(p, seen)) for p in policies
+    )
+    scene.plant.close = _unless_killed(scene.plant.close)
+    driver: Any = run_policy  # the wrapped policies are no Policy
+    escaped, hung, killed, log = "", False, False, None
+    began = time.monotonic()
+    try:
+        result = driver(scene.plant, first, track, TIMING, sit_down=last, sink=run.sink, safety=safety)
+        log, error = result.log, result.error
+        hung = isinstance(error, TimeoutError)
+        made = isinstance(error, RuntimeError) and kind in ("sink_raises", "policy_raises")
+        if error is not None and not made and not isinstance(error, MimicError | TimeoutError):
+            escaped = f"{type(error).__name__}: {error}"
+    except MimicError as reason:  # before the first tick it is a sentence
+        escaped = "" if run.steps == 0 else f"{type(reason).__name__}: {reason}"
+    except Killed:
+        killed = True
+        scene.is_alone()
+    except Exception as reason:
+        escaped = f"{type(reason).__name__}: {reason}"
+    recorder.close()
+    scene.wait(1.0)
+    on_disk = None
+    with suppress(MimicError):
+        on_disk, _ = salvage(folder)
+    kept = on_disk if log is None or kind != "disk_full" else log
+    rows = 0 if kept is None else len(kept.t)
+    steps = max(run.steps, 0 if killed else getattr(scene.plant, "steps", 0) - 1)
+    ended, driven = supervisor.decisive, scene.driven()
+    return {
+        "robot": robot,
+        "seed": seed,
+        "kind": kind,
+        "fault": kind if fault is None else str(fault),
+        "begin": start,
+        "lasts": lasts,
+        "stood": stood(kept, 0 if kept is None else int(np.searchsorted(kept.t - kept.t[:1], start)) - 1),
+        "rule": "" if ended is None else f"{ended.rule} {ended.mode.name.lower()}",
+        "text": "" if ended is None else ended.text,
+        "after": float("nan") if ended is None else ended.t - start,
+        "driven": driven,
+        "undamped": bool(driven) and scene.reachable(),
+        "hung": hung,
+        "traceback": escaped,
+        "lost": rows < steps,
+        "silent": bool(scene.on()) and not killed and not scene.told(),
+        "rows": rows,
+        "ending": scene.plant.ending,
+        "seconds": time.monotonic() - began,
+    }
+
+
+def _unless_killed(close: Any) -> Any:
+    """Return a close that a killed program never reaches."""
+
+    def closing() -> None:
+        if not isinstance(sys.exc_info()[1], Killed):
+            close()
+
+    return closing

@@ -1,0 +1,82 @@
+"""Faults on the emulated robot in its own time, one for each rule.
+
+`python -m lab.faults` plays hundreds of all kinds.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from lab.faults.own_time import play
+from lab.faults.trouble import CASES, cases
+
+STANDS, TRACKS = 2.7, 1.0
+"""When the robot stands, and for how long it follows commands, from 2.5 s on [s]."""
+
+AFTER = {
+    "ctrl_c": {"interrupt sit_down"},
+    "watchdog_gone": {"watchdog_ended sit_down"},
+    "encoder_frozen": {"encoder_frozen sit_down"},
+    "imu_frozen": {"imu_frozen damp"},
+    "imu_invalid": {"imu_invalid damp"},
+    "imu_silent": {"imu_silent damp"},
+    "imu_tilted": {"imu_contradicts_itself damp"},
+    "motor_fault": {"motor_fault sit_down"},
+    "motor_mute": {"motor_silent sit_down"},
+    "policy_nan": {"not_finite damp"},
+    "power_cycle": {"motor_off sit_down", "joint_impossible sit_down"},
+    "sigterm": {"terminated damp"},
+    "sink_raises": {"exception damp"},
+    "unplugged": {"exception damp"},
+}
+"""One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
+
+TOLERATED = ("frames_lost", "frames_late", "imu_forged", "joint_jammed", "policy_wild", "target_nan")
+"""Faults that may pass without ending the run."""
+
+FROM_OUTSIDE = ("repeats", "master_commands", "host_killed")
+
+SOON = 0.22
+"""120 ms of a silent IMU or eight readings of an encoder, and the ticks in which it is seen [s]."""
+
+
+def sound(outcome):
+    assert not any(outcome[bad] for bad in ("undamped", "hung", "traceback", "lost", "silent")), outcome
+
+
+@pytest.mark.parametrize("kind", sorted(AFTER))
+def test_a_fault_of_a_standing_robot_is_found_in_time_by_its_rule(kind, tmp_path):
+    outcome = play("can", 2, tmp_path, kind, STANDS, TRACKS)
+    sound(outcome)
+    assert outcome["stood"], outcome
+    assert outcome["rule"] in AFTER[kind], outcome
+    assert -0.03 <= outcome["after"] <= SOON, outcome
+
+
+@pytest.mark.parametrize("kind", TOLERATED)
+def test_a_tolerated_fault_leaves_a_damped_robot_and_a_complete_log(kind, tmp_path):
+    sound(play("can", 1000 + TOLERATED.index(kind), tmp_path, kind, seconds=TRACKS))
+
+
+@pytest.mark.parametrize("robot", ["can", "stock"])
+@pytest.mark.parametrize("kind", FROM_OUTSIDE)
+def test_a_fault_that_the_emulator_knows_nothing_of_leaves_a_damped_robot(kind, robot, tmp_path):
+    sound(play(robot, 3, tmp_path, kind, seconds=TRACKS))
+
+
+def test_a_fault_before_the_robot_stands_is_counted_as_such(tmp_path):
+    assert not play("can", 2, tmp_path, "sigterm", 0.3, TRACKS)["stood"]
+
+
+def test_the_same_seed_gives_the_same_end(tmp_path):
+    one, other = (play("can", 5, tmp_path / name, "sigterm", 0.5) for name in ("one", "other"))
+    for outcome in (one, other):
+        del outcome["seconds"]
+    assert one == other
+
+
+@pytest.mark.parametrize("setting", ["own_time", "processes"])
+def test_each_robot_has_cases_of_every_place_but_its_own_absent_ones(setting):
+    for robot in ("can", "stock"):
+        places = {CASES[name].place for name in cases(robot, setting)}
+        assert {"messages", "second program", "this program", "process"} <= places
