@@ -60,6 +60,11 @@ def multiply_quats(quat_AB: Any, quat_BC: Any) -> NDArray[np.float64]:
     return np.stack(parts, axis=-1)
 
 
+def turned_about_up(quat_WB: Any, angle: float) -> NDArray[np.float64]:
+    """Return orientations (..., 4), wxyz, turned about the world's z axis by an angle [rad]."""
+    return multiply_quats([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)], quat_WB)
+
+
 def world_axes_in_base(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
     """Return the world's down (0, 0, -1) and x axis (1, 0, 0), both seen from the base.
 

@@ -48,6 +48,8 @@ def _operator(settings: DriveSettings | None) -> Operator:
     def confirm(what: str) -> None:
         if settings is None or not settings.yes:
             try:
+                if sys.stdin is None:  # closed by who started mimic
+                    raise EOFError
                 console.input(f"{what} Press Enter to begin, Ctrl-C to leave. ")
             except (EOFError, KeyboardInterrupt):
                 console.print()  # what is said next has a line of its own
@@ -248,8 +250,8 @@ def damp(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
     """
     from mimic.flows.commissioning import damp_robot
 
-    ending = damp_robot(bus_url, bus)
-    if "cut the power" in ending:
+    off, ending = damp_robot(bus_url, bus)
+    if not off:
         warn(ending)
         return STOPPED
     note(f"done         {ending}")

@@ -38,12 +38,19 @@ def imu_invalid(report: StepReport, history: StepHistory, limits: Limits) -> Ite
 
 
 def imu_contradicts_itself(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Orientations that do not turn as the rate of turn says."""
+    """Orientations that do not tilt as the rate of turn says."""
     text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
     if history.doubtful >= limits.doubt_ticks:
         yield Alert(outcome="DAMP", text=f"{text}, {history.doubtful} times in a row")
     elif history.doubtful:
         yield Alert(outcome="RUN", text=f"{text}; that orientation is left out", about="once")
+
+
+def heading_reset(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """An IMU that sets its heading anew."""
+    if history.heading_jump:
+        degrees_turned = np.rad2deg(history.heading_jump)
+        yield Alert(outcome="RUN", text=f"the heading of the IMU jumped by {degrees_turned:.0f} deg; it is taken out")
 
 
 def imu_contradicts_legs(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 
@@ -20,6 +21,9 @@ def real_time(priority: int, *, inherited: bool = False) -> Generator[bool]:
         priority: LOOP or WATCHDOG.
         inherited: Threads and processes that are started meanwhile have it too.
     """
+    if sys.platform != "linux":
+        yield False
+        return
     policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -64,8 +64,7 @@ class RunRecorder:
 
     def event(self, event: Event) -> None:
         """Append an event."""
-        line = {"t": event.t, "rule": event.rule, "mode": event.mode.name.lower(), "text": event.text}
-        os.write(self._events, json.dumps(plain(line)).encode() + b"\n")
+        os.write(self._events, _line(event))
 
     def close(self) -> None:
         """Close the files; safe to call twice."""
@@ -73,6 +72,14 @@ class RunRecorder:
         if self._events >= 0:
             os.close(self._events)
             self._events = -1
+
+    def restore_events(self, events: Sequence[Event]) -> bool:
+        """Write the events again where their file was removed meanwhile; return whether it was."""
+        if (self._folder / EVENTS).exists():
+            return False
+        self._folder.mkdir(parents=True, exist_ok=True)
+        (self._folder / EVENTS).write_bytes(b"".join(map(_line, events)))
+        return True
 
     def discard(self) -> None:
         """Close the files and remove the rows, once they are stored in another format."""
@@ -87,6 +94,11 @@ class RunRecorder:
             (self._folder / EVENTS).unlink(missing_ok=True)
             if not any(self._folder.iterdir()):
                 self._folder.rmdir()
+
+
+def _line(event: Event) -> bytes:
+    line = {"t": event.t, "rule": event.rule, "mode": event.mode.name.lower(), "text": event.text}
+    return json.dumps(plain(line)).encode() + b"\n"
 
 
 def salvage(folder: Path) -> tuple[RunLog, HealthLog]:

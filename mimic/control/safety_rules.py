@@ -9,6 +9,7 @@ from mimic.control.alert import Alert, Check
 from mimic.control.balance_checks import (
     degrees,
     fallen,
+    heading_reset,
     imu_contradicts_itself,
     imu_contradicts_legs,
     imu_frozen,
@@ -178,9 +179,15 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
     (imu_invalid, lambda L: "its status says so", "1 tick", "damp"),
     (
         imu_contradicts_itself,
-        lambda L: f"orientation and rate of turn differ by {L.turn_mismatch:g} rad in a tick; {L.doubt_ticks} in a row",
+        lambda L: f"tilt and rate of turn differ by {L.turn_mismatch:g} rad in a tick; {L.doubt_ticks} in a row",
         "60 ms",
         "left out; damp",
+    ),
+    (
+        heading_reset,
+        lambda L: f"heading and rate of turn differ by {L.turn_mismatch:g} rad in a tick, the tilt does not",
+        "1 tick",
+        "log; the heading follows",
     ),
     (
         imu_contradicts_legs,

@@ -57,8 +57,11 @@ class StepHistory:
         self.imu_repeats = 0
         """Orientations in a row that equal the one before."""
         self.turn_mismatch = 0.0
-        """Turn of the orientation less that of the rate of turn since the last orientation that was trusted [rad]; for
+        """Tilt of the orientation less that by the rate of turn since the last orientation that was trusted [rad]; for
         more than one control step it counts less."""
+        self.heading_jump = self.heading_jumps = 0.0
+        """Turn about up that the rate of turn does not explain, in this step and in all [rad]: the IMU set its
+        heading anew."""
         self.doubtful = 0
         """Orientations in a row that the rate of turn contradicts."""
         self.frozen = np.zeros(len(JOINTS), dtype=bool)
@@ -127,8 +130,9 @@ class StepHistory:
         rotation = rotation_from_quat(state.quat_WB)
         if self._last is not None and report.health.imu_count == self._last.health.imu_count:
             self.rotation = np.full((3, 3), np.nan) if self.doubtful else rotation
+            self.heading_jump = 0.0
             return
-        self.turn_mismatch = 0.0
+        self.turn_mismatch = self.heading_jump = 0.0
         if trusted is not None:
             before = trusted.state
             seconds = (state.t - report.health.imu_age) - (before.t - trusted.health.imu_age)
@@ -136,10 +140,15 @@ class StepHistory:
             if seconds > 0.0 and np.isfinite(rates).all() and np.isfinite(rotation).all():
                 equal = np.array_equal(state.quat_WB, before.quat_WB) and np.array_equal(state.omega_B, before.omega_B)
                 self.imu_repeats = self.imu_repeats + 1 if equal else 0
-                error = _turn(-seconds * rates) @ self._trusted_rotation.T @ rotation
-                angle = float(np.arccos(np.clip(0.5 * (np.trace(error) - 1.0), -1.0, 1.0)))
+                predicted = self._trusted_rotation @ _turn(seconds * rates)
                 steps = max(1.0, seconds / self.description.dt)
+                allowed = self._limits.turn_mismatch * (0.75 + 0.25 * steps)
+                angle = float(np.arccos(np.clip(predicted[2] @ rotation[2], -1.0, 1.0)))
                 self.turn_mismatch = angle / (0.75 + 0.25 * steps)
+                error = rotation @ predicted.T
+                yaw = float(np.arctan2(error[1, 0] - error[0, 1], error[0, 0] + error[1, 1]))
+                self.heading_jump = yaw if angle <= allowed < abs(yaw) else 0.0
+                self.heading_jumps += self.heading_jump
         self.doubtful = self.doubtful + 1 if self.turn_mismatch > self._limits.turn_mismatch else 0
         if self.doubtful:
             self.rotation = np.full((3, 3), np.nan)

@@ -85,6 +85,11 @@ class Supervisor:
         return self._history.doubtful > 0
 
     @property
+    def heading_jumps(self) -> float:
+        """How far the IMU's heading has jumped so far, which nothing turned [rad]."""
+        return self._history.heading_jumps
+
+    @property
     def decisive(self) -> Event | None:
         """What first ended the run, if anything did."""
         return next((event for event in self.events if event.mode > SafetyMode.RUN), None)

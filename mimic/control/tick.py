@@ -16,6 +16,7 @@ from mimic.control.recorder import RunRecorder, health_row
 from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
+from mimic.geometry import turned_about_up
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
 from mimic.records import PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
@@ -163,6 +164,8 @@ class Run:
         self.q, self.quat_WB = self._dropouts.fill(
             done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation
         )
+        if supervisor.heading_jumps:
+            self.quat_WB = turned_about_up(self.quat_WB, -supervisor.heading_jumps)
         if self.sink is not None:
             self.sink(done)
         if self.progress is not None:

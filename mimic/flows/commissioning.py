@@ -100,11 +100,11 @@ def zero_robot(
     return Zeroed(file=path, off=q - description.poses["lie"], warnings=uneven(q), first=known is None)
 
 
-def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> str:
+def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[bool, str]:
     """Damp all motors until the robot rests and switch them off, whoever commanded them before.
 
     Returns:
-        How the robot was left, as a sentence without a full stop.
+        Whether all motors are off, and how the robot was left, as a sentence without a full stop.
 
     Raises:
         ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
@@ -118,7 +118,8 @@ def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> str:
     with open_unlocked(bus_url, bus or WiringSettings(), zeros=False) as robot, undisturbed():
         motor_bus = robot.motor_bus()
         damp(motor_bus, description, lambda: None)
-        return shutdown_report(switch_off(motor_bus, description, lambda: None))
+        left = switch_off(motor_bus, description, lambda: None)
+        return not left, shutdown_report(left)
 
 
 def check_robot(bus_url: str, bus: CheckSettings | None = None, *, suspended: bool = False) -> list[Check]:

@@ -186,6 +186,8 @@ def play_on_robot(
         if isinstance(plant, CanRobot):
             load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
         stack.close()
+        if recorder.restore_events(done.events):
+            reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")
         inputs = {**done.inputs, **({} if file is None else {"source": file})}
         made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
         more: dict[str, Any] = {"ending": plant.ending}

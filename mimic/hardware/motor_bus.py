@@ -7,7 +7,7 @@ its own time.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -33,6 +33,12 @@ TRIES = 4
 
 REPORTED = 64
 """Fault bit that stands for a fault report; the bits of a feedback are below it."""
+
+ECHO_WITHIN = 0.05
+"""An own frame that comes back within this is an echo of the adapter [s]."""
+
+_REMEMBERED = 64
+"""Own frames that are remembered: those of a control step and some more."""
 
 _COUNT_EVERY = 16
 """One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
@@ -71,6 +77,9 @@ class MotorBus:
         """Frames so far that show that another computer drives the motors."""
         self.foreign_text = ""
         """What the newest of them was."""
+        self.echoes = 0
+        """Own frames so far that came back: some adapters echo what they send."""
+        self._sent: deque[tuple[float, int, CanFrame]] = deque(maxlen=_REMEMBERED)
         self.unknown: Counter[tuple[int, str]] = Counter()
         """Frames of unknown senders so far: bus and identifier -> count."""
         self._values: dict[tuple[int, Register], float] = {}
@@ -94,6 +103,7 @@ class MotorBus:
         bus = int(self.wiring.bus[joint])
         self.link.send(bus, frame)
         self._count_bits(bus, frame)
+        self._sent.append((self.link.now(), bus, frame))
 
     def id(self, joint: int) -> int:
         """Return the id of a joint's motor."""
@@ -132,6 +142,10 @@ class MotorBus:
             self._note_unknown(bus, frame)
             return
         match answer:
+            case OtherHost() if any(
+                (own, same) == (bus, frame) for sent, own, same in self._sent if t - sent < ECHO_WITHIN
+            ):
+                self.echoes += 1
             case OtherHost():
                 if answer.commands:
                     self.foreign, self.foreign_text = self.foreign + 1, answer.text

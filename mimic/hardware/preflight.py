@@ -138,6 +138,9 @@ def _others(motor_bus: MotorBus) -> Check:
     if motor_bus.foreign:
         text = f"another program commands the motors (the last frame was {motor_bus.foreign_text}); end it first"
         return Check(name=name, verdict="stop", text=text)
+    if motor_bus.echoes:
+        text = f"the adapter echoes what this computer sends ({motor_bus.echoes} frames so far); they are left out"
+        return Check(name=name, verdict="note", text=text)
     if motor_bus.unknown:
         most = [
             f"{key[1]} on {motor_bus.link.names[key[0]]}" for key, _ in motor_bus.unknown.most_common(UNKNOWN_SHOWN)

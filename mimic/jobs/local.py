@@ -41,6 +41,11 @@ class _Worker:
     job: int | None = None
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def results_here(play: Callable[[Any], Any], jobs: Sequence[Any], *, workers: int = 0) -> Generator[tuple[int, Any]]:
     """Yield index and result of each job as it ends, in processes of this computer.
 
@@ -57,7 +62,7 @@ def results_here(play: Callable[[Any], Any], jobs: Sequence[Any], *, workers: in
         Exception: What a job raised.
     """
     waiting = deque(range(len(jobs)))
-    count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
+    count = min(workers or cores(), len(jobs))
     crew = [_start(play) for _ in range(count)]
     try:
         for worker in crew:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from pathlib import Path
 
@@ -35,10 +36,11 @@ class Policy:
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
+        options.add_session_config_entry(*_NO_EXTERNAL_DATA)  # its hash would not say which weights it has
         try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
         except Exception as reason:  # onnxruntime has no common base class for its errors
-            raise AssetError(f"{path} is not an ONNX model: {str(reason).splitlines()[0]}") from None
+            raise AssetError(f"{path} is not an ONNX model in one file: {str(reason).splitlines()[0]}") from None
         metadata = self._session.get_modelmeta().custom_metadata_map
         if METADATA_KEY not in metadata:
             raise ContractError(f"{path} declares no contract; export it with mimic train")
@@ -61,6 +63,9 @@ class Policy:
         (action,) = self._session.run([self._output], {self._input: batch})
         return np.asarray(action, dtype=np.float64)[0]
 
+
+_NO_EXTERNAL_DATA = ("session.model_external_initializers_file_folder_path", os.devnull)
+"""A folder without files, for the weights of a model that are not in its own file."""
 
 SHIPPED = ("stand_track", "sit_down")
 """Names of the policies that come with mimic."""

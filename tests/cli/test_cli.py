@@ -235,7 +235,7 @@ BAD = [
     ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
-    ("--text moonwalk --sim", nothing, "has no word 'moonwalk' (near: walk"),
+    ("--text moonwalk --sim", nothing, "has no word 'moonwalk'"),
     ("--text wave --sim --planner llm", nothing, "--llm-model"),
     ("--text wave --sim --planner poet", nothing, "poet"),
     ("text.yaml --sim", text_file("text.yaml"), "expected a list of frames"),

@@ -34,3 +34,15 @@ def test_ctrl_c_is_the_ordinary_end_of_watching(monkeypatch, capsys):
     monkeypatch.setattr("mimic.flows.watching.watch_robot", interrupted)
     assert main(["robot", "watch", "cyberdog2"]) == 0
     assert last_line(capsys) == "done         nothing was moved"
+
+
+def test_a_question_that_nobody_can_answer_is_one_line(monkeypatch, capsys):
+    def asks(bus_url, bus, *, again, operator):
+        operator.confirm("Keep your hands off it from here on.")
+
+    monkeypatch.setattr("mimic.flows.commissioning.zero_robot", asks)
+    monkeypatch.setattr("sys.stdin", None)
+    assert main(["robot", "zero", "can0"]) == 2
+    said = capsys.readouterr().err
+    assert "a question could not be answered" in said
+    assert "--yes" in said

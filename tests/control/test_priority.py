@@ -1,35 +1,29 @@
+"""Real-time priority where a system has none, as macOS."""
+
 from __future__ import annotations
 
 import os
-import threading
+
+import pytest
 
 from mimic.control.priority import LOOP, real_time
+from mimic.jobs.local import cores
 
 
-def policy() -> int:
-    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+@pytest.fixture
+def macos(monkeypatch):
+    """Take away what Linux has."""
+    monkeypatch.setattr("sys.platform", "darwin")
+    for name in ("sched_getaffinity", "sched_getscheduler", "sched_getparam", "sched_setscheduler", "sched_param"):
+        monkeypatch.delattr(os, name, raising=False)
+    for name in ("SCHED_FIFO", "SCHED_RESET_ON_FORK"):
+        monkeypatch.delattr(os, name, raising=False)
 
 
-def test_it_lasts_for_the_block_and_a_refusal_is_reported():
-    before = policy()
+def test_without_real_time_priority_work_is_done_and_that_is_said(macos):
     with real_time(LOOP) as allowed:
-        assert policy() == (os.SCHED_FIFO if allowed else before)
-    assert policy() == before
+        assert not allowed
 
 
-def test_only_the_thread_that_asked_has_it():
-    seen = []
-    with real_time(LOOP):
-        thread = threading.Thread(target=lambda: seen.append(policy()))
-        thread.start()
-        thread.join()
-    assert seen == [os.SCHED_OTHER]
-
-
-def test_it_is_given_back_when_something_fails():
-    before = policy()
-    try:
-        with real_time(LOOP):
-            raise ValueError
-    except ValueError:
-        assert policy() == before
+def test_cores_are_counted_without_affinity(macos):
+    assert cores() == os.cpu_count()

@@ -308,9 +308,9 @@ def test_an_imu_that_calls_itself_invalid_damps_and_one_that_says_nothing_does_n
     assert outcome(drive([{}, {"imu_valid": False}])) == ("imu_invalid", SafetyMode.DAMP)
 
 
-@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("axis", ["Y", "Z"])
 @pytest.mark.parametrize("angle", [0.25, 1.0, 3.1])
-def test_an_orientation_that_turned_without_a_rate_of_turn_damps_in_three_ticks(axis, angle, drive):
+def test_an_orientation_that_tilted_without_a_rate_of_turn_damps_in_three_ticks(axis, angle, drive):
     def turn(tick: int) -> Rotation:
         return UPRIGHT * Rotation.from_euler("Y", 0.001 * tick) * Rotation.from_euler(axis, angle if tick >= 2 else 0.0)
 
@@ -322,7 +322,7 @@ def test_an_orientation_that_turned_without_a_rate_of_turn_damps_in_three_ticks(
 @pytest.mark.parametrize("angle", [0.4, 1.5, 3.1])
 def test_a_forged_orientation_or_two_are_left_out(wrong, angle, drive):
     def turn(tick: int) -> Rotation:
-        return UPRIGHT * Rotation.from_euler("Y", 0.001 * tick) * Rotation.from_euler("X", angle * (tick in wrong))
+        return UPRIGHT * Rotation.from_euler("Y", 0.001 * tick) * Rotation.from_euler("Z", angle * (tick in wrong))
 
     supervisor = drive([{}] * 12, turn=turn)
     assert supervisor.mode == SafetyMode.RUN
@@ -331,9 +331,18 @@ def test_a_forged_orientation_or_two_are_left_out(wrong, angle, drive):
 
 
 def test_an_orientation_that_is_left_out_is_marked(drive):
-    turn = lambda tick: UPRIGHT * Rotation.from_euler("X", 0.5 * (tick == 3))  # noqa: E731
+    turn = lambda tick: UPRIGHT * Rotation.from_euler("Z", 0.5 * (tick == 3))  # noqa: E731
     assert drive([{}] * 4, turn=turn).doubts_orientation
     assert not drive([{}] * 3, turn=turn).doubts_orientation
+
+
+@pytest.mark.parametrize("angle", [0.2, np.pi / 2, -3.0])
+def test_a_heading_that_the_imu_sets_anew_is_said_and_counted(angle, drive):
+    supervisor = drive([{}] * 9, turn=lambda tick: Rotation.from_euler("z", angle * (tick >= 4)) * UPRIGHT)
+    assert supervisor.mode == SafetyMode.RUN
+    assert [event.rule for event in supervisor.events] == ["heading_reset"]
+    assert f"jumped by {np.rad2deg(angle):.0f} deg" in supervisor.events[0].text
+    assert supervisor.heading_jumps == pytest.approx(angle, abs=1e-6)
 
 
 @pytest.mark.parametrize("late", [0.01, 0.02, 0.03])

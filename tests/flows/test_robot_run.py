@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -15,6 +16,7 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.flows import robot as flow
 from mimic.flows.operator import Operator
+from mimic.flows.reporter import SilentReporter
 from mimic.hardware import session
 from mimic.hardware.wiring import load_wiring
 from mimic.io import store
@@ -86,3 +88,18 @@ def test_ctrl_c_at_the_question_says_that_nothing_was_moved(targets, tmp_path):
             "can0", targets, run=SHORT, bus=BUS, out=tmp_path / "run", operator=Operator(confirm=interrupted)
         )
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_folder_that_is_removed_meanwhile_is_written_again_and_that_is_said(targets, tmp_path, monkeypatch):
+    folder, reporter = tmp_path / "run", SilentReporter()
+    played = flow.play
+
+    def removed(*arguments, **more):
+        shutil.rmtree(folder)
+        return played(*arguments, **more)
+
+    monkeypatch.setattr(flow, "play", removed)
+    flow.play_on_robot("can0", targets, run=SHORT, bus=BUS, out=folder, reporter=reporter)
+    assert any("was removed while the robot ran" in text for text in reporter.warnings)
+    assert "finished" in (folder / "events.jsonl").read_text()
+    assert (folder / "log.parquet").is_file()

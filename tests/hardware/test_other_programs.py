@@ -21,6 +21,7 @@ from mimic.flows import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.link import Received
 from mimic.hardware.cybergear.codec import Codec
 from mimic.hardware.cybergear.messages import Enable, GetDeviceId, Mode, Operation, ReadParameter, SetZero, Stop
 from mimic.hardware.listening import look_first
@@ -129,7 +130,7 @@ def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(r
 
 def test_damping_switches_off_what_a_program_left_on(reached, description):
     driven(reached, description)
-    assert commissioning.damp_robot("can0", BUSES) == "the robot was damped and all motors are off"
+    assert commissioning.damp_robot("can0", BUSES) == (True, "the robot was damped and all motors are off")
     assert {motor.mode for motor in reached.motors} == {Mode.RESET}
 
 
@@ -291,3 +292,33 @@ def test_the_lock_lies_where_every_user_of_the_computer_finds_it(monkeypatch):
     name = f"socketcand://127.0.0.1:{os.getpid()}/can0"
     with bus_lock(name) as files:
         assert os.readlink(f"/proc/self/fd/{files[0]}").startswith("/tmp/mimic-socketcand-")
+
+
+class EchoingLink(EmulatedLink):
+    """An adapter that also hands back what it sends."""
+
+    def __init__(self, robot: EmulatedRobot) -> None:
+        super().__init__(robot)
+        self._echoes: list[Received] = []
+
+    def send(self, bus: int, frame: CanFrame) -> None:
+        super().send(bus, frame)
+        self._echoes.append(Received(bus, frame, self.now()))
+
+    def receive(self, timeout: float) -> Received | None:
+        return self._echoes.pop(0) if self._echoes else super().receive(timeout)
+
+
+def test_an_adapter_that_echoes_is_no_other_program(robot, description):
+    link = EchoingLink(robot)
+    motor_bus = MotorBus(link, load_wiring())
+    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    assert found["other programs"].verdict == "note"
+    assert "the adapter echoes" in found["other programs"].text
+    plant = CanRobot(link, load_wiring(), description)
+    plant.start()
+    for _ in range(5):
+        tick = plant.step(hold(description))
+    assert tick.health.foreign == 0
+    assert tick.health.missed.max() == 0
+    assert plant.motor_bus.echoes >= 5 * 12

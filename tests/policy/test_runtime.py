@@ -60,3 +60,13 @@ def test_a_model_for_another_robot_is_refused(tmp_path, constant_onnx, contract,
 def test_a_model_of_other_widths_than_its_contract_is_refused(sizes, tmp_path, constant_onnx, description):
     with pytest.raises(ContractError, match="its contract says"):
         Policy(constant_onnx(tmp_path / "a.onnx", **sizes), description)
+
+
+def test_a_model_whose_weights_are_in_another_file_is_refused(tmp_path, constant_onnx, description):
+    onnx = pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")
+    model = onnx.load(constant_onnx(tmp_path / "whole.onnx"))
+    onnx.save_model(
+        model, tmp_path / "split.onnx", save_as_external_data=True, location="weights.bin", size_threshold=0
+    )
+    with pytest.raises(AssetError, match=r"split\.onnx is not an ONNX model in one file"):
+        Policy(tmp_path / "split.onnx", description)

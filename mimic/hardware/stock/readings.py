@@ -22,9 +22,6 @@ NEVER = -np.inf
 CLOCK_DRIFT = 1e-3
 """The clocks of robot and computer may run apart by this share; a delay that lasts is forgotten at this rate."""
 
-REORDERED = 0.5
-"""An orientation with a time stamp up to this much older than the last one was overtaken and is dropped [s]."""
-
 NO_ERR_FLAG = -1
 """err_flag before the first motor_ctrl_state."""
 
@@ -140,8 +137,8 @@ class Readings:
 
     def _imu(self, message: Any, t: float) -> None:
         report, stamp = self.report, 1e-9 * float(message["timestamp"])
-        if 0.0 < self._stamp - stamp < REORDERED:
-            return
+        if stamp < self._stamp:  # the robot's clock was set
+            self._offset = np.inf
         quat = message["quat"].astype(np.float64)[self._wiring.quat]
         omega = message["omegaBody"].astype(np.float64)
         length = float(np.linalg.norm(quat))

@@ -75,3 +75,22 @@ def test_what_motors_do_report_at_their_limits_is_taken():
     extremes = {"q_knee": in_one(LEG, -2.8), "qd_hip": in_one(LEG, 38.19), "tau_hip": in_one(LEG, -12.5)}
     readings.take("spi_data", SPI_DATA.encode(**extremes, tmp_knee=[1200] * 4), 1.002)
     assert (readings.report["malformed"], readings.report["motors_count"]) == (0, 2)
+
+
+@pytest.mark.parametrize("step", [-5.0, -0.2, 0.2, 5.0])
+def test_a_robot_whose_clock_is_set_is_not_silent(step):
+    readings = healthy()
+    for tick in range(1, 50):
+        t, stamp = 1.0 + 0.002 * tick, 10.0 + 0.002 * tick + step * (tick > 20)
+        readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=round(1e9 * stamp)), t)
+        assert t - readings.report["imu_came"] < 0.01
+    assert readings.report["imu_count"] == 50
+
+
+def test_orientations_that_were_held_up_on_the_way_are_old():
+    readings = healthy()
+    for tick in range(1, 50):
+        stamp = round(1e9 * (10.0 + 0.002 * tick))
+        readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=stamp), 1.0 + 0.002 * tick)
+    readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=stamp + 2_000_000), 1.4)
+    assert 1.4 - readings.report["imu_came"] == pytest.approx(0.3, abs=0.01)
