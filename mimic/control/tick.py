@@ -66,16 +66,14 @@ class Run:
         self.samples: list[JointSamples] = []
         self.ticks = 0
         self.state: RobotState
-        self.q: FloatArray
-        """Joint positions (12,) [rad]; an estimate for joints without a reading."""
-        self.quat_WB: FloatArray
-        """Orientation (4,), wxyz; the last one where there is no reading."""
+        self.sensed: RobotState
+        """The state as a policy is told of it: estimates where there is no reading."""
 
     def begin(self) -> None:
         """Start the plant."""
         self.state = self.plant.start()
         self._dropouts = DropoutFilter(self.plant.description)
-        self.q, self.quat_WB = self._dropouts.fill(self.state)
+        self.sensed = self._dropouts.fill(self.state)
 
     @property
     def mode(self) -> SafetyMode:
@@ -106,7 +104,13 @@ class Run:
             return self.decide("not_finite", SafetyMode.DAMP, "a target is not a number")
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self.plant.description)
         observation = builder.observe(
-            q=self.q, quat_WB=self.quat_WB, v_des=v_des, heading_des=desired.heading, p_BE_des=p_BE_des
+            q=self.sensed.q,
+            quat_WB=self.sensed.quat_WB,
+            v_des=v_des,
+            heading_des=desired.heading,
+            p_BE_des=p_BE_des,
+            omega_B=self.sensed.omega_B,
+            dq=self.sensed.dq,
         )
         action = policy.act(observation)
         if not np.isfinite(action).all():
@@ -160,7 +164,7 @@ class Run:
             self.samples.append(done.samples)
         self._supervise(done, phase, command)
         supervisor = self.safety.supervisor
-        self.q, self.quat_WB = self._dropouts.fill(
+        self.sensed = self._dropouts.fill(
             done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation
         )
         if self.sink is not None:

@@ -157,7 +157,7 @@ def train(
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and from_policy:
         compare_contracts(resume, contract)
-        take_over(runner.alg.actor, resume, learn.resume_std)
+        take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
         env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]

@@ -11,13 +11,10 @@ from mimic.config.rewards import REFINING_TERMS, TASK_TERMS
 from mimic.robot.goals import leg_joints
 from mimic.train.environment import WorldsEnv
 from mimic.train.feet import sliding
-from mimic.train.rewards import Facts, reward_terms
+from mimic.train.rewards import BEARS, Facts, reward_terms
 
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
-
-DRIFT_SECONDS = 2.0
-"""Time constant of the averaged velocity error [s]."""
 
 GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
@@ -60,6 +57,7 @@ class StandTrackEnv(WorldsEnv):
         share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * ramp
         self.worlds.set_share(share)
         self.disturbances.set_share(share)
+        self._rest_share.fill_(s.rest_share_at_first + (1 - s.rest_share_at_first) * ramp)
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _command(self) -> None:
@@ -94,8 +92,9 @@ class StandTrackEnv(WorldsEnv):
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
-        astray = velocity - self.moves.wanted - self._drift
-        self._drift.add_(astray * (self.contract.dt / DRIFT_SECONDS)).mul_(tracking[:, None])
+        rests = self._rank < self._rest_share
+        settled = self.moves.settled & tracking & rests
+        self._anchor.copy_(torch.where(settled[:, None], self._anchor, w.qpos[:, :2]))
         grounded = low[:, self._grounding].amin(-1) < 0.002
         fallen = tracking & (grounded | (height < self.description.training.height_fallen) | (up < 0.3))
         q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
@@ -115,15 +114,16 @@ class StandTrackEnv(WorldsEnv):
             up=up,
             velocity_error=velocity - self.moves.wanted,
             mean_velocity_error=self._mean_velocity - self.moves.wanted,
-            drift=self._drift,
+            drift=w.qpos[:, :2] - self._anchor,
             gait=self._gait,
             toppling=toppling & ~w.quiet,
-            settled=self.moves.settled,
+            settled=settled,
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
+            load=w.load / w.weight[:, None],
             clearance=low[:, self._hind_toes],
             slip=slip,
             hind_speed=motion[0][:, 2:].norm(dim=-1),
@@ -158,7 +158,7 @@ class StandTrackEnv(WorldsEnv):
         still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
         stills = still.sum().clamp(min=1.0)
         return {
-            "still/planted": (f.contact.all(-1) * still).sum() / stills,
+            "still/planted": ((f.load.amin(-1) > BEARS) * still).sum() / stills,
             "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
             "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
             "still/shuffle": ((f.hind_speed * f.contact).mean(-1) * still).sum() / stills,

@@ -58,6 +58,9 @@ DRIVEN = ("dof_armature", "actuator_biasprm", "actuator_forcerange")
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
 
+QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
+"""The robots of quiet worlds."""
+
 SPARE_CONTACTS = 64
 """Room for contacts beyond the average, which few worlds do not keep."""
 
@@ -85,6 +88,26 @@ def _smooth_friction(  # type: ignore[no-untyped-def]
     """Write the damping with which a joint's viscous torque is that of its dry friction too, at its speed of now."""
     world, dof = wp.tid()  # type: ignore[misc]
     total[world, dof] = damping[world, dof] + friction[world, dof] / (wp.abs(qvel[world, dof]) + speed)  # type: ignore[operator]
+
+
+@wp.kernel
+def _add_loads(  # type: ignore[no-untyped-def]
+    count: wp.array(dtype=int),  # type: ignore[valid-type]
+    geom: wp.array(dtype=wp.vec2i),  # type: ignore[valid-type]
+    world: wp.array(dtype=int),  # type: ignore[valid-type]
+    row: wp.array2d(dtype=int),  # type: ignore[valid-type]
+    force: wp.array2d(dtype=float),  # type: ignore[valid-type]
+    foot: wp.array(dtype=int),  # type: ignore[valid-type]
+    load: wp.array2d(dtype=float),  # type: ignore[valid-type]
+):
+    """Add the normal force of each contact (elliptic cones) to the foot that one of its shapes belongs to, if any."""
+    i = wp.tid()
+    if i >= count[0] or row[i, 0] < 0 or row[i, 0] >= force.shape[1]:
+        return
+    pair = geom[i]
+    side = wp.max(foot[pair[0]], foot[pair[1]])  # type: ignore[index]
+    if side >= 0:
+        wp.atomic_add(load, world[i], side, force[world[i], row[i, 0]])  # type: ignore[index]
 
 
 class Worlds:
@@ -137,12 +160,22 @@ class Worlds:
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
+            self._load = wp.zeros((n, 2), dtype=float)
+            self.load = wp.to_torch(self._load)
+            """Normal force on the left and right hind foot (N, 2) [N]."""
+            feet = np.full(model.ngeom, -1, dtype=np.int32)
+            for side, leg in enumerate(LEGS[2:]):
+                feet[[model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = side
+            self._foot = wp.array(feet, dtype=int)
+            gravity = abs(float(model.opt.gravity[2]))
+            self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
+            """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
         self._whole = ReplayedWarp(self._run, device)
         self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-        self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
+        self._kinematics = ReplayedWarp(self._look, device)
         self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
 
     def _randomise(
@@ -150,18 +183,20 @@ class Worlds:
     ) -> None:
         rng = np.random.default_rng([seed, 17])
         other = np.random.default_rng([seed, 18])
+        d = settings.disturbances
+        calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
         quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
         features, slopes, variations = [], [], []
-        grounds: list[tuple[float, float]] = []
+        grounds: list[tuple[float, float, float]] = []
         if self.motors is not None:
             self.motors.draw(count, np.random.default_rng([seed, 19]))
         for i in range(count):
-            d = UNDISTURBED if i < quiet else settings.disturbances
-            ranges = Randomisation() if i < quiet else settings.randomisation
+            d = calm if i < quiet else settings.disturbances
+            ranges = QUIET_ROBOT if i < quiet else settings.randomisation
             v = draw_variation(ranges, description.timestep, rng)
             v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
             vary_model(varied, nominal, v)
@@ -170,7 +205,8 @@ class Worlds:
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
-            grounds.append((v.restitution, other.uniform(*d.contact_time)))
+            ratio = math.exp(other.uniform(*np.log(d.friction_ratio)))
+            grounds.append((v.restitution, other.uniform(*d.contact_time), ratio))
             angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
             slopes.append(
                 [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
@@ -195,6 +231,8 @@ class Worlds:
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
+        self._stiffer = torch.ones(n, device=self.device)
+        self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
         self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
         self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
@@ -211,9 +249,11 @@ class Worlds:
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
         usual = self._contact_time
-        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
+        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower, _ in self._grounds]
         solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
+        ratios = torch.tensor([ratio for *_, ratio in self._grounds], device=self.device)
+        self._stiffer.copy_((ratios ** (-0.5 * share))[self._ground_of])
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
@@ -282,7 +322,18 @@ class Worlds:
             if self._friction_speed:
                 self._rub()
             mjw.step(self.model, self.data)
+        self._look()
+
+    def _look(self) -> None:
+        self._weigh()
         mjw.kinematics(self.model, self.data)
+
+    def _weigh(self) -> None:
+        """Add up the forces under the hind feet in the last physics step."""
+        c = self.data.contact
+        self._load.zero_()
+        inputs = [self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force, self._foot]
+        wp.launch(_add_loads, dim=c.geom.shape[0], inputs=inputs, outputs=[self._load])
 
     def _rub(self) -> None:
         """Set the damping of all joints so that it holds their dry friction."""
