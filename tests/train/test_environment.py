@@ -29,6 +29,9 @@ FEW = MdpSettings(
     worlds=6,
     noise_q=0.0,
     noise_axes=0.0,
+    noise_gyro=0.0,
+    noise_dq=0.0,
+    rest_share_at_first=1.0,
     disturbances=UNDISTURBED,
     disturbance_share_at_first=1.0,
     quiet_share=0.0,
@@ -62,6 +65,7 @@ def test_training_and_running_build_the_same_observation(env):
     compared = 0
     for step in range(12):
         measured = env.worlds.qpos.numpy().astype(np.float64)
+        speeds = env.worlds.qvel.numpy().astype(np.float64)
         running = np.array(
             [
                 builder.observe(
@@ -70,6 +74,8 @@ def test_training_and_running_build_the_same_observation(env):
                     v_des=env.moves.velocity[i].numpy(),
                     heading_des=float(env.moves.heading[i]),
                     p_BE_des=env.goals.now[i].numpy(),
+                    omega_B=speeds[i, 3:6],
+                    dq=speeds[i, 6:],
                 )
                 for i, builder in enumerate(builders)
             ]
@@ -85,7 +91,7 @@ def test_training_and_running_build_the_same_observation(env):
         _, _, done, _ = env.step(action)
         alive &= done.numpy() == 0
     assert compared > 20
-    clocks = np.linalg.norm(running[:, -2:], axis=1)
+    clocks = np.linalg.norm(running.reshape(env.num_envs, env.settings.history, -1)[:, -1, env.contract.columns("clock")], axis=1)
     assert clocks[::2].min() > 0.5
     assert (clocks[1::2] == 0.0).any()
 
