@@ -3,7 +3,7 @@
     python -m benchmarks.off_policy OUT worlds=4096 history=10 minutes=10 seed=1 snapshots=[4,7] --student 1
 
 ``name=value`` sets a field of MdpSettings or LearnSettings as in ``python -m mimic.train``; of the latter seed, device,
-minutes, snapshots, reaching, reaching_share, mirror and mixed_precision count. Writes OUT/policy.onnx and
+minutes, snapshots, reaching, reaching_share and mirror count. Writes OUT/policy.onnx and
 OUT/settings.json; with ``--student MINUTES`` also OUT/student.onnx, the policy distilled into a network as PPO has it;
 ``python -m mimic.train --resume`` goes on from that. The options are the fields of SacSettings, and explained there.
 
@@ -85,6 +85,8 @@ class SacSettings:
     """Of the policy, for each action, in units of actions: 0 is a spread of 0.24."""
     target_entropy_end: float = -1.2
     """… and from ENTROPY_SHARE of the time on, falling evenly until then: -1.2 is a spread of 0.07."""
+    mixed_precision: bool = False
+    """Networks of the updates in bfloat16."""
     student: float = 0.0
     """Minutes after the training in which the policy is distilled into a network as PPO has it."""
     value_range: float = 20.0
@@ -511,9 +513,7 @@ def train(folder: Path, mdp: MdpSettings, learn: LearnSettings, sac: SacSettings
     if not torch.equal(obs["critic"][:, :inputs], obs["policy"]):
         raise SystemExit("the critic's observation does not begin with the actor's, as this trial needs it")
     bound, shown = bounds(contract, device), 6 if learn.reaching else 0
-    learner = Learner(
-        mdp.worlds, inputs, seen, bound, sac, shown=shown, mirror=learn.mirror, half=learn.mixed_precision
-    )
+    learner = Learner(mdp.worlds, inputs, seen, bound, sac, shown=shown, mirror=learn.mirror, half=sac.mixed_precision)
     progress, begin, due, step = Progress(mdp.worlds, device), time.monotonic(), sorted(learn.snapshots), 0
     try:
         while (elapsed := time.monotonic() - begin) < 60 * learn.minutes:

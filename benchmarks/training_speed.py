@@ -23,18 +23,15 @@ from typing import Any
 
 LIMITS = {
     "captured": 200,
-    "kernels_dense": 60,
+    "kernels": 60,
     "physics": 200,
     "captured_large": 90,
     "physics_large": 90,
-    "captured_bfloat16": 90,
     "fused": 150,
     "plain": 90,
     "training_captured": 120,
     "training_plain": 120,
-    "kernels_sparse": 60,
     "launches": 60,
-    "training_bfloat16": 120,
     "gpus": 460,
 }
 """Stages in their order, each with the most time it may take [s]."""

@@ -40,12 +40,9 @@ LEAN = {"rows": 64, "contacts": 8}
 PHYSICS: dict[str, dict[str, Any]] = {
     "dense, 96 rows, 20 contacts": {"rows": 96, "contacts": 20},
     "dense, 64 rows, 8 contacts": LEAN,
-    "sparse, 64 rows, 8 contacts": {**LEAN, "sparse": True},
-    "sparse, 64 rows, 8 contacts, 20 iterations": {**LEAN, "sparse": True, "solver_iterations": 20},
     "dense, 64 rows, 8 contacts, 20 iterations": {**LEAN, "solver_iterations": 20},
     "dense, 64 rows, 8 contacts, 5 iterations": {**LEAN, "solver_iterations": 5},
     "dense, 64 rows, 8 contacts, two halves at once": {**LEAN, "parts": 2},
-    "sparse, 64 rows, 8 contacts, two halves at once": {**LEAN, "sparse": True, "parts": 2},
     "dense, 64 rows, 8 contacts, Hessian by 32": {**LEAN, "blocks": {"update_gradient_JTDAJ_dense": 32}},
     "dense, 64 rows, 8 contacts, Hessian by 64": {**LEAN, "blocks": {"update_gradient_JTDAJ_dense": 64}},
     "dense, 64 rows, 8 contacts, Cholesky by 32": {**LEAN, "blocks": {"update_gradient_cholesky": 32}},
@@ -179,11 +176,11 @@ def physics_stage(settings: Settings, worlds: int, variants: list[str]) -> Figur
     return found
 
 
-def kernels_stage(settings: Settings, sparse: bool) -> Figures:
+def kernels_stage(settings: Settings) -> Figures:
     """Time of each kernel of the physics in a control step, launched one by one."""
     import warp as wp
 
-    mdp = dataclasses.replace(settings[0], worlds=SMALL, sparse=sparse)
+    mdp = dataclasses.replace(settings[0], worlds=SMALL)
     env = flailing(mdp)
     niter = wp.to_torch(env.worlds.data.solver_niter).float()
     rows = wp.to_torch(env.worlds.data.nefc).float()
@@ -366,18 +363,15 @@ def training_stage(settings: Settings, **changes: Any) -> Figures:
 
 STAGES: dict[str, Callable[[Settings, list[str]], Figures]] = {
     "captured": lambda s, _: parts_stage(s, SMALL, captured=True),
-    "kernels_dense": lambda s, _: kernels_stage(s, False),
+    "kernels": lambda s, _: kernels_stage(s),
     "physics": lambda s, _: physics_stage(s, SMALL, list(PHYSICS)),
     "captured_large": lambda s, _: parts_stage(s, LARGE, captured=True),
     "physics_large": lambda s, _: physics_stage(s, LARGE, list(PHYSICS)[:3]),
-    "captured_bfloat16": lambda s, _: parts_stage(s, SMALL, captured=True, mixed_precision=True),
     "fused": lambda s, _: parts_stage(s, SMALL, captured=True, fused=True),
     "plain": lambda s, _: parts_stage(s, SMALL, captured=False),
     "training_captured": lambda s, _: training_stage(s, captured=True),
     "training_plain": lambda s, _: training_stage(s, captured=False),
-    "kernels_sparse": lambda s, _: kernels_stage(s, True),
     "launches": lambda s, _: launches_stage(s),
-    "training_bfloat16": lambda s, _: training_stage(s, captured=True, mixed_precision=True),
     "gpus": gpus_stage,
 }
 

@@ -88,6 +88,10 @@ class Disturbance:
     """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
     noise_imu: float = 0.0
     """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
+    noise_gyro: float = 0.0
+    """… on the measured angular velocity [rad/s]."""
+    noise_dq: float = 0.0
+    """… on measured joint velocities [rad/s]."""
     lost_share: float = 0.0
     """Probability that a command is dropped; the one before stays in effect."""
 
@@ -98,6 +102,8 @@ class Disturbance:
         check_range("imu-tilt", self.imu_tilt, 0.0, 30.0, "deg")
         check_range("noise-q", self.noise_q, 0.0, 1.0, "rad")
         check_range("noise-imu", self.noise_imu, 0.0, 1.0, "rad")
+        check_range("noise-gyro", self.noise_gyro, 0.0, 10.0, "rad/s")
+        check_range("noise-dq", self.noise_dq, 0.0, 10.0, "rad/s")
         check_range("lost-share", self.lost_share, 0.0, 1.0)
 
 

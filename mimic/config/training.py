@@ -121,10 +121,6 @@ class SitDownSettings:
     rewards: SitDownWeights = field(default_factory=SitDownWeights)
 
 
-LEAST_LEVEL = 0.3
-"""Smallest level of a disturbed world."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MdpSettings:
     """The worlds a policy is trained in."""
@@ -210,17 +206,10 @@ class MdpSettings:
     """Most contacts of a world on average, since all worlds share one store; robots that lie have 4."""
     rows: int = 64
     """Most constraint rows of a world; the most seen with wild random actions is 60, lying 32."""
-    sparse: bool = False
-    """Constraint Jacobians in sparse form; the same physics, other kernels."""
     quiet_share: float = 0.4
     """Share of the worlds that are quiet: a robot of the paper's Table II, its centre of mass up to 15 mm and its IMU
-    up to 2 degrees off, on level ground of any stiffness that nobody pulls, with small pushes. Among disturbed worlds alone standing still is hardly seen, and not learned. The task sit_down has none."""
-    level_up: float = 0.04
-    """A disturbed world has a level, a factor on what disturbs it in an episode. It grows by this, at most to 1, with
-    each episode that is lived to its end."""
-    level_down: float = 0.0
-    """… and falls by this, at least to LEAST_LEVEL, when the robot does; 0 leaves every level at 1. With 0.12,
-    the one tried, levels went down to 0.4, and hard pushes were learned less well (docs/experiments/policy.md)."""
+    up to 2 degrees off, on level ground of any stiffness that nobody pulls, with small pushes. Among disturbed worlds
+    alone standing still is hardly seen, and not learned. The task sit_down has none."""
     randomisation: Randomisation = TRAINING_RANDOMISATION
     disturbances: DisturbanceRanges = field(default_factory=DisturbanceRanges)
     command_margin: float = 0.09
@@ -235,8 +224,6 @@ class MdpSettings:
     with the square of the share done."""
     curriculum_latest: float = 16_800.0
     """From this control step of a world on they grow in any case."""
-    task_share: float = 1.0
-    """Share of their weight that the TASK_TERMS reward terms have before; it grows to 1."""
     refining_share_at_first: float = 0.05
     """Share of their weight that the REFINING_TERMS have before; it grows to 1."""
     rest_share_at_first: float = 0.0
@@ -257,8 +244,6 @@ class MdpSettings:
     capture point has left its feet."""
     capture_reach: float = 0.05
     """How far before or behind the line between its feet that is [m]."""
-    scaled_tracking: bool = True
-    """Scale the tracking terms by how far the robot stands, as the paper's dynamic factor does; False omits it."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
     finish: FinishFactors = field(default_factory=FinishFactors)
     """Factors on the weights of rewards once everything is learned: walking straight and sliding little are polish,
@@ -281,8 +266,6 @@ class MdpSettings:
         check_range("fastest", self.fastest, 0.1, 3.0, "m/s")
         check_range("friction-speed", self.friction_speed, 0.0, 10.0, "rad/s")
         check_range("quiet-share", self.quiet_share, 0.0, 1.0)
-        check_range("level-up", self.level_up, 0.0, 1.0)
-        check_range("level-down", self.level_down, 0.0, 1.0)
         check_range("clock-fade", self.clock_fade, 0.0, 5.0, "s")
         check_range("episode-steps", self.episode_steps, 100, 100_000)
         check_range("solver-iterations", self.solver_iterations, 1, 200)
@@ -328,8 +311,6 @@ class LearnSettings:
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
-    clip_values: bool = False
-    """Limit the change of a value in an update to clip too."""
     init_std: float = 1.0
     std_range: tuple[float, float] = (0.05, 1.2)
     resume_std: float = 0.0
@@ -354,8 +335,6 @@ class LearnSettings:
     """Updates between two checkpoints."""
     captured: bool = True
     """On a GPU, replay inference and update as captured graphs instead of launching them piece by piece."""
-    mixed_precision: bool = False
-    """Networks of the update in bfloat16."""
 
     def __post_init__(self) -> None:
         check_range("iterations", self.iterations, 0, ENDLESS)

@@ -12,6 +12,9 @@ from mimic.records import FloatArray, RobotState, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
 
+RESTS = 0.1
+"""A lying robot whose gyro shows less about each axis rests, and the gyro shows its bias [rad/s]."""
+
 EXTRAPOLATED_TICKS = 2
 """Ticks over which a joint is extrapolated with its last velocity; after them its position is held."""
 
@@ -26,10 +29,15 @@ class DropoutFilter:
         self._missing = np.zeros(len(self._q), dtype=int)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
         self._omega, self._blind = np.zeros(3), 0
+        self._bias, self._rests = np.zeros(3), 0
 
-    def fill(
-        self, state: RobotState, distrusted: Collection[int] = (), *, doubted: bool = False
-    ) -> RobotState:
+    def rest(self, state: RobotState) -> None:
+        """Learn the gyro's bias from a state of a robot that lies: the mean while it rests."""
+        if np.all(np.abs(state.omega_B) < RESTS):
+            self._rests += 1
+            self._bias = self._bias + (state.omega_B - self._bias) / self._rests
+
+    def fill(self, state: RobotState, distrusted: Collection[int] = (), *, doubted: bool = False) -> RobotState:
         """Return the state without NaN in joint positions and velocities, orientation and angular velocity.
 
         Velocities are held no longer than a joint is extrapolated; then they are zero.
@@ -51,7 +59,7 @@ class DropoutFilter:
         turns = np.isfinite(state.omega_B).all() and not doubted
         self._blind = 0 if turns else self._blind + 1
         if turns:
-            self._omega = state.omega_B
+            self._omega = state.omega_B - self._bias
         dq = np.where(self._missing <= EXTRAPOLATED_TICKS, self._dq, 0.0)
         omega = self._omega if self._blind <= EXTRAPOLATED_TICKS else np.zeros(3)
         return replace(state, q=self._q, dq=dq, quat_WB=self._quat, omega_B=omega)

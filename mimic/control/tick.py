@@ -18,7 +18,7 @@ from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
-from mimic.records import PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import PHASES, Command, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.leg_kinematics import front_toes
 
 Sink = Callable[[Tick], None]
@@ -127,7 +127,9 @@ class Run:
         self._step(command, phase, clamped, **asked, observation=seen, action=action)
 
     def hold(self, command: JointCommand, phase: int) -> None:
-        """Send a command that no policy made, for one control step."""
+        """Send a command that no policy made, for one control step; a robot that lies shows the gyro's bias."""
+        if PHASES[phase] == "lie":
+            self._dropouts.rest(self.state)
         nothing = np.full(self._width, np.nan)
         asked = {"v_des": np.zeros(2), "heading_des": np.nan, "p_BE_des": np.full((2, 3), np.nan)}
         self._step(command, phase, 0, **asked, observation=nothing, action=np.full(12, np.nan))
@@ -164,9 +166,7 @@ class Run:
             self.samples.append(done.samples)
         self._supervise(done, phase, command)
         supervisor = self.safety.supervisor
-        self.sensed = self._dropouts.fill(
-            done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation
-        )
+        self.sensed = self._dropouts.fill(done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation)
         if self.sink is not None:
             self.sink(done)
         if self.progress is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -87,17 +87,21 @@ class Disturber:
     def sensed(self, state: RobotState) -> RobotState:
         """Return the state as the robot's sensors show it."""
         d, quat, q = self._disturbance, state.quat_WB, state.q
+        omega, dq = state.omega_B, state.dq
         if d.imu_tilt:
-            quat = _multiply(quat, self._mount)
+            quat, turned = _multiply(quat, self._mount), np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, omega, self._mount * [1, -1, -1, -1])
+            omega = turned
         if d.noise_imu:
             turn = self._rng.uniform(-d.noise_imu, d.noise_imu, 3)
             quat = _multiply(quat, _quat_about(turn, float(np.linalg.norm(turn))))
         if d.noise_q:
             q = q + self._rng.uniform(-d.noise_q, d.noise_q, len(q))
-        if quat is state.quat_WB and q is state.q:
-            return state
-        values = {f.name: getattr(state, f.name) for f in fields(RobotState)}
-        return RobotState(**(values | {"q": q, "quat_WB": quat}))
+        if d.noise_gyro:
+            omega = omega + self._rng.uniform(-d.noise_gyro, d.noise_gyro, 3)
+        if d.noise_dq:
+            dq = dq + self._rng.uniform(-d.noise_dq, d.noise_dq, len(dq))
+        return replace(state, q=q, dq=dq, quat_WB=quat, omega_B=omega)
 
 
 def payloads(disturbance: Disturbance) -> dict[str, float]:

@@ -10,7 +10,7 @@ import math
 
 import torch
 
-from mimic.config.training import LEAST_LEVEL, MdpSettings
+from mimic.config.training import MdpSettings
 
 QUIET_PUSH = 0.25
 """Factor on the pushes of quiet worlds."""
@@ -46,7 +46,6 @@ class Disturbances:
         self._pitch_axis = torch.tensor([0.0, 1.0, 0.0], device=device)
         most = settings.disturbances.imu_tilt[1]
         self._quiet_tilt = min(QUIET_TILT / most, 1.0) if most else 0.0
-        self._up, self._down = settings.level_up, settings.level_down
         self.mount = torch.zeros(n, 4, device=device)
         """Rotation from the IMU as it should be to the IMU as it is mounted, wxyz (N, 4)."""
         self.gyro_bias = torch.zeros(n, 3, device=device)
@@ -65,8 +64,6 @@ class Disturbances:
         """How the hand walks, world axes (N, 2) [m/s]."""
         self.pull = torch.zeros(n, 2, 3, device=device)
         """Force on each front toe now, world axes (N, 2, 3) [N]."""
-        self.level = torch.ones(n, device=device)
-        """Factor on what disturbs a world (N,); see MdpSettings.level_up."""
         self._most, self._hand = torch.zeros(n, device=device), torch.zeros(n, 2, device=device)
         self._from, self._seconds = torch.zeros(n, device=device), torch.zeros(n, device=device)
         self.held = torch.zeros(n, dtype=torch.bool, device=device)
@@ -88,28 +85,25 @@ class Disturbances:
     @property
     def share(self) -> torch.Tensor:
         """Factor on whatever is drawn here (N,)."""
-        return self._grown * torch.where(self._quiet, 0.0, self.level)
+        return self._grown * (~self._quiet).float()
 
     @property
     def push_share(self) -> torch.Tensor:
         """Factor on pushes (N,)."""
-        return self._grown * torch.where(self._quiet, QUIET_PUSH, self.level)
+        return self._grown * torch.where(self._quiet, QUIET_PUSH, 1.0)
 
-    def reset(self, mask: torch.Tensor, survived: torch.Tensor) -> None:
-        """Draw anew where ``mask`` (N,); a world's level follows from whether its robot survived (N,)."""
+    def reset(self, mask: torch.Tensor) -> None:
+        """Draw anew where ``mask`` (N,)."""
         r = self._ranges
 
         def put(buffer: torch.Tensor, value: torch.Tensor) -> None:
             buffer.copy_(torch.where(mask.view(-1, *[1] * (buffer.dim() - 1)), value, buffer))
 
-        if self._down:
-            level = self.level + torch.where(survived, self._up, -self._down)
-            put(self.level, level.clamp(LEAST_LEVEL, 1.0))
         axis = torch.randn(self._n, 3, device=self._device)
         axis = axis / axis.norm(dim=-1, keepdim=True).clamp(min=1e-6)
         pitch = self._pitch_axis * torch.sign(axis[:, 1:2])
         axis = torch.where(self._uniform(-1.0, 1.0)[:, None] > 0, axis, pitch)
-        tilt = torch.where(self._quiet, self._quiet_tilt, self.level) * self._grown
+        tilt = torch.where(self._quiet, self._quiet_tilt, 1.0) * self._grown
         half = (tilt * self._uniform(*r.imu_tilt))[:, None] * (math.pi / 360)
         put(self.mount, torch.cat([torch.cos(half), torch.sin(half) * axis], -1))
         put(self.gyro_bias, r.gyro_bias * (2 * torch.rand(self._n, 3, device=self._device) - 1))
@@ -153,8 +147,8 @@ class Disturbances:
         self.behind.copy_(away.norm(dim=-1))
         hand = away * (self._most / self.behind.clamp(min=1e-6)).clamp(max=self._ranges.lead_stiffness)[:, None]
         hand = torch.cat([hand, torch.zeros_like(hand[:, :1])], -1)
-        self._way.copy_(torch.where(since < 0, heading + self._angle, self._way))
-        size = self.force * (since / self._ramp.clamp(min=1e-3)).clamp(0.0, 1.0)
+        self._way.copy_(torch.where(since <= 0, heading + self._angle, self._way))
+        size = self.force * ((since + self._dt) / self._ramp.clamp(min=1e-3)).clamp(0.0, 1.0)
         pull = torch.stack([size * torch.cos(self._way), size * torch.sin(self._way), torch.zeros_like(size)], -1)
         force = torch.where(self.led[:, None], hand, pull) * now[:, None]
         self.pull.copy_(self.toe[..., None] * torch.nan_to_num(force)[:, None, :])

@@ -136,6 +136,7 @@ class WorldsEnv(VecEnv):
         self._history = zeros(self.settings.history, FRAME_SIZE)
         self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
         self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
+        self._heading = zeros()
         self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
         self._termination_share = torch.zeros(1, device=device)
         self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
@@ -143,7 +144,8 @@ class WorldsEnv(VecEnv):
         self._reaching = zeros(2, 2, 3)
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
-        self._time_out = torch.ones(n, dtype=torch.bool, device=device)  # nobody has fallen yet
+        self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
+        self._load = zeros(2)
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self.settings.rest_share_at_first, device=device)
@@ -272,7 +274,7 @@ class WorldsEnv(VecEnv):
         """
         w = self.worlds
         self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
-        self._heading = torch.arctan2(*heading_sin_cos(*self._quat()))
+        self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
         self._toes = front_toes(w.qpos[:, 7:], self.description, torch)
 
@@ -403,7 +405,14 @@ class WorldsEnv(VecEnv):
         self._measure()
         for command in self._commands:
             put(command, start.command)
-        for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait):
+        for buffer in (
+            w.warmstart,
+            self._last_action,
+            self._before_last,
+            self._mean_velocity,
+            self._anchor,
+            self._gait,
+        ):
             put(buffer, torch.zeros_like(buffer))
         put(self._noise, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
         low, high = self._delay_range
@@ -412,7 +421,7 @@ class WorldsEnv(VecEnv):
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
         put(self._upright_start, start.upright)
         put(self.phase_at_start, self._first_phase(start))
-        self.disturbances.reset(mask, self._time_out)
+        self.disturbances.reset(mask)
         put(self._q_before, start.q)
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
@@ -459,7 +468,7 @@ class WorldsEnv(VecEnv):
             self._up[:, None],
             (self._delay_seen() - 3.5) * 0.3,
             (feet < 0.003).float(),
-            w.load / w.weight[:, None],
+            self._load,
             feet.clamp(max=0.2) * 10,
             (self._toes - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],

@@ -61,8 +61,7 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "schedule": "adaptive",
             "desired_kl": settings.desired_kl,
             "max_grad_norm": 1.0,
-            "use_clipped_value_loss": settings.clip_values,
-            "use_mixed_precision": settings.mixed_precision,
+            "use_clipped_value_loss": False,
             "symmetry_cfg": {
                 "data_augmentation_func": with_mirrored,
                 "use_mirror_loss": True,

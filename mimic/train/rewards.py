@@ -108,8 +108,6 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
         torch.clamp((f.height - numbers.height_low) / numbers.height_span, 0, 1) * torch.clamp(f.up, 0, 1) * f.rising
     )
     toes = f.toe_error.square().sum((-1, -2))
-    if not settings.scaled_tracking:
-        standing = torch.ones_like(standing)
     sine = torch.sin(f.phase)
     both = math.sin(0.5 * math.pi * (1 - settings.swing_share))  # below this sine both feet stand
     swing = (torch.stack([sine, -sine], -1) - both) / (1 - both)

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from mimic.config.rewards import REFINING_TERMS, TASK_TERMS
+from mimic.config.rewards import REFINING_TERMS
 from mimic.robot.goals import leg_joints
 from mimic.train.environment import WorldsEnv
 from mimic.train.feet import sliding
@@ -35,10 +35,7 @@ class StandTrackEnv(WorldsEnv):
     def _shares(self, ramp: float) -> dict[str, float]:
         """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
         s = self.settings
-        shares = {
-            **dict.fromkeys(REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp),
-            **dict.fromkeys(TASK_TERMS, s.task_share + (1 - s.task_share) * ramp),
-        }
+        shares = dict.fromkeys(REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp)
         begin, end = s.finish_steps
         finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
         polish = {name: 1 + (factor - 1) * finished for name, factor in asdict(s.finish).items()}
@@ -92,6 +89,7 @@ class StandTrackEnv(WorldsEnv):
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
+        self._load.copy_(w.load())
         rests = self._rank < self._rest_share
         settled = self.moves.settled & tracking & rests
         self._anchor.copy_(torch.where(settled[:, None], self._anchor, w.qpos[:, :2]))
@@ -123,7 +121,7 @@ class StandTrackEnv(WorldsEnv):
             toe_error=self._toes - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
-            load=w.load / w.weight[:, None],
+            load=self._load,
             clearance=low[:, self._hind_toes],
             slip=slip,
             hind_speed=motion[0][:, 2:].norm(dim=-1),
@@ -173,7 +171,6 @@ class StandTrackEnv(WorldsEnv):
             "quiet/falls": (f.fallen.float() * tracking * quiet).sum() / (tracking * quiet).sum().clamp(min=1.0),
             "led/falls": (f.fallen & d.held).float().sum() / d.held.float().sum().clamp(min=1.0),
             "led/behind": (d.behind * d.held).sum() / d.held.float().sum().clamp(min=1.0),
-            "all/level": (d.level * ~self.worlds.quiet).sum() / (~self.worlds.quiet).float().sum().clamp(min=1.0),
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,

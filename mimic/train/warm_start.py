@@ -48,7 +48,9 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
     there, here = _stored(path), json.loads(contract.to_json())
     given, expected = (tuple(map(tuple, c.get("terms", PAPER_TERMS))) for c in (there, here))
     if given != expected[: len(given)]:
-        raise ConfigError(f"{path.name} has the terms {given} in a frame; a training goes on from {expected} or its first")
+        raise ConfigError(
+            f"{path.name} has the terms {given} in a frame; a training goes on from {expected} or its first"
+        )
     for name in (*MEANING, *WAY_OF_PLAYING):
         if there.get(name, here[name]) == here[name]:
             continue
@@ -63,8 +65,8 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
 def take_over(actor: Any, path: Path, terms: tuple[tuple[str, int], ...], spread: float = 0.0) -> None:
     """Put the network of a policy into an actor of rsl_rl; the actor then acts as the policy does.
 
-    The actor may see more frames than the policy, which come first in an observation, and more terms, which come last in
-    a frame. Those have weights of zero.
+    The actor may see more frames than the policy, which come first in an observation, and more terms, which come last
+    in a frame. Those have weights of zero.
 
     Args:
         actor: An MLPModel with normalised observations, changed in place.

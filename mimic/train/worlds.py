@@ -90,26 +90,6 @@ def _smooth_friction(  # type: ignore[no-untyped-def]
     total[world, dof] = damping[world, dof] + friction[world, dof] / (wp.abs(qvel[world, dof]) + speed)  # type: ignore[operator]
 
 
-@wp.kernel
-def _add_loads(  # type: ignore[no-untyped-def]
-    count: wp.array(dtype=int),  # type: ignore[valid-type]
-    geom: wp.array(dtype=wp.vec2i),  # type: ignore[valid-type]
-    world: wp.array(dtype=int),  # type: ignore[valid-type]
-    row: wp.array2d(dtype=int),  # type: ignore[valid-type]
-    force: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    foot: wp.array(dtype=int),  # type: ignore[valid-type]
-    load: wp.array2d(dtype=float),  # type: ignore[valid-type]
-):
-    """Add the normal force of each contact (elliptic cones) to the foot that one of its shapes belongs to, if any."""
-    i = wp.tid()
-    if i >= count[0] or row[i, 0] < 0 or row[i, 0] >= force.shape[1]:
-        return
-    pair = geom[i]
-    side = wp.max(foot[pair[0]], foot[pair[1]])  # type: ignore[index]
-    if side >= 0:
-        wp.atomic_add(load, world[i], side, force[world[i], row[i, 0]])  # type: ignore[index]
-
-
 class Worlds:
     """The physics of all worlds; its tensors are views of Warp's memory, written in place."""
 
@@ -129,8 +109,6 @@ class Worlds:
             model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
         model.opt.iterations = settings.solver_iterations
         model.opt.ls_iterations = settings.linesearch_iterations
-        if settings.sparse:
-            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self._friction_speed = settings.friction_speed if self.motors is None else 0.0
         if self._friction_speed:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
@@ -160,13 +138,13 @@ class Worlds:
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
-            self._load = wp.zeros((n, 2), dtype=float)
-            self.load = wp.to_torch(self._load)
-            """Normal force on the left and right hind foot (N, 2) [N]."""
-            feet = np.full(model.ngeom, -1, dtype=np.int32)
+            feet = np.zeros((2, model.ngeom), dtype=np.float32)
             for side, leg in enumerate(LEGS[2:]):
-                feet[[model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = side
-            self._foot = wp.array(feet, dtype=int)
+                feet[side, [model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = 1
+            self._feet = torch.as_tensor(feet, device=device)
+            c = self.data.contact
+            contacts = (self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force)
+            self._contacts = tuple(wp.to_torch(array) for array in contacts)
             gravity = abs(float(model.opt.gravity[2]))
             self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
             """Of each robot (N,) [N]."""
@@ -175,7 +153,7 @@ class Worlds:
         self._support = self._make_support()
         self._whole = ReplayedWarp(self._run, device)
         self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-        self._kinematics = ReplayedWarp(self._look, device)
+        self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
         self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
 
     def _randomise(
@@ -316,24 +294,23 @@ class Worlds:
         drop = torch.where(s.kind == CAPSULE, capsule, drop)
         return self.geom_xpos[:, s.geoms, 2] - drop
 
+    def load(self) -> torch.Tensor:
+        """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
+        count, geom, world, row, force = self._contacts
+        row, world = row[:, 0], world.long().clamp(0, len(force) - 1)
+        counts = (torch.arange(len(row), device=self.device) < count) & (row >= 0) & (row < force.shape[1])
+        normal = force[world, row.long().clamp(0, force.shape[1] - 1)] * counts  # of elliptic cones
+        under = self._feet[:, geom.long().clamp(0, self._feet.shape[1] - 1)].amax(-1)
+        newtons = torch.zeros_like(self.weight).repeat(2, 1).index_add_(1, world, normal * under)
+        return newtons.T / self.weight[:, None]
+
     def _run(self) -> None:
         for k in range(self.decimation):
             wp.copy(self.data.ctrl, self._substep_ctrl[k])
             if self._friction_speed:
                 self._rub()
             mjw.step(self.model, self.data)
-        self._look()
-
-    def _look(self) -> None:
-        self._weigh()
         mjw.kinematics(self.model, self.data)
-
-    def _weigh(self) -> None:
-        """Add up the forces under the hind feet in the last physics step."""
-        c = self.data.contact
-        self._load.zero_()
-        inputs = [self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force, self._foot]
-        wp.launch(_add_loads, dim=c.geom.shape[0], inputs=inputs, outputs=[self._load])
 
     def _rub(self) -> None:
         """Set the damping of all joints so that it holds their dry friction."""

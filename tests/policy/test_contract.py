@@ -166,7 +166,9 @@ def test_the_slow_mean_begins_with_what_is_seen_and_follows_it_slowly(sensing):
     first = term(observe(builder, q=q), "slow_mean")
     assert len(first) == sum(dict(TERMS)[name] for name in AVERAGED)
     assert np.allclose(first[:12], 0.0)
-    assert np.allclose(first[12:18], np.concatenate([term(observe(builder, q=q), name) for name in ("down", "forward")]))
+    assert np.allclose(
+        first[12:18], np.concatenate([term(observe(builder, q=q), name) for name in ("down", "forward")])
+    )
     for _ in range(round(SLOW_SECONDS / sensing.dt)):
         seen = observe(builder, q=q + 1.0, v_des=np.array([0.3, 0.0]))
     assert np.allclose(term(seen, "slow_mean")[:12], 1 - np.exp(-1), atol=0.01)
@@ -179,7 +181,6 @@ def test_a_policy_of_the_paper_s_terms_sees_neither(contract):
     assert np.array_equal(observe(ObservationBuilder(paper), **moving), observe(ObservationBuilder(paper)))
     for name in ("gyro", "joint_velocity", "slow_mean"):
         assert paper.columns(name).size == 0
-
 
 
 def test_the_first_observation_repeats_its_frame(contract):
