@@ -43,7 +43,8 @@ class Disturber:
         self._site = model.site(TOES[SIDES.index(disturbance.toe)]).id
         self._body = model.site_bodyid[self._site]
         self._force = disturbance.drag * np.array([np.cos(drag), np.sin(drag), 0.0])
-        self._sign = 1.0 if drag > 0 else -1.0
+        turns = {"left": 0.5, "right": -0.5, "forward": 0.0, "backward": 1.0, "sideways": 0.5 if drag > 0 else -0.5}
+        self._turn = np.pi * turns.get(disturbance.drag_way, 0.0)
         self._begun = False
         self.slope_quat = _quat_about(np.array([np.cos(slope), np.sin(slope), 0.0]), np.deg2rad(disturbance.slope))
         """Rotation from level to inclined ground, wxyz."""
@@ -76,13 +77,22 @@ class Disturber:
         if not self._disturbance.drag:
             return
         data.qfrc_applied[:] = 0.0
-        if 0.0 <= data.time - self._disturbance.drag_from < self._disturbance.drag_seconds:
-            if self._disturbance.drag_way == "sideways" and not self._begun:
-                left = float(heading_from_quat(data.qpos[3:7])) + np.pi / 2
-                self._force = self._sign * self._disturbance.drag * np.array([np.cos(left), np.sin(left), 0.0])
+        d, since = self._disturbance, data.time - self._disturbance.drag_from
+        if 0.0 <= since < d.drag_seconds:
+            if d.drag_way != "any" and not self._begun:
+                way = float(heading_from_quat(data.qpos[3:7])) + self._turn
+                self._force = d.drag * np.array([np.cos(way), np.sin(way), 0.0])
             self._begun = True
+            force = self._force * (min(since / d.drag_ramp, 1.0) if d.drag_ramp else 1.0)
             point, none = data.site_xpos[self._site], np.zeros(3)
-            mujoco.mj_applyFT(self._model, data, self._force, none, point, self._body, data.qfrc_applied)
+            mujoco.mj_applyFT(self._model, data, force, none, point, self._body, data.qfrc_applied)
+
+    def push_angle(self, angle: float, heading: float) -> float:
+        """Return the world direction of a push [rad], from one that is drawn within pi and the robot's heading."""
+        if self._disturbance.push_way == "any":
+            return angle
+        sideways = self._disturbance.push_way == "sideways"
+        return heading + (np.pi / 2 if sideways else 0.0) + (np.pi if angle > 0 else 0.0)
 
     def sensed(self, state: RobotState) -> RobotState:
         """Return the state as the robot's sensors show it."""
