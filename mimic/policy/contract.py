@@ -171,7 +171,7 @@ class PolicyContract:
     walk_turn: float
     """Heading error above which it is asked to step [rad]; half as much once it steps."""
     training: str = ""
-    """SHA-256 of the training settings."""
+    """SHA-256 of the settings.json of its training."""
     noise: tuple[tuple[str, float], ...] = ()
     """Half width of the noise of the training on terms, in their units; none is said where it is empty."""
 

@@ -277,10 +277,10 @@ def test_a_push_comes_from_where_it_is_asked_for(way, ahead, description):
 
 
 def test_a_tilted_imu_feels_turning_about_its_own_axes(description):
-    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=90.0, imu_axis="pitch"), seed=1)
+    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=30.0, imu_axis="pitch"), seed=1)
     start = plant.start()
     plant.data.qvel[3:6] = 1.0, 2.0, 3.0
     seen, turn = plant._state().omega_B, Rotation.from_quat(start.quat_WB, scalar_first=True)
-    assert np.abs(seen) == pytest.approx([3.0, 2.0, 1.0])
+    assert np.abs(seen - [1.0, 2.0, 3.0]).max() > 0.3
     true = Rotation.from_quat(plant.data.qpos[3:7], scalar_first=True)
     assert turn.apply(seen) == pytest.approx(true.apply([1.0, 2.0, 3.0]))
