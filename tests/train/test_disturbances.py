@@ -45,7 +45,7 @@ def make(description, **changes: object) -> StandTrackEnv:
         upright_share_at_first=0.0,
     )
     solved = {"solver_iterations": 100, "linesearch_iterations": 50}
-    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 5)
+    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 6)
 
 
 def test_slope_payload_and_pull_are_those_of_the_simulation(description):
