@@ -119,7 +119,8 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     stepping = torch.where(swing > 0, lifted, planted)
     both_planted = (f.load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
     standing_still = torch.maximum(both_planted, settings.catching * f.toppling[:, None])
-    stepping = f.gait[:, None] * stepping + (1 - f.gait[:, None]) * standing_still
+    asked = (f.gait * (1 - f.settled.float()))[:, None]  # or a robot turns away, so that its clock starts
+    stepping = asked * stepping + (1 - asked) * standing_still
     # without the widest bell toes that are 20 cm off never came nearer
     reaching = 0.2 * torch.exp(-toes / 0.2) + 0.4 * torch.exp(-toes / 0.04) + 0.4 * torch.exp(-toes / 0.01)
     mean = f.mean_velocity_error.square().sum(-1)  # the wide bell is felt while the robot does not walk at all

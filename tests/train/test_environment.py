@@ -21,7 +21,7 @@ from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.rewards import MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
+from mimic.train.rewards import BEARS, MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
 from mimic.train.schedules import MoveSchedule  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
@@ -462,3 +462,23 @@ def test_worlds_have_their_own_ratio_of_friction(description):
     ratio = env.worlds._stiffer.numpy() ** -2.0
     assert ratio.min() < 4 < 25 < ratio.max() <= 100.0 + 1e-3
     assert np.ptp(ratio[env.worlds.quiet.numpy()]) > 10
+
+
+def test_a_robot_that_should_rest_gains_nothing_by_turning_away_so_that_its_clock_starts(description):
+    env = upright(description, rewards=only(gait=1.0), still_share=1.0, catching=0.0)
+    env.moves._left.fill_(100.0)
+    gained = {}
+    for away in (0.0, 1.0):
+        env._reset(torch.ones(FEW.worlds, dtype=torch.bool))
+        torch.manual_seed(0)
+        for _ in range(4):
+            env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
+            env.moves.heading.copy_(env._heading + away)
+            _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
+        assert bool((env._gait > 0).all()) == (away > 0)
+        terms = env._log["reward/gait"]
+        planted = (env._load.amin(-1) / BEARS).clamp(0.0, 1.0)
+        gained[away] = float(terms), float(planted.mean())
+    for reward, planted in gained.values():
+        assert reward <= planted + 1e-6
+    assert gained[0.0][0] > 0.2
