@@ -38,7 +38,7 @@ def play(policy, model_path, toes, stand_seconds=2.0):
     substeps, late = round(c["dt"] / model.opt.timestep), round(c["delay"] / model.opt.timestep)
     neutral = np.array(c["neutral_toes"]).reshape(2, 3)
     stand, blend, tick = round(stand_seconds / c["dt"]), c["blend_steps"], 2 * np.pi * c["clock_hz"] * c["dt"]
-    frames, action, gait, sent, heading_0 = None, np.zeros(12), 0.0, [folded] * 3, None
+    frames, slow, action, gait, sent, heading_0 = None, None, np.zeros(12), 0.0, [folded] * 3, None
     for k in range(stand + blend + len(toes)):
         q, quat = data.qpos[7:].copy(), data.qpos[3:7].copy()
         w, x, y, z = quat
@@ -62,6 +62,11 @@ def play(policy, model_path, toes, stand_seconds=2.0):
         gait = np.clip(gait + steps * c["dt"] / c["clock_fade"], 0, 1) if c["clock_fade"] else 1.0
         clock = gait * np.array([np.sin(k * tick), np.cos(k * tick)])
         frame = np.concatenate([q - default, down, forward, action, [0, 0], [error], goal.ravel(), clock])
+        if "gyro" in dict(c["terms"]):
+            turning, moving = np.clip(0.25 * data.qvel[3:6], -5, 5), np.clip(0.05 * data.qvel[6:], -2, 2)
+            now = np.concatenate([frame[:18], frame[30:32]])  # joint_position, down, forward, velocity_command
+            slow = now if slow is None else slow + (now - slow) * c["dt"] / 3
+            frame = np.concatenate([frame, turning, moving, slow])
         frames = np.tile(frame, (c["history"], 1)) if frames is None else np.vstack([frames[1:], frame])
         (answer,) = session.run(None, {"observation": frames.reshape(1, -1).astype(np.float32)})
         action = np.clip(answer[0].astype(float), -c["action_clip"], c["action_clip"])

@@ -53,7 +53,7 @@ def evaluate(
     stand_up
         Instead, standing up from 500 lying starts, and standing still for 20 s.
     calm
-        Instead, standing for 60 s without a command: planted feet, heat, torque, drift; and pushes while standing.
+        Instead, standing for 60 s without a command, with and without noise: planted feet, heat, drift; pushes, pulls.
     lead
         Instead, being led by the hand: a pull on a front toe, 5 m at 0.2 m/s in any direction.
     out
@@ -221,27 +221,26 @@ def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettin
 
 
 def _show_calm(policy: Path, result: dict[str, Any], settings: CalmSettings, out: Path) -> None:
-    from mimic.cli.console import table
+    from mimic.cli.console import matrix, table
 
     s = result["summary"]
-    table(
-        f"{policy.name}: {s['episodes']} randomised robots that stand for {settings.seconds:g} s",
-        {
-            "still standing": f"{s['stood']:.1%}",
-            "both feet planted": f"{s['planted']:.0%} of the time",
-            "heat of the windings": f"{s['heat_w']:.0f} W",
-            "torque of the hind knees": f"{s['knee_rms_nm']:.1f} N m rms",
-            "a motor at its torque limit": f"{s['at_limit']:.1%} of the time",
-            "torque variance above 20 Hz": f"{s['fast_torque']:.0%}",
-            "action rate": f"{s['action_rate_rad']:.3f} rad rms from one target to the next",
-            "drift": f"{s['drift_m']:.2f} m mean, {s['drift_max_m']:.2f} m most",
+    rows = {
+        what: {
+            "still standing": f"{f['stood']:.0%}",
+            "both feet planted": f"{f['planted']:.0%}",
+            "heat": f"{f['heat_w']:.0f} W",
+            "knees, rms": f"{f['knee_rms_nm']:.1f} N m",
+            "at the limit": f"{f['at_limit']:.1%}",
+            "above 20 Hz": f"{f['fast_torque']:.0%}",
+            "action rate": f"{f['action_rate_rad']:.3f} rad",
+            "drift, most": f"{f['drift_m']:.2f}, {f['drift_max_m']:.2f} m",
         }
-        | {
-            f"push of {push} m/s": f"{share:.0%} of {settings.pushed_episodes} stand"
-            for push, share in s["pushed"].items()
-        }
-        | {"written": str(out)},
-    )
+        for what, f in s["standing"].items()
+    }
+    matrix(f"{policy.name}: {settings.episodes} randomised robots that stand for {settings.seconds:g} s", rows)
+    shares = {f"pushed by {what}": f"{v:.0%}" for what, v in s["pushed"].items()}
+    shares |= {f"pulled by {what}": f"{v:.0%}" for what, v in s["pulled"].items()}
+    table(f"Share of {settings.pushed_episodes} that stand after it", shares | {"written": str(out)})
 
 
 def _show_lead(policy: Path, result: dict[str, Any], settings: LeadSettings, out: Path) -> None:

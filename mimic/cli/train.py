@@ -18,6 +18,7 @@ def train(
     out: Path,
     /,
     *,
+    recipe: str | None = None,
     resume: Path | None = None,
     task: Literal["stand-track", "sit-down"] = "stand-track",
     worlds: int = MdpSettings().worlds,
@@ -31,6 +32,8 @@ def train(
     ----------
     out
         Folder for checkpoints, TensorBoard files and policy.onnx.
+    recipe
+        Settings of a shipped policy by its name, stand_track, or a TOML file; it goes before --worlds and the like.
     resume
         Checkpoint (.pt) to go on from, or a policy (.onnx), whose critic is then learned anew.
     task
@@ -57,6 +60,8 @@ def train(
 
     length = f"{learn.minutes:g} minutes" if learn.updates == ENDLESS else f"at most {learn.updates} updates"
     note(f"{worlds} worlds, {length}; TensorBoard: tensorboard --logdir {out}")
-    path = train_policy(out, mdp, learn, resume=resume, overrides=list(set), report=report, reporter=ConsoleReporter())
+    path = train_policy(
+        out, mdp, learn, resume=resume, recipe=recipe, overrides=list(set), report=report, reporter=ConsoleReporter()
+    )
     note(f"wrote {path}; evaluate it with: mimic evaluate {path}")
     return DONE

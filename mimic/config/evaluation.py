@@ -97,9 +97,11 @@ class CalmSettings(EpisodeSettings):
     seconds: float = 60.0
     """For how long [s]."""
     pushes: tuple[float, ...] = (0.5, 0.8)
-    """Speeds of a push, in any direction at any phase of the gait [m/s]."""
-    pushed_episodes: int = 100
-    """Robots that are pushed once at each speed."""
+    """Speeds of a push, fore and aft and sideways, at any phase of the gait [m/s]."""
+    pulls: tuple[float, ...] = (7.5, 10.0)
+    """Pulls at a front toe that grow within 1.5 s, forward, backward, left and right [N]."""
+    pushed_episodes: int = 50
+    """Robots that are pushed or pulled once, of each kind."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
     randomisation: Randomisation = field(default_factory=Randomisation)

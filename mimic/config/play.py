@@ -72,12 +72,16 @@ class Disturbance:
     """Mass at that toe [kg]."""
     drag: float = 0.0
     """Horizontal force on that toe [N]."""
-    drag_way: Literal["any", "sideways"] = "any"
-    """Its direction: drawn for each start, or to the left or right of where the belly faces as it begins."""
+    drag_way: Literal["any", "sideways", "forward", "backward", "left", "right"] = "any"
+    """Its direction: drawn for each start, or as the belly faces when it begins; sideways is left or right."""
+    drag_ramp: float = 0.0
+    """Time in which it grows to that [s]."""
     drag_from: float = 4.0
     """When the force begins [s]."""
     drag_seconds: float = 3.0
     """How long it lasts [s]."""
+    push_way: Literal["any", "fore-aft", "sideways"] = "any"
+    """Direction of pushes (Randomisation.push): drawn, or seen from where the belly faces."""
     slope: float = 0.0
     """Inclination of the ground, falling in a direction drawn for each start [deg]."""
     imu_tilt: float = 0.0
@@ -88,16 +92,23 @@ class Disturbance:
     """Half width of the noise on measured joint positions, drawn at each control step [rad]."""
     noise_imu: float = 0.0
     """Half width of the noise on the measured orientation about each axis, drawn at each control step [rad]."""
+    noise_gyro: float = 0.0
+    """… on the measured angular velocity [rad/s]."""
+    noise_dq: float = 0.0
+    """… on measured joint velocities [rad/s]."""
     lost_share: float = 0.0
     """Probability that a command is dropped; the one before stays in effect."""
 
     def __post_init__(self) -> None:
         check_range("toe-payload", self.toe_payload, 0.0, 5.0, "kg")
         check_range("drag", self.drag, 0.0, 100.0, "N")
+        check_range("drag-ramp", self.drag_ramp, 0.0, 60.0, "s")
         check_range("slope", self.slope, 0.0, 30.0, "deg")
         check_range("imu-tilt", self.imu_tilt, 0.0, 30.0, "deg")
         check_range("noise-q", self.noise_q, 0.0, 1.0, "rad")
         check_range("noise-imu", self.noise_imu, 0.0, 1.0, "rad")
+        check_range("noise-gyro", self.noise_gyro, 0.0, 10.0, "rad/s")
+        check_range("noise-dq", self.noise_dq, 0.0, 10.0, "rad/s")
         check_range("lost-share", self.lost_share, 0.0, 1.0)
 
 

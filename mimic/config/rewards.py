@@ -44,10 +44,6 @@ REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 """Reward terms that grow during training, once the robot stands."""
 
 
-TASK_TERMS = ("velocity", "toes", "toes_fine", "gait")
-"""Reward terms of what a standing robot does."""
-
-
 REFINING_TERMS = (
     "drift",
     "unrest",

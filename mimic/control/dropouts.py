@@ -12,12 +12,15 @@ from mimic.records import FloatArray, RobotState, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import all_toes
 
+RESTS = 0.1
+"""A lying robot whose gyro shows less about each axis rests, and the gyro shows its bias [rad/s]."""
+
 EXTRAPOLATED_TICKS = 2
 """Ticks over which a joint is extrapolated with its last velocity; after them its position is held."""
 
 
 class DropoutFilter:
-    """Estimates missing joint positions and holds the last orientation."""
+    """Estimates missing joint positions, and holds the last orientation, angular velocity and joint velocities."""
 
     def __init__(self, description: RobotDescription) -> None:
         self._description = description
@@ -25,16 +28,24 @@ class DropoutFilter:
         self._dq = np.zeros_like(self._q)
         self._missing = np.zeros(len(self._q), dtype=int)
         self._quat = np.array([1.0, 0.0, 0.0, 0.0])
+        self._omega, self._blind = np.zeros(3), 0
+        self._bias, self._rests = np.zeros(3), 0
 
-    def fill(
-        self, state: RobotState, distrusted: Collection[int] = (), *, doubted: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return joint positions (12,) [rad] and orientation (4,), wxyz, without NaN.
+    def rest(self, state: RobotState) -> None:
+        """Learn the gyro's bias from a state of a robot that lies: the mean while it rests."""
+        if np.all(np.abs(state.omega_B) < RESTS):
+            self._rests += 1
+            self._bias = self._bias + (state.omega_B - self._bias) / self._rests
+
+    def fill(self, state: RobotState, distrusted: Collection[int] = (), *, doubted: bool = False) -> RobotState:
+        """Return the state without NaN in joint positions and velocities, orientation and angular velocity.
+
+        Velocities are held no longer than a joint is extrapolated; then they are zero.
 
         Args:
             state: As measured, NaN where nothing was.
             distrusted: Joints whose measured positions are not used.
-            doubted: Whether the orientation is not used.
+            doubted: Whether the orientation and the angular velocity are not used.
         """
         d = self._description
         measured = np.isfinite(state.q)
@@ -45,7 +56,13 @@ class DropoutFilter:
         self._dq = np.where(measured, np.nan_to_num(state.dq), self._dq)
         if np.isfinite(state.quat_WB).all() and not doubted:
             self._quat = state.quat_WB
-        return self._q.copy(), self._quat.copy()
+        turns = np.isfinite(state.omega_B).all() and not doubted
+        self._blind = 0 if turns else self._blind + 1
+        if turns:
+            self._omega = state.omega_B - self._bias
+        dq = np.where(self._missing <= EXTRAPOLATED_TICKS, self._dq, 0.0)
+        omega = self._omega if self._blind <= EXTRAPOLATED_TICKS else np.zeros(3)
+        return replace(state, q=self._q, dq=dq, quat_WB=self._quat, omega_B=omega)
 
 
 def fill_dropouts(log: RunLog, description: RobotDescription) -> RunLog:

@@ -189,7 +189,7 @@ def _ramp(run: Run, contract: PolicyContract) -> None:
     """Let the gains rise where the joints are, then bring the joints into the lying pose."""
     ticks = max(2, round(run.safety.ramp / contract.dt))
     d = run.plant.description
-    begin, lie = np.clip(run.q, d.q_min, d.q_max), d.poses["lie"]
+    begin, lie = np.clip(run.sensed.q, d.q_min, d.q_max), d.poses["lie"]
     for tick in range(ticks):
         if run.mode > SafetyMode.RUN:
             return
@@ -203,9 +203,9 @@ def _ramp(run: Run, contract: PolicyContract) -> None:
 def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
     """Stand up, blend, track and hold, until the motion is over or the supervisor ends it."""
     builder = ObservationBuilder(policy.contract)
-    heading0 = float(heading_from_quat(run.quat_WB))
+    heading0 = float(heading_from_quat(run.sensed.quat_WB))
     for tick in count():
-        desired = motion.at(tick, lambda: front_toes(run.q, run.plant.description))
+        desired = motion.at(tick, lambda: front_toes(run.sensed.q, run.plant.description))
         if desired is None:
             return
         asked = desired.command
@@ -217,7 +217,7 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
 def _sit_down(run: Run, policy: Policy, ticks: int) -> None:
     """Let a policy bring the robot from its newest state down to lying."""
     builder = ObservationBuilder(policy.contract)
-    heading = float(heading_from_quat(run.quat_WB))
+    heading = float(heading_from_quat(run.sensed.quat_WB))
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
     for _ in range(ticks):
         run.tick(policy, builder, SIT_DOWN, Command(v=np.zeros(2), heading=heading, p_BE=neutral))
@@ -230,7 +230,7 @@ def _damp(run: Run) -> None:
     d = run.plant.description
     kd = d.kd_max
     while run.mode < SafetyMode.STOPPED:
-        run.hold(damping_command(np.clip(run.q, d.q_min, d.q_max), kd), DAMP)
+        run.hold(damping_command(np.clip(run.sensed.q, d.q_min, d.q_max), kd), DAMP)
 
 
 def _joined(samples: list[JointSamples]) -> JointSamples | None:

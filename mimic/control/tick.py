@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.geometry import turned_about_up
 from mimic.policy.contract import ObservationBuilder, joint_command
 from mimic.policy.runtime import Policy
-from mimic.records import PHASES, Command, FloatArray, JointCommand, JointSamples, RobotState, Tick
+from mimic.records import PHASES, Command, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.leg_kinematics import front_toes
 
 Sink = Callable[[Tick], None]
@@ -67,16 +67,14 @@ class Run:
         self.samples: list[JointSamples] = []
         self.ticks = 0
         self.state: RobotState
-        self.q: FloatArray
-        """Joint positions (12,) [rad]; an estimate for joints without a reading."""
-        self.quat_WB: FloatArray
-        """Orientation (4,), wxyz; the last one where there is no reading."""
+        self.sensed: RobotState
+        """The state as a policy is told of it: estimates where there is no reading."""
 
     def begin(self) -> None:
         """Start the plant."""
         self.state = self.plant.start()
         self._dropouts = DropoutFilter(self.plant.description)
-        self.q, self.quat_WB = self._dropouts.fill(self.state)
+        self.sensed = self._dropouts.fill(self.state)
 
     @property
     def mode(self) -> SafetyMode:
@@ -107,7 +105,13 @@ class Run:
             return self.decide("not_finite", SafetyMode.DAMP, "a target is not a number")
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self.plant.description)
         observation = builder.observe(
-            q=self.q, quat_WB=self.quat_WB, v_des=v_des, heading_des=desired.heading, p_BE_des=p_BE_des
+            q=self.sensed.q,
+            quat_WB=self.sensed.quat_WB,
+            v_des=v_des,
+            heading_des=desired.heading,
+            p_BE_des=p_BE_des,
+            omega_B=self.sensed.omega_B,
+            dq=self.sensed.dq,
         )
         action = policy.act(observation)
         if not np.isfinite(action).all():
@@ -124,7 +128,9 @@ class Run:
         self._step(command, phase, clamped, **asked, observation=seen, action=action)
 
     def hold(self, command: JointCommand, phase: int) -> None:
-        """Send a command that no policy made, for one control step."""
+        """Send a command that no policy made, for one control step; a robot that lies shows the gyro's bias."""
+        if PHASES[phase] == "lie":
+            self._dropouts.rest(self.state)
         nothing = np.full(self._width, np.nan)
         asked = {"v_des": np.zeros(2), "heading_des": np.nan, "p_BE_des": np.full((2, 3), np.nan)}
         self._step(command, phase, 0, **asked, observation=nothing, action=np.full(12, np.nan))
@@ -161,11 +167,10 @@ class Run:
             self.samples.append(done.samples)
         self._supervise(done, phase, command)
         supervisor = self.safety.supervisor
-        self.q, self.quat_WB = self._dropouts.fill(
-            done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation
-        )
+        sensed = self._dropouts.fill(done.state, supervisor.distrusted, doubted=supervisor.doubts_orientation)
         if supervisor.heading_jumps:
-            self.quat_WB = turned_about_up(self.quat_WB, -supervisor.heading_jumps)
+            sensed = replace(sensed, quat_WB=turned_about_up(sensed.quat_WB, -supervisor.heading_jumps))
+        self.sensed = sensed
         if self.sink is not None:
             self.sink(done)
         if self.progress is not None:

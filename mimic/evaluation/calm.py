@@ -6,8 +6,10 @@ answers at the same phase each time.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,14 @@ import mujoco
 import numpy as np
 
 from mimic.config.evaluation import CalmSettings
+from mimic.config.play import NO_DISTURBANCE, Disturbance, Solver
 from mimic.evaluation.episode import play_episode
 from mimic.evaluation.policy import TIMING, standing_track, stands_at_end
+from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import cached_policy
-from mimic.records import JOINTS, LEGS, BoolArray, FloatArray, JointSamples
+from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples
 from mimic.robot.description import RobotDescription, load_description
-from mimic.robot.model import FLOOR
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SETTLED = 2.0
@@ -38,27 +41,54 @@ HIND = [i for i, joint in enumerate(JOINTS) if joint.startswith(LEGS[2:])]
 """The joints that carry a standing robot."""
 
 
+FARTHEST = ("drift_m", "farthest_m")
+"""Figures of which the largest is told."""
+
+BEARS = 0.2
+"""A foot is planted that bears this share of the robot's weight."""
+
+STANDING: dict[str, dict[str, Any]] = {
+    "as described": {},
+    "the paper's noise": {"senses": SENSES["the paper's noise"]},
+    "impratio 10": {"solver": Solver(impratio=10.0)},
+    "IMU pitched by 1 deg": {"disturbance": Disturbance(imu_tilt=1.0, imu_axis="pitch")},
+}
+"""Ways of standing, each with what differs; the first one counts. At MuJoCo's impratio of 1 feet creep under load."""
+
+PULLED = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_seconds": 4.5}
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Job:
+    kind: str
+    what: str
     seed: int
-    push: float
+    seconds: float
     settings: CalmSettings
+    push: float = 0.0
+    disturbance: Disturbance = NO_DISTURBANCE
+    solver: Solver | None = None
+    senses: Senses = SENSES["no noise"]
 
 
 class _Planted:
-    """Notes at each physics step whether both hind feet touch the ground."""
+    """Notes at each physics step whether both hind feet bear weight."""
 
     def __init__(self, model: mujoco.MjModel, description: RobotDescription) -> None:
-        self._floor = model.geom(FLOOR).id
-        self._feet = [
-            [model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))] for leg in LEGS[2:]
-        ]
+        self._side = np.full(model.ngeom, -1)
+        for side, leg in enumerate(LEGS[2:]):
+            self._side[[model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = side
+        self._least = BEARS * abs(float(model.opt.gravity[2])) * float(model.body_subtreemass[0])
         self.rows: list[bool] = []
 
     def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        pairs = data.contact.geom[: data.ncon]
-        touching = set(pairs[(pairs == self._floor).any(axis=1)].ravel().tolist())
-        self.rows.append(all(any(shape in touching for shape in foot) for foot in self._feet))
+        load, force = np.zeros(2), np.zeros(6)
+        for i, pair in enumerate(data.contact.geom[: data.ncon]):
+            side = self._side[pair].max()
+            if side >= 0:
+                mujoco.mj_contactForce(model, data, i, force)
+                load[side] += force[0]
+        self.rows.append(bool(load.min() >= self._least))
 
 
 def winding_heat(tau: FloatArray, description: RobotDescription) -> FloatArray:
@@ -106,19 +136,23 @@ def still_figures(
 
 def _play(job: _Job, policy_path: str) -> dict[str, Any]:
     description, policy, s = load_description(), cached_policy(policy_path), job.settings
-    ranges = replace(s.randomisation, push=(0.0, 0.0))
-    seconds = s.seconds
-    if job.push:
-        ranges = replace(ranges, push=(job.push, job.push), push_interval=PUSHED_AT)
-        seconds = 2 * PUSHED_AT - 0.5
-    track = standing_track(policy, seconds)
-    plant = SimulatedPlant(description, ranges=ranges, seed=job.seed, samples=not job.push, **plant_options(s.robot))
+    ranges = replace(s.randomisation, push=(job.push, job.push), push_interval=PUSHED_AT)
+    stands, options = job.kind == "standing", plant_options(s.robot)
+    if job.solver is not None:
+        options = options | {"solver": replace(options.get("solver") or Solver(), impratio=job.solver.impratio)}
+    toe = {"toe": SIDES[job.seed % 2]}
+    disturbance = replace(job.disturbance, **toe)
+    plant = SimulatedPlant(
+        description, ranges=ranges, seed=job.seed, samples=stands, disturbance=disturbance, **options
+    )
     planted = _Planted(plant.model, description)
-    if not job.push:
+    if stands:
         plant.watch(planted)
-    result = play_episode(plant, policy, track, TIMING)
-    figures: dict[str, Any] = {"seed": job.seed, "push": job.push, "stands": stands_at_end(result, description)}
-    if job.push or not figures["stands"]:
+    track = standing_track(policy, job.seconds)
+    result = play_episode(plant, SensingPolicy(policy, job.senses, job.seed), track, TIMING)
+    figures: dict[str, Any] = {"kind": job.kind, "what": job.what, "seed": job.seed}
+    figures["stands"] = stands_at_end(result, description)
+    if not stands or not figures["stands"]:
         return figures
     assert result.samples is not None
     steps = result.samples.t >= SETTLED
@@ -129,38 +163,47 @@ def _play(job: _Job, policy_path: str) -> dict[str, Any]:
     return figures | still_figures(samples, feet, result.log.q_des[rows], result.log.p_WB[rows], description)
 
 
+def _jobs(s: CalmSettings) -> Iterator[_Job]:
+    for what, differs in STANDING.items():
+        for seed in range(s.seed, s.seed + s.episodes):
+            yield _Job(kind="standing", what=what, seed=seed, seconds=s.seconds, settings=s, **differs)
+    short = 2 * PUSHED_AT - 0.5
+    for seed in range(s.seed, s.seed + s.pushed_episodes):
+        for push, way in product(s.pushes, ("fore-aft", "sideways")):
+            pushed = Disturbance(push_way=way)
+            what = f"{push:g} m/s {way}"
+            yield _Job(kind="pushed", what=what, seed=seed, seconds=short, settings=s, push=push, disturbance=pushed)
+        for pull, way in product(s.pulls, ("forward", "backward", "left", "right")):
+            pulled = Disturbance(drag=pull, drag_way=way, **PULLED)
+            what, seconds = f"{pull:g} N {way}", PUSHED_AT + PULLED["drag_seconds"] + 1.5
+            yield _Job(kind="pulled", what=what, seed=seed, seconds=seconds, settings=s, disturbance=pulled)
+
+
 def evaluate_calm(policy_path: Path, settings: CalmSettings, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Evaluate standing without commands, and pushes while standing; the same seeds give the same figures.
+    """Evaluate standing without commands, pushes and pulls meanwhile; the same seeds give the same figures.
 
     Raises:
         AssetError, ContractError: If the policy cannot be run on this robot.
     """
     cached_policy(str(policy_path))
     plant_options(settings.robot)
-    jobs = [_Job(seed=settings.seed + i, push=0.0, settings=settings) for i in range(settings.episodes)]
-    jobs += [
-        _Job(seed=settings.seed + i, push=push, settings=settings)
-        for push in settings.pushes
-        for i in range(settings.pushed_episodes)
-    ]
     play = partial(_play, policy_path=str(policy_path))
-    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
-    return {"policy": policy_path.name, "summary": summarise(rows, settings), "episodes": rows}
+    rows = run_all(play, list(_jobs(settings)), workers=settings.workers, progress=progress)
+    return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 
-def summarise(rows: list[dict[str, Any]], settings: CalmSettings) -> dict[str, Any]:
-    """Return the means over the episodes that stood, the worst drift, and the share that survived each push."""
-    still = [r for r in rows if not r["push"]]
-    stood = [r for r in still if r["stands"]]
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return, by kind and what was done, the share that stood; of standing also means over who stood, and the worst."""
     names = ("planted", "heat_w", "knee_rms_nm", "at_limit", "fast_torque", "action_rate_rad", "drift_m")
-    means = {name: float(np.mean([r[name] for r in stood])) if stood else float("nan") for name in names}
-    return {
-        "episodes": len(still),
-        "stood": len(stood) / len(still),
-        **means,
-        "drift_max_m": max((r["drift_m"] for r in stood), default=float("nan")),
-        "farthest_m": max((r["farthest_m"] for r in stood), default=float("nan")),
-        "pushed": {
-            f"{push:g}": float(np.mean([r["stands"] for r in rows if r["push"] == push])) for push in settings.pushes
-        },
-    }
+    found: dict[str, dict[str, Any]] = {"standing": {}, "pushed": {}, "pulled": {}}
+    for kind, what in dict.fromkeys((r["kind"], r["what"]) for r in rows):
+        mine = [r for r in rows if (r["kind"], r["what"]) == (kind, what)]
+        share = float(np.mean([r["stands"] for r in mine]))
+        stood = [r for r in mine if r["stands"]]
+        if kind != "standing":
+            found[kind][what] = share
+            continue
+        means = {name: float(np.mean([r[name] for r in stood])) if stood else float("nan") for name in names}
+        most = {f"{name[:-2]}_max_m": max((r[name] for r in stood), default=float("nan")) for name in FARTHEST}
+        found[kind][what] = {"episodes": len(mine), "stood": share} | means | most
+    return found

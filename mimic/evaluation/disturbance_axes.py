@@ -93,7 +93,7 @@ def _axes() -> dict[str, Axis]:
     masses = (-2.0, -1.5, -1.0, 0.0, 1.0, 1.5, 2.0, 3.0)
     dry = (0.0, 0.05, 0.12, 0.2, 0.25, 0.3, 0.4, 0.5)
     payload = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-    noise = _disturb(noise_q=0.01, noise_imu=0.015)  # the default noise of training
+    noise = _disturb(noise_q=0.01, noise_imu=0.015, noise_gyro=0.2, noise_dq=1.0)  # the default noise of training
     tilts, pulls = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0)
     tilt, pull = _disturb(imu_tilt=1.0), _disturb(drag=1.0)
     worst = {

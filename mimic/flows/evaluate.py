@@ -139,6 +139,7 @@ def train(
     learn: LearnSettings | None = None,
     *,
     resume: Path | None = None,
+    recipe: str | None = None,
     overrides: list[str] | None = None,
     report: Callable[[int, dict[str, float]], None] | None = None,
     reporter: Reporter | None = None,
@@ -150,6 +151,7 @@ def train(
         mdp: The worlds, rewards and randomisation.
         learn: PPO and the length of the training.
         resume: Checkpoint (.pt) or policy (.onnx) to go on from.
+        recipe: Settings of a shipped policy by its name, stand_track, or a TOML file; overrides come after it.
         overrides: "name=value" for any other setting, such as rewards.slip=-0.4.
         report: Called after each update with its number and its figures.
         reporter: Receives warnings.
@@ -157,14 +159,16 @@ def train(
     Raises:
         MissingExtra: If the extra ``train`` is not installed.
         AssetError: If there is no such checkpoint.
-        ConfigError: If an override names no setting.
+        ConfigError: If an override names no setting, or there is no such recipe.
     """
     try:
         from mimic.train.learn import train as learn_policy
+        from mimic.train.overrides import recipe as words_of
         from mimic.train.overrides import with_overrides
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "train") from None
-    mdp, learn = with_overrides(mdp or MdpSettings(), learn or LearnSettings(), overrides or [])
+    words = [*(words_of(recipe) if recipe else []), *(overrides or [])]
+    mdp, learn = with_overrides(mdp or MdpSettings(), learn or LearnSettings(), words)
     warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")

@@ -1,8 +1,8 @@
 """What an ONNX policy declares, and the one place where its observation is built, for training and for running.
 
-An observation is the newest frames, oldest first, each of the terms in TERMS in this order. There is no base velocity
-and no gyro: two older frames stand in for them. Source: Li et al. 2024, section III, with the gait clock of its public
-code.
+An observation is the newest frames, oldest first, each of the contract's terms in their order: TERMS, or those of the
+paper (PAPER_TERMS), which has neither gyro nor joint velocities. There is no base velocity. Source: Li et al. 2024,
+section III, with the gait clock of its public code.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from mimic.errors import ContractError
 from mimic.geometry import heading_sin_cos, world_axes_in_base
-from mimic.records import JOINTS, FloatArray
+from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 
-TERMS = (
+PAPER_TERMS = (
     ("joint_position", 12),
     ("down", 3),
     ("forward", 3),
@@ -28,7 +28,25 @@ TERMS = (
     ("toe_command", 6),
     ("clock", 2),
 )
-"""Name and width of each term of one frame."""
+"""Name and width of each term of one frame, in the order of the paper."""
+
+AVERAGED = ("joint_position", "down", "forward", "velocity_command")
+"""Terms that `slow_mean` averages."""
+
+TERMS = (
+    *PAPER_TERMS,
+    ("gyro", 3),
+    ("joint_velocity", 12),
+    ("slow_mean", sum(width for name, width in PAPER_TERMS if name in AVERAGED)),
+)
+"""The same of the policies that are trained now."""
+
+SLOW_SECONDS = 3.0
+"""Time constant of `slow_mean` [s]."""
+
+GYRO_SCALE, GYRO_CLIP = 0.25, 5.0
+DQ_SCALE, DQ_CLIP = 0.05, 2.0
+"""Units a rad/s, and the largest value, of `gyro` and `joint_velocity`."""
 
 FORMULAS = {
     "joint_position": "q - default_q [rad], joints in the order of `joints`",
@@ -39,6 +57,10 @@ FORMULAS = {
     "heading_error": "desired heading - heading [rad], wrapped to +-pi, then clipped to +-1; positive turns left",
     "toe_command": "desired base -> front toe [m], base axes (x forward, y left, z up): left x y z, right x y z",
     "clock": "gait sin(c) and gait cos(c), c = 2 pi clock_hz dt k; gait is 1 where clock_fade is 0",
+    "gyro": f"{GYRO_SCALE} x angular velocity of the base, base axes [rad/s], clipped to +-{GYRO_CLIP:g}; bias removed",
+    "joint_velocity": f"{DQ_SCALE} dq [rad/s], clipped to +-{DQ_CLIP:g}",
+    "slow_mean": f"{', '.join(AVERAGED)}, averaged: s = s + (now - s) dt / {SLOW_SECONDS:g} at each step; before the "
+    "first step s = now",
 }
 """What each term is. w, x, y, z is the orientation of the base in a world whose z is up."""
 
@@ -74,6 +96,15 @@ TASK_GUIDE = {
 """How it begins and what it may be asked for, by task."""
 
 FRAME_SIZE = sum(width for _, width in TERMS)
+"""Width of a frame of the policies that are trained now."""
+
+
+def term_columns(terms: tuple[tuple[str, int], ...], *names: str) -> IntArray:
+    """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
+    begins = dict(zip((n for n, _ in terms), np.cumsum([0, *(w for _, w in terms)]), strict=False))
+    found = [np.arange(begins[n], begins[n] + dict(terms)[n]) for n in names if n in begins]
+    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+
 
 METADATA_KEY = "mimic_contract"
 """Key of the contract in the ONNX file's metadata."""
@@ -140,16 +171,28 @@ class PolicyContract:
     walk_turn: float
     """Heading error above which it is asked to step [rad]; half as much once it steps."""
     training: str = ""
-    """SHA-256 of the training settings."""
+    """SHA-256 of the settings.json of its training."""
+    noise: tuple[tuple[str, float], ...] = ()
+    """Half width of the noise of the training on terms, in their units; none is said where it is empty."""
+
+    @property
+    def frame_size(self) -> int:
+        """Width of a frame."""
+        return sum(width for _, width in self.terms)
 
     @property
     def observation_size(self) -> int:
         """Width of the observation."""
-        return self.history * sum(width for _, width in self.terms)
+        return self.history * self.frame_size
+
+    def columns(self, *names: str) -> IntArray:
+        """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
+        return term_columns(self.terms, *names)
 
     def to_json(self) -> str:
         """Return the contract as JSON, at full precision, with sentences on how to play the policy."""
-        guide = {"formulas": FORMULAS, "how_to_play": HOW_TO_PLAY + TASK_GUIDE.get(self.task, ())}
+        formulas = {name: FORMULAS[name] for name, _ in self.terms}
+        guide = {"formulas": formulas, "how_to_play": HOW_TO_PLAY + TASK_GUIDE.get(self.task, ())}
         return json.dumps(asdict(self) | guide, sort_keys=True)
 
     @staticmethod
@@ -167,6 +210,7 @@ class PolicyContract:
             if missing:
                 raise ValueError(f"it lacks {', '.join(missing)}")
             data["terms"] = tuple((name, int(width)) for name, width in data["terms"])
+            data["noise"] = tuple((name, float(half)) for name, half in data.get("noise", ()))
             values: dict[str, Any] = {
                 k: tuple(cast("list[Any]", v)) if isinstance(v, list) else v for k, v in data.items()
             }
@@ -186,7 +230,7 @@ class PolicyContract:
             )
         pairs = (
             ("joint order", self.joints, JOINTS),
-            ("observation terms", self.terms, TERMS),
+            ("observation terms", self.terms, TERMS if len(self.terms) > len(PAPER_TERMS) else PAPER_TERMS),
             ("control step", self.dt, description.dt),
             ("number of action scales", len(self.action_scale), len(JOINTS)),
             ("number of default positions", len(self.default_q), len(JOINTS)),
@@ -260,6 +304,7 @@ def next_gait(gait: Any, v_des: Any, error: Any, contract: PolicyContract, xp: A
 
 def observation_frame(
     *,
+    terms: tuple[tuple[str, int], ...],
     q_offset: Any,
     quat_WB: Any,
     last_action: Any,
@@ -268,11 +313,14 @@ def observation_frame(
     toes_des: Any,
     phase: Any,
     gait: Any,
+    omega_B: Any,
+    dq: Any,
     xp: Any,
 ) -> Any:
-    """Return one frame (..., FRAME_SIZE); arrays may be NumPy or PyTorch.
+    """Return one frame (..., width) without its slow mean, which `with_slow_mean` adds; NumPy or PyTorch.
 
     Args:
+        terms: Of the contract.
         q_offset: Joint positions - default pose (..., 12) [rad].
         quat_WB: Orientation of the base (..., 4), wxyz.
         last_action: Clipped action of the step before (..., 12).
@@ -281,27 +329,42 @@ def observation_frame(
         toes_des: Desired base -> front toe (..., 6) [m].
         phase: Gait phase (...,) [rad].
         gait: How far it is asked to step (...,), from `next_gait`.
+        omega_B: Angular velocity of the base, base axes (..., 3) [rad/s].
+        dq: Joint velocities (..., 12) [rad/s].
         xp: ``numpy`` or ``torch``.
     """
-    parts = tuple(quat_WB[..., i] for i in range(4))
-    down, forward = world_axes_in_base(*parts)
-    small = [*down, *forward]
-    tail = [xp.clip(error, -1.0, 1.0)]
-    clock = [gait * xp.sin(phase), gait * xp.cos(phase)]
-    pieces = [
-        q_offset,
-        xp.stack(small, -1),
-        last_action,
-        v_des,
-        xp.stack(tail, -1),
-        toes_des,
-        xp.stack(clock, -1),
-    ]
-    return xp.concatenate(pieces, -1)
+    down, forward = world_axes_in_base(*(quat_WB[..., i] for i in range(4)))
+    pieces = {
+        "joint_position": q_offset,
+        "down": xp.stack([*down], -1),
+        "forward": xp.stack([*forward], -1),
+        "last_action": last_action,
+        "velocity_command": v_des,
+        "heading_error": xp.clip(error, -1.0, 1.0)[..., None],
+        "toe_command": toes_des,
+        "clock": xp.stack([gait * xp.sin(phase), gait * xp.cos(phase)], -1),
+        "gyro": xp.clip(GYRO_SCALE * omega_B, -GYRO_CLIP, GYRO_CLIP),
+        "joint_velocity": xp.clip(DQ_SCALE * dq, -DQ_CLIP, DQ_CLIP),
+    }
+    return xp.concatenate([pieces[name] for name, _ in terms if name in pieces], -1)
+
+
+def with_slow_mean(frame: Any, slow: Any, columns: Any, dt: float, xp: Any) -> tuple[Any, Any]:
+    """Return the whole frame (..., width), and the slow mean that it ends with (..., averaged); NumPy or PyTorch.
+
+    Args:
+        frame: As the policy senses it, without the slow mean (..., width less that).
+        slow: The slow mean of the step before (..., averaged); at the first step the columns themselves.
+        columns: Where the averaged terms stand in a frame (averaged,).
+        dt: Control step [s].
+        xp: ``numpy`` or ``torch``.
+    """
+    slow = slow + (frame[..., columns] - slow) * (dt / SLOW_SECONDS)
+    return xp.concatenate([frame, slow], -1), slow
 
 
 def push_frame(history: Any, frame: Any, xp: Any) -> Any:
-    """Return the history (..., frames, FRAME_SIZE) with its oldest frame dropped and ``frame`` appended."""
+    """Return the history (..., frames, width) with its oldest frame dropped and ``frame`` appended."""
     return xp.concatenate([history[..., 1:, :], frame[..., None, :]], -2)
 
 
@@ -315,6 +378,9 @@ class ObservationBuilder:
         self._last_action = np.zeros(len(contract.joints))
         self._steps = 0
         self._gait = np.zeros(())
+        averaged = AVERAGED if contract.columns("slow_mean").size else ()
+        self._averaged: IntArray = contract.columns(*averaged)
+        self._slow: FloatArray | None = None
 
     @property
     def steps(self) -> int:
@@ -322,7 +388,15 @@ class ObservationBuilder:
         return self._steps
 
     def observe(
-        self, *, q: FloatArray, quat_WB: FloatArray, v_des: FloatArray, heading_des: float, p_BE_des: FloatArray
+        self,
+        *,
+        q: FloatArray,
+        quat_WB: FloatArray,
+        v_des: FloatArray,
+        heading_des: float,
+        p_BE_des: FloatArray,
+        omega_B: FloatArray,
+        dq: FloatArray,
     ) -> FloatArray:
         """Return the observation (observation_size,) of this control step.
 
@@ -332,10 +406,13 @@ class ObservationBuilder:
             v_des: Desired velocity in the heading frame (2,) [m/s].
             heading_des: Desired heading, world [rad].
             p_BE_des: Desired base -> front toe (2, 3) [m].
+            omega_B: Angular velocity of the base, base axes (3,) [rad/s].
+            dq: Joint velocities (12,) [rad/s].
         """
         error = heading_error(quat_WB, heading_des, np)
         self._gait = next_gait(self._gait, np.asarray(v_des), error, self._contract, np)
         frame = observation_frame(
+            terms=self._contract.terms,
             q_offset=q - self._default,
             quat_WB=quat_WB,
             last_action=self._last_action,
@@ -344,8 +421,13 @@ class ObservationBuilder:
             toes_des=np.asarray(p_BE_des).reshape(6),
             phase=np.asarray(2 * np.pi * self._contract.clock_hz * self._contract.dt * self._steps),
             gait=self._gait,
+            omega_B=omega_B,
+            dq=dq,
             xp=np,
         )
+        if self._averaged.size:
+            before = frame[self._averaged] if self._slow is None else self._slow
+            frame, self._slow = with_slow_mean(frame, before, self._averaged, self._contract.dt, np)
         if self._frames is None:
             frames = np.repeat(frame[None, :], self._contract.history, axis=0)
         else:

@@ -36,7 +36,8 @@ class Acts(Protocol):
 def reference(policy: Acts) -> str:
     """Return STEPS control steps of a policy as JSON: made-up inputs, and what it answers.
 
-    ``inputs`` has a row per step: q [rad], quat (wxyz), velocity [m/s], heading (desired, [rad]) and toes [m].
+    ``inputs`` has a row per step: q [rad], quat (wxyz), velocity [m/s], heading (desired, [rad]), toes [m], and
+    for a policy that senses them gyro and dq [rad/s].
     ``observation`` is what they become, ``action`` the clipped answer, ``q_des`` what is sent [rad].
     """
     contract = policy.contract
@@ -54,6 +55,9 @@ def reference(policy: Acts) -> str:
         "heading": 3.0 * wave(1)[:, 0],
         "toes": np.array(contract.neutral_toes) + 0.05 * wave(6),
     }
+    if contract.columns("gyro").size:
+        inputs |= {"gyro": 2.0 * wave(3), "dq": 5.0 * wave(12)}
+    nothing = np.zeros((STEPS, 12))
     builder = ObservationBuilder(contract)
     observations: list[list[float]] = []
     actions: list[list[float]] = []
@@ -65,6 +69,8 @@ def reference(policy: Acts) -> str:
             v_des=inputs["velocity"][step],
             heading_des=float(inputs["heading"][step]),
             p_BE_des=inputs["toes"][step].reshape(2, 3),
+            omega_B=inputs.get("gyro", nothing[:, :3])[step],
+            dq=inputs.get("dq", nothing)[step],
         )
         action = policy.act(observation)
         builder.acted(action)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -43,7 +43,8 @@ class Disturber:
         self._site = model.site(TOES[SIDES.index(disturbance.toe)]).id
         self._body = model.site_bodyid[self._site]
         self._force = disturbance.drag * np.array([np.cos(drag), np.sin(drag), 0.0])
-        self._sign = 1.0 if drag > 0 else -1.0
+        turns = {"left": 0.5, "right": -0.5, "forward": 0.0, "backward": 1.0, "sideways": 0.5 if drag > 0 else -0.5}
+        self._turn = np.pi * turns.get(disturbance.drag_way, 0.0)
         self._begun = False
         self.slope_quat = _quat_about(np.array([np.cos(slope), np.sin(slope), 0.0]), np.deg2rad(disturbance.slope))
         """Rotation from level to inclined ground, wxyz."""
@@ -76,28 +77,41 @@ class Disturber:
         if not self._disturbance.drag:
             return
         data.qfrc_applied[:] = 0.0
-        if 0.0 <= data.time - self._disturbance.drag_from < self._disturbance.drag_seconds:
-            if self._disturbance.drag_way == "sideways" and not self._begun:
-                left = float(heading_from_quat(data.qpos[3:7])) + np.pi / 2
-                self._force = self._sign * self._disturbance.drag * np.array([np.cos(left), np.sin(left), 0.0])
+        d, since = self._disturbance, data.time - self._disturbance.drag_from
+        if 0.0 <= since < d.drag_seconds:
+            if d.drag_way != "any" and not self._begun:
+                way = float(heading_from_quat(data.qpos[3:7])) + self._turn
+                self._force = d.drag * np.array([np.cos(way), np.sin(way), 0.0])
             self._begun = True
+            force = self._force * (min(since / d.drag_ramp, 1.0) if d.drag_ramp else 1.0)
             point, none = data.site_xpos[self._site], np.zeros(3)
-            mujoco.mj_applyFT(self._model, data, self._force, none, point, self._body, data.qfrc_applied)
+            mujoco.mj_applyFT(self._model, data, force, none, point, self._body, data.qfrc_applied)
+
+    def push_angle(self, angle: float, heading: float) -> float:
+        """Return the world direction of a push [rad], from one that is drawn within pi and the robot's heading."""
+        if self._disturbance.push_way == "any":
+            return angle
+        sideways = self._disturbance.push_way == "sideways"
+        return heading + (np.pi / 2 if sideways else 0.0) + (np.pi if angle > 0 else 0.0)
 
     def sensed(self, state: RobotState) -> RobotState:
         """Return the state as the robot's sensors show it."""
         d, quat, q = self._disturbance, state.quat_WB, state.q
+        omega, dq = state.omega_B, state.dq
         if d.imu_tilt:
-            quat = _multiply(quat, self._mount)
+            quat, turned = _multiply(quat, self._mount), np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, omega, self._mount * [1, -1, -1, -1])
+            omega = turned
         if d.noise_imu:
             turn = self._rng.uniform(-d.noise_imu, d.noise_imu, 3)
             quat = _multiply(quat, _quat_about(turn, float(np.linalg.norm(turn))))
         if d.noise_q:
             q = q + self._rng.uniform(-d.noise_q, d.noise_q, len(q))
-        if quat is state.quat_WB and q is state.q:
-            return state
-        values = {f.name: getattr(state, f.name) for f in fields(RobotState)}
-        return RobotState(**(values | {"q": q, "quat_WB": quat}))
+        if d.noise_gyro:
+            omega = omega + self._rng.uniform(-d.noise_gyro, d.noise_gyro, 3)
+        if d.noise_dq:
+            dq = dq + self._rng.uniform(-d.noise_dq, d.noise_dq, len(dq))
+        return replace(state, q=q, dq=dq, quat_WB=quat, omega_B=omega)
 
 
 def payloads(disturbance: Disturbance) -> dict[str, float]:

@@ -25,6 +25,7 @@ from mimic.dynamics.robot_model import (
 )
 from mimic.dynamics.servo import parameters_of, read_standing
 from mimic.errors import PlantError
+from mimic.geometry import heading_from_quat
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description, with_timestep
 from mimic.simulation.disturbances import Disturber, payloads
@@ -217,6 +218,7 @@ class SimulatedPlant:
     def _push(self) -> None:
         if self._ranges.push[1] > 0 and self.data.time >= self._next_push:
             angle, speed = self._rng.uniform(-np.pi, np.pi), self._rng.uniform(*self._ranges.push)
+            angle = self.disturber.push_angle(angle, float(heading_from_quat(self.data.qpos[3:7])))
             self.data.qvel[:2] += speed * np.cos(angle), speed * np.sin(angle)
             self._next_push += self._ranges.push_interval + self._phases.uniform(0.0, PUSH_PHASE)
 

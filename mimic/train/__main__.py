@@ -1,4 +1,5 @@
-"""``python -m mimic.train OUT [--resume CHECKPOINT] [name=value ...]``: training without the command-line library.
+"""``python -m mimic.train OUT [--recipe NAME] [--resume CHECKPOINT] [name=value ...]``: training without the
+command-line library.
 
 For a GPU machine that has little more than PyTorch, and for several GPUs: ``torchrun --nproc-per-node 2 -m mimic.train
 OUT worlds=8192`` gives each of two GPUs 8192 worlds of its own. ``name=value`` sets a field of MdpSettings,
@@ -15,7 +16,7 @@ from pathlib import Path
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import MimicError
-from mimic.train.overrides import with_overrides
+from mimic.train.overrides import recipe, with_overrides
 
 
 def main() -> int:
@@ -23,6 +24,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m mimic.train", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--resume", type=Path, default=None)
+    parser.add_argument("--recipe", default=None, help="settings of a shipped policy (stand_track), or a TOML file")
     parser.add_argument("--every", type=int, default=25, help="updates between two lines of figures")
     parser.add_argument("overrides", nargs="*")
     options = parser.parse_intermixed_args()
@@ -41,7 +43,8 @@ def main() -> int:
     from mimic.train.runner import short_names
 
     try:
-        mdp, learn = with_overrides(MdpSettings(), LearnSettings(), options.overrides)
+        words = [*(recipe(options.recipe) if options.recipe else []), *options.overrides]
+        mdp, learn = with_overrides(MdpSettings(), LearnSettings(), words)
         path = train(options.out, mdp, learn, resume=options.resume, report=report)
     except MimicError as error:
         sys.stderr.write(f"{error}\n")

@@ -194,12 +194,8 @@ class CapturedPPO(PPO):
     def _gradients(self, i: int) -> None:
         """Put gradients and KL divergence of a minibatch into the flat buffer, and add its losses to the sums."""
         b = {name: column[i * self._size : (i + 1) * self._size] for name, column in self._batch.items()}
-        with torch.autocast(
-            torch.device(self.device).type, torch.bfloat16, enabled=self.use_mixed_precision, cache_enabled=False
-        ):
-            mean = self.actor.mlp(b["actor"]).float()
-            values = self.critic.mlp(b["critic"]).float()
-            image = self.actor.mlp(b["image"]).float() if self._mirror else None
+        mean, values = self.actor.mlp(b["actor"]), self.critic.mlp(b["critic"])
+        image = self.actor.mlp(b["image"]) if self._mirror else None
         self.actor.distribution.update(mean)  # type: ignore[union-attr]
         log_prob = self.actor.get_output_log_prob(b["actions"])
         entropy = self.actor.output_entropy.mean()
@@ -209,11 +205,7 @@ class CapturedPPO(PPO):
         surrogate = -b["advantages"] * ratio
         clipped = -b["advantages"] * torch.clamp(ratio, 1.0 - self.clip_param, 1.0 + self.clip_param)
         surrogate_loss = torch.max(surrogate, clipped).mean()
-        error = (values - b["returns"]).square()
-        if self.use_clipped_value_loss:
-            near = b["values"] + (values - b["values"]).clamp(-self.clip_param, self.clip_param)
-            error = torch.max(error, (near - b["returns"]).square())
-        value_loss = error.mean()
+        value_loss = (values - b["returns"]).square().mean()
         losses = [value_loss, surrogate_loss, entropy]
         loss = surrogate_loss - self._entropy_weight * entropy
         if image is not None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
 from mimic.policy.contract import (
+    DQ_SCALE,
+    GYRO_SCALE,
     TERMS,
     PolicyContract,
 )
@@ -53,4 +55,11 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         clock_fade=0.0 if sits else settings.clock_fade,
         walk_speed=WALK_SPEED,
         walk_turn=WALK_TURN,
+        noise=(
+            ("joint_position", settings.noise_q),
+            ("down", settings.noise_axes),
+            ("forward", settings.noise_axes),
+            ("gyro", settings.noise_gyro * GYRO_SCALE),
+            ("joint_velocity", settings.noise_dq * DQ_SCALE),
+        ),
     )

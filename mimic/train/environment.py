@@ -23,12 +23,14 @@ from mimic.dynamics.robot_model import command_in_effect
 from mimic.geometry import heading_sin_cos, upright_cosine
 from mimic.io.store import plain
 from mimic.policy.contract import (
+    AVERAGED,
     FRAME_SIZE,
     commanded_joints,
     heading_error,
     next_gait,
     observation_frame,
     push_frame,
+    with_slow_mean,
 )
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription, with_timestep
@@ -43,8 +45,12 @@ from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.worlds import Worlds
 
-CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
+CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
 """Width of what the critic sees beyond the observation."""
+
+
+PUSHED_SIDEWAYS = 0.4
+"""Share of the pushes that come from within 30 degrees of straight from the side, besides those from anywhere."""
 
 
 class WorldsEnv(VecEnv):
@@ -108,6 +114,11 @@ class WorldsEnv(VecEnv):
         knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
         self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
         self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
+        half = np.zeros(FRAME_SIZE - len(c.columns("slow_mean")))
+        for name, width in c.noise:
+            half[c.columns(name)] = width
+        self._noise_half = self._tensor(half)
+        self._averaged = torch.as_tensor(c.columns(*AVERAGED), device=self.device)
         steps = self.settings.randomisation.delay
         self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
 
@@ -125,6 +136,7 @@ class WorldsEnv(VecEnv):
         self._history = zeros(self.settings.history, FRAME_SIZE)
         self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
         self._upright_start = torch.zeros(n, dtype=torch.bool, device=device)
+        self._heading = zeros()
         self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
         self._termination_share = torch.zeros(1, device=device)
         self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
@@ -132,8 +144,11 @@ class WorldsEnv(VecEnv):
         self._reaching = zeros(2, 2, 3)
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
-        self._time_out = torch.ones(n, dtype=torch.bool, device=device)  # nobody has fallen yet
-        self._mean_velocity, self._drift = zeros(2), zeros(2)
+        self._time_out = torch.zeros(n, dtype=torch.bool, device=device)
+        self._load = zeros(2)
+        self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
+        self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
+        self._rest_share = torch.full((1,), self.settings.rest_share_at_first, device=device)
         start = weights_at(0.0, self._rewards, self.settings.regularisation, self._shares(0.0))
         self._weights = torch.tensor(start, device=device)
         self._terms = [f.name for f in fields(self._rewards)]
@@ -246,7 +261,7 @@ class WorldsEnv(VecEnv):
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
         toes = w.site_xpos[:, self._toe_sites[:2]]
-        self.disturbances.advance(self.episode_length_buf, toes)
+        self.disturbances.advance(self.episode_length_buf, toes, self._heading)
         force = self.disturbances.pull
         lever = toes - w.xipos[:, self._front_knees]
         moment = torch.linalg.cross(lever, force)
@@ -259,7 +274,7 @@ class WorldsEnv(VecEnv):
         """
         w = self.worlds
         self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
-        self._heading = torch.arctan2(*heading_sin_cos(*self._quat()))
+        self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
         self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
         self._toes = front_toes(w.qpos[:, 7:], self.description, torch)
 
@@ -268,7 +283,11 @@ class WorldsEnv(VecEnv):
 
     def _velocity(self) -> torch.Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
-        v, cosine, sine = self.worlds.qvel, torch.cos(self._heading), torch.sin(self._heading)
+        return self._in_heading_frame(self.worlds.qvel[:, :2])
+
+    def _in_heading_frame(self, v: torch.Tensor) -> torch.Tensor:
+        """Return horizontal vectors (N, 2) forward and left."""
+        cosine, sine = torch.cos(self._heading), torch.sin(self._heading)
         return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
 
     def _tracking(self) -> torch.Tensor:
@@ -366,7 +385,9 @@ class WorldsEnv(VecEnv):
         r = self.settings.randomisation
         every = round(r.push_interval / self.contract.dt)
         due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > self.settings.stand_up_steps)
+        side = math.pi * (torch.floor(self._uniform(0.0, 2.0)) - 0.5) + self._uniform(-1.0, 1.0) * (math.pi / 6)
         angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.push_share
+        angle = torch.where(self._rand() < PUSHED_SIDEWAYS, self._heading + side, angle)
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(torch.where(due[:, None], kick, torch.zeros_like(kick)))
 
@@ -384,7 +405,14 @@ class WorldsEnv(VecEnv):
         self._measure()
         for command in self._commands:
             put(command, start.command)
-        for buffer in (w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._drift, self._gait):
+        for buffer in (
+            w.warmstart,
+            self._last_action,
+            self._before_last,
+            self._mean_velocity,
+            self._anchor,
+            self._gait,
+        ):
             put(buffer, torch.zeros_like(buffer))
         put(self._noise, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
         low, high = self._delay_range
@@ -393,7 +421,7 @@ class WorldsEnv(VecEnv):
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
         put(self._upright_start, start.upright)
         put(self.phase_at_start, self._first_phase(start))
-        self.disturbances.reset(mask, self._time_out)
+        self.disturbances.reset(mask)
         put(self._q_before, start.q)
         put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
         self.moves.reset(mask, start.heading)
@@ -404,8 +432,11 @@ class WorldsEnv(VecEnv):
         n = self.num_envs
         read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
         error = heading_error(read_quat, self.moves.heading, torch)
-        self._gait.copy_(next_gait(self._gait, self.moves.velocity, error, self.contract, torch))
+        gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
+        self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
+        omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
         frame = observation_frame(
+            terms=self.contract.terms,
             q_offset=w.read_q - self._default_q,
             quat_WB=read_quat,
             last_action=self._last_action,
@@ -414,11 +445,14 @@ class WorldsEnv(VecEnv):
             toes_des=self.goals.now.reshape(n, 6),
             phase=self._phase(),
             gait=self._gait,
+            omega_B=omega,
+            dq=w.qvel[:, 6:],
             xp=torch,
         )
-        noisy = frame.clone()
-        noisy[:, :12] += self._noise[:, None] * self._uniform(-s.noise_q, s.noise_q, 12)
-        noisy[:, 12:18] += self._noise[:, None] * self._uniform(-s.noise_axes, s.noise_axes, 6)
+        noisy = frame + self._noise[:, None] * self._noise_half * (2 * torch.rand_like(frame) - 1)
+        before = torch.where(fresh[:, None], noisy[:, self._averaged], self._slow)
+        noisy, slow = with_slow_mean(noisy, before, self._averaged, self.contract.dt, torch)
+        self._slow.copy_(slow)
         pushed = push_frame(self._history, noisy, torch)
         first = noisy[:, None, :].expand_as(pushed)
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
@@ -427,13 +461,14 @@ class WorldsEnv(VecEnv):
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
-            self._drift * 3,
+            self._in_heading_frame(w.qpos[:, :2] - self._anchor) * 3,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
             self._up[:, None],
             (self._delay_seen() - 3.5) * 0.3,
             (feet < 0.003).float(),
+            self._load,
             feet.clamp(max=0.2) * 10,
             (self._toes - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],

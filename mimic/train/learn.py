@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import torch
 
 from mimic.config.training import STD_SHARE, LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.io.store import plain, save_json
+from mimic.io.store import plain, written_whole
 from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription, load_description
 from mimic.train.contract import make_contract
@@ -61,8 +61,7 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "schedule": "adaptive",
             "desired_kl": settings.desired_kl,
             "max_grad_norm": 1.0,
-            "use_clipped_value_loss": settings.clip_values,
-            "use_mixed_precision": settings.mixed_precision,
+            "use_clipped_value_loss": False,
             "symmetry_cfg": {
                 "data_augmentation_func": with_mirrored,
                 "use_mirror_loss": True,
@@ -75,10 +74,14 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
     }
 
 
+def settings_text(mdp: MdpSettings, learn: LearnSettings) -> str:
+    """Return everything that decides a training run as JSON: the text of settings.json."""
+    return json.dumps({"mdp": plain(mdp), "learn": plain(learn)}, indent=2) + "\n"
+
+
 def settings_hash(mdp: MdpSettings, learn: LearnSettings) -> str:
-    """Return the SHA-256 of everything that decides a training run."""
-    text = json.dumps({"mdp": asdict(mdp), "learn": asdict(learn)}, sort_keys=True)
-    return sha256(text.encode()).hexdigest()
+    """Return the SHA-256 of settings.json, which the contract holds."""
+    return sha256(settings_text(mdp, learn).encode()).hexdigest()
 
 
 def train(
@@ -124,7 +127,8 @@ def train(
     torch.backends.cuda.matmul.allow_tf32 = True
     if ranks.first:
         folder.mkdir(parents=True, exist_ok=True)
-        save_json({"mdp": plain(mdp), "learn": plain(learn)}, folder / "settings.json")
+        with written_whole(folder / "settings.json") as part:
+            part.write_text(settings_text(mdp, learn), encoding="utf-8")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
     env = kind(description, mdp, device, learn.seed + 1000 * ranks.rank)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -157,7 +161,7 @@ def train(
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and from_policy:
         compare_contracts(resume, contract)
-        take_over(runner.alg.actor, resume, learn.resume_std)
+        take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
         env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]

@@ -6,19 +6,21 @@ and right legs change places, and the gait clock is half a cycle away.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import torch
 from tensordict import TensorDict
 
-from mimic.policy.contract import TERMS
+from mimic.policy.contract import AVERAGED, FRAME_SIZE, TERMS
 
 LEG_SIGNS = (-1.0, 1.0, 1.0)
 """Of abad, hip and knee in the mirror."""
 
 _JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [*LEG_SIGNS] * 4)
 _AXIS = ([0, 1, 2], [1.0, -1.0, 1.0])
+_TURN = ([0, 1, 2], [-1.0, 1.0, -1.0])
 MIRRORED = {
     "joint_position": _JOINTS,
     "down": _AXIS,
@@ -28,19 +30,30 @@ MIRRORED = {
     "heading_error": ([0], [-1.0]),
     "toe_command": ([3, 4, 5, 0, 1, 2], [1.0, -1.0, 1.0] * 2),
     "clock": ([0, 1], [-1.0, -1.0]),
+    "gyro": _TURN,
+    "joint_velocity": _JOINTS,
 }
 """For each term of a frame: which of its numbers comes where, and with which sign."""
 
 
+def _together(names: Sequence[str]) -> tuple[list[int], list[float]]:
+    """Return the same for terms that stand one after another."""
+    order: list[int] = []
+    signs: list[float] = []
+    for name in names:
+        places, sign = MIRRORED[name]
+        begin = len(order)
+        order += [begin + i for i in places]
+        signs += sign
+    return order, signs
+
+
+MIRRORED["slow_mean"] = _together(AVERAGED)
+
+
 @cache
 def _frame(device: str, history: int) -> tuple[torch.Tensor, torch.Tensor]:
-    order, signs, start = [], [], 0
-    for _ in range(history):
-        for name, width in TERMS:
-            places, sign = MIRRORED[name]
-            order += [start + i for i in places]
-            signs += sign
-            start += width
+    order, signs = _together([name for name, _ in TERMS] * history)
     return torch.tensor(order, device=device), torch.tensor(signs, device=device)
 
 
@@ -57,7 +70,7 @@ def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
 
 def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
-    order, signs = _frame(str(observations.device), observations.shape[1] // sum(w for _, w in TERMS))
+    order, signs = _frame(str(observations.device), observations.shape[1] // FRAME_SIZE)
     return observations[:, order] * signs
 
 

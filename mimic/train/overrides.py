@@ -1,15 +1,21 @@
-"""Settings from ``name=value`` words."""
+"""Settings from ``name=value`` words, and from recipes."""
 
 from __future__ import annotations
 
 import ast
 import dataclasses
+import tomllib
+from pathlib import Path
 from typing import Any, TypeVar
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
+from mimic.io.assets import shipped
 
 S = TypeVar("S")
+
+RECIPES = ("stand_track",)
+"""Shipped policies whose training can be repeated by name."""
 
 
 def changed(settings: S, path: str, value: Any, whole: str = "") -> S:
@@ -78,3 +84,31 @@ def with_overrides(mdp: MdpSettings, learn: LearnSettings, words: list[str]) -> 
             names = [f.name for s in (mdp, learn) for f in dataclasses.fields(s)]
             raise ConfigError(f"there is no setting {name!r}; there are {', '.join(names)}")
     return mdp, learn
+
+
+def recipe(name: str) -> list[str]:
+    """Return the words of a recipe: a TOML file of settings, or the name of a policy that ships with its recipe.
+
+    Raises:
+        ConfigError: If there is no such recipe, or it is no TOML.
+        AssetError: If the shipped one is missing.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        if name not in RECIPES:
+            raise ConfigError(f"there is no recipe {name!r}; give a .toml file or one of {', '.join(RECIPES)}")
+        path = shipped("policies", f"{name}.toml")
+    try:
+        return _words(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as reason:
+        raise ConfigError(f"the recipe {path} cannot be read ({reason})") from None
+
+
+def _words(table: dict[str, Any], before: str = "") -> list[str]:
+    found: list[str] = []
+    for name, value in table.items():
+        if isinstance(value, dict):
+            found += _words(value, f"{before}{name}.")  # pyright: ignore[reportUnknownArgumentType]
+        else:
+            found.append(f"{before}{name}={value!r}")
+    return found

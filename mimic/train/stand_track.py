@@ -7,17 +7,14 @@ from typing import Any
 
 import torch
 
-from mimic.config.rewards import REFINING_TERMS, TASK_TERMS
+from mimic.config.rewards import REFINING_TERMS
 from mimic.robot.goals import leg_joints
 from mimic.train.environment import WorldsEnv
 from mimic.train.feet import sliding
-from mimic.train.rewards import Facts, reward_terms
+from mimic.train.rewards import BEARS, Facts, reward_terms
 
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
-
-DRIFT_SECONDS = 2.0
-"""Time constant of the averaged velocity error [s]."""
 
 GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
@@ -38,10 +35,7 @@ class StandTrackEnv(WorldsEnv):
     def _shares(self, ramp: float) -> dict[str, float]:
         """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
         s = self.settings
-        shares = {
-            **dict.fromkeys(REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp),
-            **dict.fromkeys(TASK_TERMS, s.task_share + (1 - s.task_share) * ramp),
-        }
+        shares = dict.fromkeys(REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp)
         begin, end = s.finish_steps
         finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
         polish = {name: 1 + (factor - 1) * finished for name, factor in asdict(s.finish).items()}
@@ -60,6 +54,7 @@ class StandTrackEnv(WorldsEnv):
         share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * ramp
         self.worlds.set_share(share)
         self.disturbances.set_share(share)
+        self._rest_share.fill_(s.rest_share_at_first + (1 - s.rest_share_at_first) * ramp)
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _command(self) -> None:
@@ -94,8 +89,10 @@ class StandTrackEnv(WorldsEnv):
         error = self.moves.heading - heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
-        astray = velocity - self.moves.wanted - self._drift
-        self._drift.add_(astray * (self.contract.dt / DRIFT_SECONDS)).mul_(tracking[:, None])
+        self._load.copy_(w.load())
+        rests = self._rank < self._rest_share
+        settled = self.moves.settled & tracking & rests
+        self._anchor.copy_(torch.where(settled[:, None], self._anchor, w.qpos[:, :2]))
         grounded = low[:, self._grounding].amin(-1) < 0.002
         fallen = tracking & (grounded | (height < self.description.training.height_fallen) | (up < 0.3))
         q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
@@ -115,15 +112,16 @@ class StandTrackEnv(WorldsEnv):
             up=up,
             velocity_error=velocity - self.moves.wanted,
             mean_velocity_error=self._mean_velocity - self.moves.wanted,
-            drift=self._drift,
+            drift=w.qpos[:, :2] - self._anchor,
             gait=self._gait,
             toppling=toppling & ~w.quiet,
-            settled=self.moves.settled,
+            settled=settled,
             heading_error=error,
             rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
             toe_error=self._toes - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
+            load=self._load,
             clearance=low[:, self._hind_toes],
             slip=slip,
             hind_speed=motion[0][:, 2:].norm(dim=-1),
@@ -158,7 +156,7 @@ class StandTrackEnv(WorldsEnv):
         still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
         stills = still.sum().clamp(min=1.0)
         return {
-            "still/planted": (f.contact.all(-1) * still).sum() / stills,
+            "still/planted": ((f.load.amin(-1) > BEARS) * still).sum() / stills,
             "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
             "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
             "still/shuffle": ((f.hind_speed * f.contact).mean(-1) * still).sum() / stills,
@@ -173,7 +171,6 @@ class StandTrackEnv(WorldsEnv):
             "quiet/falls": (f.fallen.float() * tracking * quiet).sum() / (tracking * quiet).sum().clamp(min=1.0),
             "led/falls": (f.fallen & d.held).float().sum() / d.held.float().sum().clamp(min=1.0),
             "led/behind": (d.behind * d.held).sum() / d.held.float().sum().clamp(min=1.0),
-            "all/level": (d.level * ~self.worlds.quiet).sum() / (~self.worlds.quiet).float().sum().clamp(min=1.0),
             "track/up": (f.up * tracking).sum() / count,
             "track/height": (f.height * tracking).sum() / count,
             "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,

@@ -14,17 +14,20 @@ import torch
 from onnx import numpy_helper
 
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import FRAME_SIZE, METADATA_KEY, PolicyContract
+from mimic.policy.contract import AVERAGED, METADATA_KEY, PAPER_TERMS, PolicyContract, term_columns
 
 log = logging.getLogger(__name__)
 
 SEEN = 10**9
 """Observations that count as seen by the normalisation taken over, so that new ones hardly move it."""
 
+NEW_SPREAD = {"gyro": 0.2, "joint_velocity": 0.1, "slow_mean": 0.2}
+"""Spread of the terms of an observation that a policy lacked, for its normalisation."""
+
 SPREAD = 0.2
 """Spread of the actions with which the training begins, where the settings give none."""
 
-MEANING = ("robot", "joints", "default_q", "action_scale", "action_clip", "dt", "terms")
+MEANING = ("robot", "joints", "default_q", "action_scale", "action_clip", "dt")
 """Fields of the contract without which the numbers of a network mean something else."""
 
 WAY_OF_PLAYING = ("kp", "kd", "clock_hz", "clock_fade", "interpolate")
@@ -42,8 +45,12 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
         AssetError: If the file is no ONNX file.
         ConfigError: If its observations or actions mean something else.
     """
-    stored = {entry.key: entry.value for entry in _loaded(path).metadata_props}.get(METADATA_KEY)
-    there, here = json.loads(stored or "{}"), json.loads(contract.to_json())
+    there, here = _stored(path), json.loads(contract.to_json())
+    given, expected = (tuple(map(tuple, c.get("terms", PAPER_TERMS))) for c in (there, here))
+    if given != expected[: len(given)]:
+        raise ConfigError(
+            f"{path.name} has the terms {given} in a frame; a training goes on from {expected} or its first"
+        )
     for name in (*MEANING, *WAY_OF_PLAYING):
         if there.get(name, here[name]) == here[name]:
             continue
@@ -55,14 +62,16 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
         log.info("%s was trained with %s %s and goes on with %s", path.name, name, there[name], here[name])
 
 
-def take_over(actor: Any, path: Path, spread: float = 0.0) -> None:
+def take_over(actor: Any, path: Path, terms: tuple[tuple[str, int], ...], spread: float = 0.0) -> None:
     """Put the network of a policy into an actor of rsl_rl; the actor then acts as the policy does.
 
-    The actor may see more frames than the policy. Those come first in an observation and have weights of zero.
+    The actor may see more frames than the policy, which come first in an observation, and more terms, which come last
+    in a frame. Those have weights of zero.
 
     Args:
         actor: An MLPModel with normalised observations, changed in place.
         path: An ONNX policy as this package writes it.
+        terms: Name and width of each term of a frame that the actor sees.
         spread: Spread of the actions; 0 takes ``SPREAD``.
 
     Raises:
@@ -71,18 +80,28 @@ def take_over(actor: Any, path: Path, spread: float = 0.0) -> None:
     """
     mean, scale, layers = _network(path)
     linear = [m for m in actor.mlp if isinstance(m, torch.nn.Linear)]
-    more = linear[0].in_features - len(mean)
     here = [(m.out_features, m.in_features) for m in linear]
     there = [w.shape for w, _ in layers]
-    if more < 0 or more % FRAME_SIZE or [(o, i + more * (k == 0)) for k, (o, i) in enumerate(there)] != here:
+    known = tuple((name, width) for name, width in _stored(path).get("terms", PAPER_TERMS))
+    width, old = (sum(w for _, w in t) for t in (terms, known))
+    frames, had = here[0][1] // width, len(mean) // old
+    if frames < had or [(o, frames * width if k == 0 else i) for k, (o, i) in enumerate(there)] != here:
         raise ConfigError(
             f"{path.name} has layers of {_sizes(there)}; the settings shape {_sizes(here)}; "
             "set hidden and history to those of the policy (history may be longer)"
         )
-    frames = more // FRAME_SIZE
-    mean, scale = (np.concatenate([np.tile(v[:FRAME_SIZE], frames), v]) for v in (mean, scale))
+    means, scales = np.zeros((frames, width), mean.dtype), np.ones((frames, width), mean.dtype)
+    means[:, :old], scales[:, :old] = mean.reshape(had, old)[0], scale.reshape(had, old)[0]
+    means[-had:, :old], scales[-had:, :old] = mean.reshape(had, old), scale.reshape(had, old)
+    for name in [name for name, _ in terms if (name, dict(terms)[name]) not in known]:
+        scales[:, term_columns(terms, name)] = NEW_SPREAD[name]
+        if name == "slow_mean":  # it begins at the mean of what it averages
+            means[:, term_columns(terms, name)] = means[:, term_columns(terms, *AVERAGED)]
     first, bias = layers[0]
-    layers = [(np.concatenate([np.zeros((len(first), more), first.dtype), first], 1), bias), *layers[1:]]
+    columns = np.zeros((len(first), frames, width), first.dtype)
+    columns[:, -had:, :old] = first.reshape(len(first), had, old)
+    layers = [(columns.reshape(len(first), -1), bias), *layers[1:]]
+    mean, scale = means.reshape(-1), scales.reshape(-1)
     normalizer = actor.obs_normalizer
     with torch.no_grad():
         normalizer._mean.copy_(torch.as_tensor(mean)[None])
@@ -104,6 +123,12 @@ def _network(path: Path) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray,
         raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in graph.node)}")
     mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])
     return mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]]
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    """Return the contract in a policy as it is written; empty without one."""
+    entries = {entry.key: entry.value for entry in _loaded(path).metadata_props}
+    return json.loads(entries.get(METADATA_KEY, "{}"))
 
 
 def _loaded(path: Path) -> Any:

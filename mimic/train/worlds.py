@@ -58,6 +58,9 @@ DRIVEN = ("dof_armature", "actuator_biasprm", "actuator_forcerange")
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
 
+QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
+"""The robots of quiet worlds."""
+
 SPARE_CONTACTS = 64
 """Room for contacts beyond the average, which few worlds do not keep."""
 
@@ -106,8 +109,6 @@ class Worlds:
             model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
         model.opt.iterations = settings.solver_iterations
         model.opt.ls_iterations = settings.linesearch_iterations
-        if settings.sparse:
-            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self._friction_speed = settings.friction_speed if self.motors is None else 0.0
         if self._friction_speed:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
@@ -137,6 +138,16 @@ class Worlds:
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
+            feet = np.zeros((2, model.ngeom), dtype=np.float32)
+            for side, leg in enumerate(LEGS[2:]):
+                feet[side, [model.geom(name).id for name in description.names.shapes("toe", "shank", legs=(leg,))]] = 1
+            self._feet = torch.as_tensor(feet, device=device)
+            c = self.data.contact
+            contacts = (self.data.nacon, c.geom, c.worldid, c.efc_address, self.data.efc.force)
+            self._contacts = tuple(wp.to_torch(array) for array in contacts)
+            gravity = abs(float(model.opt.gravity[2]))
+            self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
+            """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
@@ -150,18 +161,20 @@ class Worlds:
     ) -> None:
         rng = np.random.default_rng([seed, 17])
         other = np.random.default_rng([seed, 18])
+        d = settings.disturbances
+        calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
         quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
         features, slopes, variations = [], [], []
-        grounds: list[tuple[float, float]] = []
+        grounds: list[tuple[float, float, float]] = []
         if self.motors is not None:
             self.motors.draw(count, np.random.default_rng([seed, 19]))
         for i in range(count):
-            d = UNDISTURBED if i < quiet else settings.disturbances
-            ranges = Randomisation() if i < quiet else settings.randomisation
+            d = calm if i < quiet else settings.disturbances
+            ranges = QUIET_ROBOT if i < quiet else settings.randomisation
             v = draw_variation(ranges, description.timestep, rng)
             v = replace(v, kp=v.kp * other.uniform(*d.kp), kd=v.kd * other.uniform(*d.kd))
             vary_model(varied, nominal, v)
@@ -170,7 +183,8 @@ class Worlds:
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
-            grounds.append((v.restitution, other.uniform(*d.contact_time)))
+            ratio = math.exp(other.uniform(*np.log(d.friction_ratio)))
+            grounds.append((v.restitution, other.uniform(*d.contact_time), ratio))
             angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
             slopes.append(
                 [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
@@ -195,6 +209,8 @@ class Worlds:
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
+        self._stiffer = torch.ones(n, device=self.device)
+        self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
         self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
         self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
@@ -211,9 +227,11 @@ class Worlds:
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
         usual = self._contact_time
-        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
+        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower, _ in self._grounds]
         solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
+        ratios = torch.tensor([ratio for *_, ratio in self._grounds], device=self.device)
+        self._stiffer.copy_((ratios ** (-0.5 * share))[self._ground_of])
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
@@ -275,6 +293,16 @@ class Worlds:
         drop = torch.where(s.kind == CYLINDER, round_, drop)
         drop = torch.where(s.kind == CAPSULE, capsule, drop)
         return self.geom_xpos[:, s.geoms, 2] - drop
+
+    def load(self) -> torch.Tensor:
+        """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
+        count, geom, world, row, force = self._contacts
+        row, world = row[:, 0], world.long().clamp(0, len(force) - 1)
+        counts = (torch.arange(len(row), device=self.device) < count) & (row >= 0) & (row < force.shape[1])
+        normal = force[world, row.long().clamp(0, force.shape[1] - 1)] * counts  # of elliptic cones
+        under = self._feet[:, geom.long().clamp(0, self._feet.shape[1] - 1)].amax(-1)
+        newtons = torch.zeros_like(self.weight).repeat(2, 1).index_add_(1, world, normal * under)
+        return newtons.T / self.weight[:, None]
 
     def _run(self) -> None:
         for k in range(self.decimation):

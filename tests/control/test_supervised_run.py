@@ -16,7 +16,6 @@ from mimic.control.recorder import EVENTS, ROWS, RunRecorder, salvage
 from mimic.control.signals import Signals
 from mimic.control.supervisor import SafetyMode
 from mimic.errors import PlantError
-from mimic.policy.contract import FRAME_SIZE
 from mimic.records import PHASES, Health, HealthLog, JointCommand, RunLog, Tick
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
@@ -264,7 +263,7 @@ def test_a_joint_that_did_not_answer_is_nan_in_the_log_and_estimated_for_the_pol
     log = run_policy(plant, policy, track(20), SHORT, safety=forgiving(ramp=RAMP * 0.02)).log
     assert np.flatnonzero(np.isnan(log.q[:, 4])).tolist() == [60, 61]
     assert np.isfinite(policy.seen).all()
-    held = np.array([seen.reshape(-1, FRAME_SIZE)[-1][4] for seen in policy.seen])
+    held = np.array([seen.reshape(policy.contract.history, -1)[-1][4] for seen in policy.seen])
     assert np.allclose(held[60 - RAMP : 62 - RAMP], held[59 - RAMP], atol=1e-9)
 
 

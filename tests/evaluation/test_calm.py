@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
 from mimic.config.evaluation import CalmSettings
-from mimic.evaluation.calm import evaluate_calm, fast_share, still_figures, summarise, winding_heat
+from mimic.dynamics.robot_model import load_model
+from mimic.evaluation.calm import STANDING, _Planted, evaluate_calm, fast_share, still_figures, summarise, winding_heat
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, JointSamples
 
@@ -53,26 +55,47 @@ def test_figures_of_a_known_stand(description):
 
 
 def test_who_falls_counts_against_standing_and_in_no_mean():
-    still = {"push": 0.0, "planted": 1.0, "heat_w": 50.0, "knee_rms_nm": 4.0, "at_limit": 0.0, "fast_torque": 0.0}
-    still |= {"action_rate_rad": 0.0, "drift_m": 0.1, "farthest_m": 0.2, "stands": True}
-    rows = [still, {"push": 0.0, "stands": False}, {"push": 0.5, "stands": True}, {"push": 0.5, "stands": False}]
-    found = summarise(rows, CalmSettings(pushes=(0.5,)))
-    assert found["stood"] == 0.5
-    assert found["drift_max_m"] == 0.1
-    assert found["pushed"] == {"0.5": 0.5}
+    still = {"kind": "standing", "what": "as described", "planted": 1.0, "heat_w": 50.0, "knee_rms_nm": 4.0}
+    still |= {"at_limit": 0.0, "fast_torque": 0.0, "action_rate_rad": 0.0, "drift_m": 0.1, "farthest_m": 0.2}
+    pushed = {"kind": "pushed", "what": "0.5 m/s sideways"}
+    rows = [still | {"stands": True}, {"kind": "standing", "what": "as described", "stands": False}]
+    found = summarise([*rows, pushed | {"stands": True}, pushed | {"stands": False}])
+    assert found["standing"]["as described"]["stood"] == 0.5
+    assert found["standing"]["as described"]["drift_max_m"] == 0.1
+    assert found["pushed"] == {"0.5 m/s sideways": 0.5}
 
 
 @pytest.fixture(scope="module")
 def evaluated():
-    few = CalmSettings(episodes=1, seconds=8.0, pushes=(0.3,), pushed_episodes=2, workers=1)
+    few = CalmSettings(episodes=1, seconds=8.0, pushes=(0.3,), pulls=(3.0,), pushed_episodes=1, workers=1)
     return evaluate_calm(shipped("policies", "stand_track.onnx"), few)
 
 
 def test_the_shipped_policy_stands_and_has_every_figure(evaluated):
     s = evaluated["summary"]
-    assert s["stood"] == 1.0
-    assert 0.0 < s["planted"] < 1.0
-    assert 2.0 < s["knee_rms_nm"] < 8.0
-    assert 20.0 < s["heat_w"] < 200.0
-    assert s["pushed"] == {"0.3": 1.0}
-    assert np.isfinite([s[name] for name in ("at_limit", "fast_torque", "action_rate_rad", "drift_m")]).all()
+    assert set(s["standing"]) == set(STANDING)
+    for f in s["standing"].values():
+        assert f["stood"] == 1.0
+        assert 0.0 < f["planted"] < 1.0
+        assert 2.0 < f["knee_rms_nm"] < 8.0
+        assert 20.0 < f["heat_w"] < 200.0
+        assert np.isfinite([f[name] for name in ("at_limit", "fast_torque", "action_rate_rad", "drift_m")]).all()
+    noisy, quiet = (s["standing"][name] for name in ("the paper's noise", "as described"))
+    assert noisy["action_rate_rad"] > 1.2 * quiet["action_rate_rad"]
+    assert s["pushed"] == {"0.3 m/s fore-aft": 1.0, "0.3 m/s sideways": 1.0}
+    assert set(s["pulled"]) == {f"3 N {way}" for way in ("forward", "backward", "left", "right")}
+
+
+def test_a_foot_is_planted_that_bears_a_fifth_of_the_weight(description):
+    model = load_model(description, visuals=False)
+    data = mujoco.MjData(model)
+    data.qpos[:7] = 0.0, 0.0, description.pose_height["upright"], np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0
+    data.qpos[7:] = data.ctrl[:] = description.poses["upright"]
+    planted = _Planted(model, description)
+    for aside in (0.0, 40.0):  # a push on the trunk to the left lifts the right foot
+        mujoco.mj_forward(model, data)
+        data.xfrc_applied[1, 1] = aside
+        for _ in range(40):
+            mujoco.mj_step(model, data)
+        planted(model, data)
+    assert planted.rows == [True, False]

@@ -2,46 +2,53 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from mimic.config.evaluation import TableSettings
 from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
-from mimic.policy.contract import FRAME_SIZE, TERMS
+from mimic.policy.contract import AVERAGED, DQ_SCALE, GYRO_SCALE, PAPER_TERMS, TERMS
 from mimic.policy.runtime import Policy, load_policy
 
 
-@pytest.fixture
-def seen(monkeypatch, description):
+@pytest.fixture(params=[PAPER_TERMS, TERMS], ids=["paper", "sensing"])
+def seen(request, monkeypatch, description):
     """Return a function that makes a policy behind senses, and the list of what the network is given."""
     given: list[np.ndarray] = []
 
     def act(self, observation):
-        given.append(observation.reshape(-1, FRAME_SIZE))
+        given.append(observation.reshape(self.contract.history, -1))
         return np.zeros(12)
 
     monkeypatch.setattr(Policy, "act", act)
-    return lambda senses, seed=1: (SensingPolicy(load_policy(None, description), senses, seed), given)
+
+    def make(senses, seed=1):
+        policy = load_policy(None, description)
+        policy.contract = dataclasses.replace(policy.contract, terms=request.param)
+        return SensingPolicy(policy, senses, seed), given
+
+    return make
 
 
-def columns(name):
-    begin = 0
-    for term, width in TERMS:
-        if term == name:
-            return slice(begin, begin + width)
-        begin += width
-    raise KeyError(name)
-
-
-def test_noise_is_on_joints_and_axes_only_and_stays_with_its_frame(seen):
-    policy, given = seen(Senses(noise_q=0.01, noise_axes=0.05))
+def test_noise_is_on_what_is_measured_and_stays_with_its_frame(seen):
+    policy, given = seen(Senses(noise_q=0.01, noise_axes=0.05, noise_gyro=0.2, noise_dq=1.0))
+    columns = policy.contract.columns
     for _ in range(300):
         policy.act(np.ones(policy.contract.observation_size))
     noise = np.array(given) - 1.0
-    noisy = np.zeros(FRAME_SIZE)
+    noisy = np.zeros(policy.contract.frame_size)
     noisy[columns("joint_position")] = 0.01
-    noisy[columns("down")] = noisy[columns("forward")] = 0.05
-    most = np.abs(noise).max(axis=(0, 1))
+    noisy[columns("down", "forward")] = 0.05
+    noisy[columns("gyro")] = 0.2 * GYRO_SCALE
+    noisy[columns("joint_velocity")] = 1.0 * DQ_SCALE
+    slow = noise[50:, :, columns("slow_mean")]
+    noise = np.delete(noise, columns("slow_mean"), axis=2)
+    most, noisy = np.abs(noise).max(axis=(0, 1)), np.delete(noisy, columns("slow_mean"))
+    if slow.size:  # it averages the noise away, but not all of it
+        assert np.all(np.abs(slow) < 0.4 * noisy[columns(*AVERAGED)] + 1e-12)
+        assert np.abs(slow).max() > 1e-3
     assert np.all(most <= noisy)
     assert np.all(most >= 0.95 * noisy)
     assert np.allclose(noise[1:, :-1], noise[:-1, 1:])
@@ -62,8 +69,9 @@ def test_a_seed_draws_the_same_noise(seen):
 def test_the_deaf_see_no_velocity_and_everything_else(seen):
     policy, given = seen(Senses(deaf=True))
     policy.act(np.ones(policy.contract.observation_size))
-    heard = np.ones(FRAME_SIZE)
-    heard[columns("velocity_command")] = 0.0
+    heard = np.ones(policy.contract.frame_size)
+    heard[policy.contract.columns("velocity_command")] = 0.0
+    heard[policy.contract.columns("slow_mean")[-2:]] = 0.0
     assert np.array_equal(given[0], np.tile(heard, (policy.contract.history, 1)))
 
 

@@ -35,7 +35,7 @@ def player():
 
 def test_it_is_short_and_needs_three_libraries():
     text = SCRIPT.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 80
+    assert len(text.splitlines()) <= 90
     imported = {name.name for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import) for name in node.names}
     assert not [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
     assert imported - set(sys.stdlib_module_names) == {"mujoco", "numpy", "onnxruntime"}

@@ -11,11 +11,27 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mimic.errors import ContractError
-from mimic.policy.contract import FRAME_SIZE, TERMS, ObservationBuilder, PolicyContract, joint_command
+from mimic.policy.contract import (
+    AVERAGED,
+    PAPER_TERMS,
+    SLOW_SECONDS,
+    TERMS,
+    ObservationBuilder,
+    PolicyContract,
+    joint_command,
+)
 from mimic.policy.runtime import load_policy
 
 UPRIGHT = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])
+HISTORY = 5
 numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@pytest.fixture(scope="module", params=[PAPER_TERMS, TERMS], ids=["paper", "sensing"])
+def contract(request, description) -> PolicyContract:
+    """The contract of the shipped policy, with few frames of either kind."""
+    noise = tuple((name, 0.01 * width) for name, width in request.param[:3])
+    return changed(load_policy(None, description).contract, terms=request.param, history=HISTORY, noise=noise)
 
 
 def changed(contract: PolicyContract, **changes: object) -> PolicyContract:
@@ -27,7 +43,7 @@ def term(observation: np.ndarray, name: str, frame: int = -1) -> np.ndarray:
     begin = 0
     for other, width in TERMS:
         if other == name:
-            return observation.reshape(-1, FRAME_SIZE)[frame, begin : begin + width]
+            return observation.reshape(HISTORY, -1)[frame, begin : begin + width]
         begin += width
     raise KeyError(name)
 
@@ -39,6 +55,8 @@ def observe(builder: ObservationBuilder, **changes: object) -> np.ndarray:
         "v_des": np.zeros(2),
         "heading_des": 0.0,
         "p_BE_des": np.zeros((2, 3)),
+        "omega_B": np.zeros(3),
+        "dq": np.zeros(12),
     }
     return builder.observe(**(values | changes))
 
@@ -79,7 +97,7 @@ def test_a_contract_with_an_unknown_field_is_refused(contract):
 
 def test_the_shipped_contract_fits_the_robot(contract, description):
     contract.check(description)
-    assert contract.observation_size == contract.history * FRAME_SIZE
+    assert contract.observation_size == contract.history * sum(width for _, width in contract.terms)
 
 
 @pytest.mark.parametrize(
@@ -130,8 +148,43 @@ def test_actions_are_clipped_before_they_are_scaled(contract):
 # ---------------------------------------------------------------------- observations
 
 
+@pytest.fixture
+def sensing(contract) -> PolicyContract:
+    return changed(contract, terms=TERMS)
+
+
+def test_turning_and_moving_joints_are_seen_scaled_and_limited(sensing):
+    turning, moving = np.array([1.0, -2.0, 100.0]), np.array([4.0, -2.0, 1000.0, *[0.0] * 9])
+    seen = observe(ObservationBuilder(sensing), omega_B=turning, dq=moving)
+    assert term(seen, "gyro") == pytest.approx([0.25, -0.5, 5.0])
+    assert term(seen, "joint_velocity")[:3] == pytest.approx([0.2, -0.1, 2.0])
+
+
+def test_the_slow_mean_begins_with_what_is_seen_and_follows_it_slowly(sensing):
+    builder = ObservationBuilder(sensing)
+    q = np.array(sensing.default_q)
+    first = term(observe(builder, q=q), "slow_mean")
+    assert len(first) == sum(dict(TERMS)[name] for name in AVERAGED)
+    assert np.allclose(first[:12], 0.0)
+    assert np.allclose(
+        first[12:18], np.concatenate([term(observe(builder, q=q), name) for name in ("down", "forward")])
+    )
+    for _ in range(round(SLOW_SECONDS / sensing.dt)):
+        seen = observe(builder, q=q + 1.0, v_des=np.array([0.3, 0.0]))
+    assert np.allclose(term(seen, "slow_mean")[:12], 1 - np.exp(-1), atol=0.01)
+    assert term(seen, "slow_mean")[18] == pytest.approx(0.3 * (1 - np.exp(-1)), abs=0.003)
+
+
+def test_a_policy_of_the_paper_s_terms_sees_neither(contract):
+    paper = changed(contract, terms=PAPER_TERMS)
+    moving = {"omega_B": np.ones(3), "dq": np.ones(12)}
+    assert np.array_equal(observe(ObservationBuilder(paper), **moving), observe(ObservationBuilder(paper)))
+    for name in ("gyro", "joint_velocity", "slow_mean"):
+        assert paper.columns(name).size == 0
+
+
 def test_the_first_observation_repeats_its_frame(contract):
-    frames = observe(ObservationBuilder(contract), q=np.arange(12.0)).reshape(-1, FRAME_SIZE)
+    frames = observe(ObservationBuilder(contract), q=np.arange(12.0)).reshape(HISTORY, -1)
     assert len(frames) == contract.history
     assert np.array_equal(frames, np.tile(frames[:1], (contract.history, 1)))
 

@@ -237,3 +237,50 @@ def test_a_delay_is_the_same_time_at_any_timestep(description):
         for h in (0.005, 0.001)
     ]
     assert steps == [6, 30]
+
+
+@pytest.mark.parametrize(
+    ("way", "angles"), [("forward", [0.0]), ("backward", [np.pi]), ("left", [np.pi / 2]), ("right", [-np.pi / 2])]
+)
+def test_a_pull_grows_in_its_direction(way, angles, description):
+    pull = Disturbance(drag=10.0, drag_from=0.1, drag_seconds=0.4, drag_ramp=0.2, drag_way=way)
+    plant = SimulatedPlant(description, ranges=dataclasses.replace(NOMINAL, heading=(1.0, 1.0)), disturbance=pull)
+    start = plant.start()
+    plant.data.qpos[2] = 100.0
+    base, speeds = plant.model.body("base").id, []
+    for _ in range(30):
+        plant.step(command(description, start.q))
+        mujoco.mj_forward(plant.model, plant.data)
+        mujoco.mj_subtreeVel(plant.model, plant.data)
+        speeds.append(plant.data.subtree_linvel[base][:2].copy())
+    mass = plant.model.body_subtreemass[base]
+    toward = np.array([np.cos(1.0 + angles[0]), np.sin(1.0 + angles[0])])
+    assert speeds[14] @ toward == pytest.approx(10.0 * 0.5 * 0.2 / mass, rel=0.03)
+    assert speeds[-1] @ toward == pytest.approx(10.0 * (0.5 * 0.2 + 0.2) / mass, rel=0.01)
+    assert np.linalg.norm(speeds[-1]) == pytest.approx(speeds[-1] @ toward, rel=1e-3)
+
+
+@pytest.mark.parametrize(("way", "ahead"), [("fore-aft", 1.0), ("sideways", 0.0)])
+def test_a_push_comes_from_where_it_is_asked_for(way, ahead, description):
+    ranges = dataclasses.replace(NOMINAL, heading=(1.0, 1.0), push=(0.5, 0.5), push_interval=0.1)
+    signs = set()
+    for seed in range(6):
+        plant = SimulatedPlant(description, ranges=ranges, seed=seed, disturbance=Disturbance(push_way=way))
+        plant.start()
+        plant.data.time, plant.data.qvel[:] = 10.0, 0.0
+        plant._push()
+        push = plant.data.qvel[:2] / 0.5
+        assert abs(push @ [np.cos(1.0), np.sin(1.0)]) == pytest.approx(ahead, abs=1e-6)
+        assert np.linalg.norm(push) == pytest.approx(1.0)
+        signs.add(float(np.sign(push.sum())))
+    assert len(signs) == 2
+
+
+def test_a_tilted_imu_feels_turning_about_its_own_axes(description):
+    plant = SimulatedPlant(description, disturbance=Disturbance(imu_tilt=30.0, imu_axis="pitch"), seed=1)
+    start = plant.start()
+    plant.data.qvel[3:6] = 1.0, 2.0, 3.0
+    seen, turn = plant._state().omega_B, Rotation.from_quat(start.quat_WB, scalar_first=True)
+    assert np.abs(seen - [1.0, 2.0, 3.0]).max() > 0.3
+    true = Rotation.from_quat(plant.data.qpos[3:7], scalar_first=True)
+    assert turn.apply(seen) == pytest.approx(true.apply([1.0, 2.0, 3.0]))

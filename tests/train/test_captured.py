@@ -117,14 +117,6 @@ def test_checkpoints_are_read_by_both(env, learn, then, tmp_path):
     same_course(first, again, range(1, 3))
 
 
-def test_bfloat16_learns_nearly_the_same(env):
-    exact, mixed = runner(env, CAPTURED), runner(env, dataclasses.replace(CAPTURED, mixed_precision=True))
-    for each in (exact, mixed):
-        rollout(each, 0)
-    assert update(mixed, 0) == pytest.approx(update(exact, 0), rel=0.1, abs=0.02)
-    assert not torch.equal(weights(exact), weights(mixed))
-
-
 def test_a_captured_training_runs_from_start_to_policy(tmp_path):
     learn = dataclasses.replace(CAPTURED, iterations=2)
     rows = []

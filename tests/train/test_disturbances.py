@@ -20,7 +20,13 @@ from mimic.train.feet import Feet, sliding  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 RANGES = dataclasses.replace(
-    UNDISTURBED, slope=(4.0, 4.0), toe_payload=(0.3, 0.3), drag=(8.0, 8.0), drag_share=1.0, drag_from=(0.0, 0.0)
+    UNDISTURBED,
+    slope=(4.0, 4.0),
+    toe_payload=(0.3, 0.3),
+    drag=(8.0, 8.0),
+    drag_share=1.0,
+    drag_from=(0.0, 0.0),
+    drag_ramp=(0.0, 0.0),
 )
 
 
@@ -30,6 +36,8 @@ def make(description, **changes: object) -> StandTrackEnv:
         friction_speed=0.0,
         noise_q=0.0,
         noise_axes=0.0,
+        noise_gyro=0.0,
+        noise_dq=0.0,
         upright_share=0.0,
         randomisation=NOMINAL,
         command_margin=0.0,
@@ -37,7 +45,7 @@ def make(description, **changes: object) -> StandTrackEnv:
         upright_share_at_first=0.0,
     )
     solved = {"solver_iterations": 100, "linesearch_iterations": 50}
-    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 5)
+    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 6)
 
 
 def test_slope_payload_and_pull_are_those_of_the_simulation(description):
@@ -53,7 +61,10 @@ def test_slope_payload_and_pull_are_those_of_the_simulation(description):
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = env.worlds.qpos[0].numpy(), env.worlds.qvel[0].numpy()
     toe = int(env.disturbances.toe[0, 1] > 0)
-    site, force = model.site(f"{LEGS[toe]}_toe").id, env.disturbances.force[0].numpy().astype(np.float64)
+    site, d = model.site(f"{LEGS[toe]}_toe").id, env.disturbances
+    assert float(d.force[0]) == pytest.approx(8.0, rel=1e-5)
+    d.advance(env.episode_length_buf, torch.zeros(1, 2, 3), env._heading)
+    force = d.pull[0, toe].numpy().astype(np.float64)
     assert np.linalg.norm(force) == pytest.approx(8.0, rel=1e-5)
     mujoco.mj_forward(model, data)
     rng = np.random.default_rng(0)
@@ -74,7 +85,7 @@ def test_slope_payload_and_pull_are_those_of_the_simulation(description):
 
 def test_on_a_slope_down_is_seen_where_it_is(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0)))
-    seen = env.get_observations()["policy"][0, -41 + 12 : -41 + 15]
+    seen = env.get_observations()["policy"].reshape(env.settings.history, -1)[-1, env.contract.columns("down")]
     gravity = quat_rotate(env.worlds.slope_quat, torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)
     expected = quat_rotate(env.worlds.qpos[:, 3:7], gravity, inverse=True)[0]
     assert torch.allclose(seen, expected, atol=1e-5)
@@ -82,7 +93,7 @@ def test_on_a_slope_down_is_seen_where_it_is(description):
 
 def test_a_tilted_imu_sees_another_down(description):
     env = make(description, disturbances=dataclasses.replace(UNDISTURBED, imu_tilt=(3.0, 3.0)))
-    seen = env.get_observations()["policy"][0, -41 + 12 : -41 + 15].numpy()
+    seen = env.get_observations()["policy"].reshape(env.settings.history, -1)[-1, env.contract.columns("down")].numpy()
     true = quat_rotate(env.worlds.qpos[:, 3:7], torch.tensor([[0.0, 0.0, -1.0]]), inverse=True)[0].numpy()
     angle = np.rad2deg(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
     assert 0.0 < angle <= 3.01
@@ -120,3 +131,41 @@ def test_only_low_toes_pay_for_moving():
     height = torch.tensor([[0.02, 0.05, 0.02, 0.05]])
     velocity, turning = torch.full((1, 4, 2), 0.5), torch.full((1, 4), torch.pi)
     assert sliding(height, velocity, turning, below=0.03).item() == pytest.approx(2 * (0.5 + 1.0))
+
+
+def test_a_pull_grows_to_its_size_and_comes_more_often_from_behind(description):
+    ranges = dataclasses.replace(
+        UNDISTURBED, drag=(8.0, 8.0), drag_share=1.0, drag_from=(1.0, 1.0), drag_ramp=(2.0, 2.0), drag_seconds=1.0
+    )
+    env = make(description, worlds=4000, disturbances=ranges, quiet_share=0.0)
+    d, heading = env.disturbances, torch.full((4000,), 0.7)
+    sizes = {}
+    for step in range(220):
+        d.advance(torch.full((4000,), step), torch.zeros(4000, 2, 3), heading if step <= 50 else heading + 1.0)
+        sizes[step] = d.pull.sum(1).norm(dim=-1)
+        if step == 100:
+            way = torch.atan2(d.pull.sum(1)[:, 1], d.pull.sum(1)[:, 0]) - 0.7
+    assert sizes[49].max() == 0.0
+    assert sizes[100].numpy() == pytest.approx(4.0, abs=0.1)
+    assert sizes[160].numpy() == pytest.approx(8.0)
+    assert sizes[205].max() == 0.0
+    behind, ahead = (torch.cos(way) < -0.7072).float().mean(), (torch.cos(way) > 0.7072).float().mean()
+    assert 1.7 < behind / ahead < 2.4
+
+
+def test_a_tilted_imu_shows_turning_about_its_own_axes_and_quiet_worlds_have_one_too(description):
+    ranges = dataclasses.replace(UNDISTURBED, imu_tilt=(3.0, 3.0), gyro_bias=0.05)
+    env = make(description, worlds=40, disturbances=ranges, quiet_share=0.5)
+    d, quiet = env.disturbances, env.worlds.quiet
+    degrees = torch.rad2deg(2 * torch.acos(d.mount[:, 0].clamp(max=1.0)))
+    assert degrees[~quiet].numpy() == pytest.approx(3.0, abs=0.05)
+    assert degrees[quiet].numpy() == pytest.approx(2.0, abs=0.05)
+    assert (d.mount[:, [1, 3]].abs().amax(-1) < 1e-6).float().mean() > 0.25  # pitch alone
+    env.worlds.qvel[:, 3:6] = torch.tensor([1.0, 2.0, -1.0])
+    env._observe(torch.ones(40, dtype=torch.bool), env.worlds.lowest())
+    seen = (
+        env.get_observations()["policy"].reshape(40, env.settings.history, -1)[:, -1, env.contract.columns("gyro")] * 4
+    )
+    true = quat_rotate(d.mount, env.worlds.qvel[:, 3:6], inverse=True)
+    assert (seen - true).abs().max() <= 0.05 + 1e-5
+    assert (seen - true).abs().max() > 0.03

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,7 @@ def test_a_training_leaves_policy_checkpoints_settings_and_curves(trained):
 def test_the_exported_policy_carries_its_contract(trained, description):
     policy = Policy(trained / "policy.onnx", description)
     assert policy.contract == make_contract(description, MDP, settings_hash(MDP, LEARN))
+    assert policy.contract.training == sha256((trained / "settings.json").read_bytes()).hexdigest()
 
 
 def test_the_exported_policy_answers_as_the_trained_one(trained, description):

@@ -38,6 +38,8 @@ def test_a_mirrored_robot_with_mirrored_actions_sees_mirrored_observations(descr
                     v_des=np.array([0.2, -0.1 if flip else 0.1]),
                     heading_des=heading0 + (-0.4 if flip else 0.4),
                     p_BE_des=toes,
+                    omega_B=state.omega_B,
+                    dq=state.dq,
                 )
             )
             builder.acted(action)

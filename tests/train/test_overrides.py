@@ -4,7 +4,7 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
-from mimic.train.overrides import with_overrides
+from mimic.train.overrides import recipe, with_overrides
 
 
 def overridden(*words: str) -> tuple[MdpSettings, LearnSettings]:
@@ -58,3 +58,31 @@ def test_a_word_that_names_or_fits_no_setting_is_reported(word, told):
     with pytest.raises(ConfigError) as error:
         overridden(word)
     assert told in str(error.value)
+
+
+def test_a_shipped_recipe_names_settings_that_exist_and_changes_some():
+    mdp, learn = overridden(*recipe("stand_track"))
+    assert mdp.task == "stand_track"
+    assert learn.minutes > 0
+    assert (mdp, learn) != overridden()
+
+
+def test_a_recipe_of_one_s_own_goes_down_into_tables(tmp_path):
+    (tmp_path / "own.toml").write_text('device = "cpu"\nstd_range = [0.1, 1]\n[rewards]\nslip = -0.4\n')
+    mdp, learn = overridden(*recipe(str(tmp_path / "own.toml")), "rewards.gait=7")
+    assert (learn.device, learn.std_range, mdp.rewards.slip, mdp.rewards.gait) == ("cpu", (0.1, 1), -0.4, 7)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("dance", None, "there is no recipe 'dance'; give a .toml file or one of stand_track"),
+        ("gone.toml", None, "cannot be read"),
+        ("broken.toml", "rewards = [", "cannot be read"),
+    ],
+)
+def test_what_is_no_recipe_is_refused(name, text, message, tmp_path):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        recipe(str(tmp_path / name) if name.endswith(".toml") else name)

@@ -7,7 +7,7 @@ import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import FRAME_SIZE
+from mimic.policy.contract import FRAME_SIZE, PAPER_TERMS
 from mimic.policy.runtime import Policy
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -75,7 +75,7 @@ def test_the_first_step_of_the_policy_is_as_small_as_the_smallest_learning_rate(
     assert 0.5e-5 < step < 1.1e-5
 
 
-@pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "123-16-8-12"), ({"history": 2}, "123-16-8-12")])
+@pytest.mark.parametrize(("changes", "sizes"), [({"hidden": (8, 8)}, "228-16-8-12"), ({"history": 2}, "228-16-8-12")])
 def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
     learn = dataclasses.replace(LEARN, **{k: v for k, v in changes.items() if k == "hidden"})
     mdp = dataclasses.replace(MDP, **{k: v for k, v in changes.items() if k == "history"})
@@ -107,3 +107,27 @@ def test_what_is_no_policy_is_refused(tmp_path):
 def test_the_plain_algorithm_cannot_go_on_from_a_policy(policy, tmp_path):
     with pytest.raises(ConfigError, match="captured"):
         train(tmp_path, MDP, dataclasses.replace(LEARN, captured=False), resume=policy)
+
+
+def test_a_training_goes_on_from_a_policy_without_gyro_as_that_policy_acts(policy, description, tmp_path):
+    """A policy of the paper's terms, made from another one by leaving out what it sees besides."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import numpy_helper
+
+    from mimic.train.onnx_file import write_policy
+
+    old = sum(width for _, width in PAPER_TERMS)
+    graph = onnx.load(str(policy))
+    for tensor in graph.graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.shape[-1] == 3 * FRAME_SIZE:
+            short = values.reshape(*values.shape[:-1], 3, FRAME_SIZE)[..., :old].reshape(*values.shape[:-1], 3 * old)
+            tensor.CopyFrom(numpy_helper.from_array(short.copy(), tensor.name))
+    graph.graph.input[0].type.tensor_type.shape.dim[-1].dim_value = 3 * old
+    contract = dataclasses.replace(Policy(policy, description).contract, terms=PAPER_TERMS, noise=())
+    write_policy(graph, contract, description, tmp_path / "paper.onnx")
+    taken = train(tmp_path / "on", MDP, LEARN, resume=tmp_path / "paper.onnx")
+    seen = np.random.default_rng(0).normal(size=(20, 3, FRAME_SIZE)).astype(np.float32)
+    before = answers(tmp_path / "paper.onnx", description, seen[..., :old].reshape(20, -1))
+    assert np.abs(answers(taken, description, seen.reshape(20, -1)) - before).max() < 1e-4
+    assert np.abs(before).max() > 1e-2
