@@ -55,7 +55,7 @@ STANDING: dict[str, dict[str, Any]] = {
 }
 """Ways of standing, each with what differs; the first one counts. At MuJoCo's impratio of 1 feet creep under load."""
 
-PULLED = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_seconds": 4.5}
+PULLED: dict[str, Any] = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_seconds": 4.5}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,8 @@ def still_figures(
 def _play(job: _Job, policy_path: str) -> dict[str, Any]:
     description, policy, s = load_description(), cached_policy(policy_path), job.settings
     ranges = replace(s.randomisation, push=(job.push, job.push), push_interval=PUSHED_AT)
-    stands, options = job.kind == "standing", plant_options(s.robot)
+    stands = job.kind == "standing"
+    options: dict[str, Any] = plant_options(s.robot)
     if job.solver is not None:
         options = options | {"solver": replace(options.get("solver") or Solver(), impratio=job.solver.impratio)}
     toe = {"toe": SIDES[job.seed % 2]}

@@ -101,9 +101,8 @@ FRAME_SIZE = sum(width for _, width in TERMS)
 
 def term_columns(terms: tuple[tuple[str, int], ...], *names: str) -> IntArray:
     """Return where terms stand in a frame, in the order of the names; none for a term that it lacks."""
-    begins = dict(zip((n for n, _ in terms), np.cumsum([0, *(w for _, w in terms)]), strict=False))
-    found = [np.arange(begins[n], begins[n] + dict(terms)[n]) for n in names if n in begins]
-    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+    at = [name for name, width in terms for _ in range(width)]
+    return np.array([i for name in names for i, other in enumerate(at) if other == name], dtype=np.int64)
 
 
 METADATA_KEY = "mimic_contract"

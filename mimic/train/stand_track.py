@@ -35,7 +35,9 @@ class StandTrackEnv(WorldsEnv):
     def _shares(self, ramp: float) -> dict[str, float]:
         """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
         s = self.settings
-        shares = dict.fromkeys(REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp)
+        shares: dict[str, float] = dict.fromkeys(
+            REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp
+        )
         begin, end = s.finish_steps
         finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
         polish = {name: 1 + (factor - 1) * finished for name, factor in asdict(s.finish).items()}

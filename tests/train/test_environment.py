@@ -483,7 +483,7 @@ def test_a_robot_that_should_rest_gains_nothing_by_turning_away_so_that_its_cloc
         for _ in range(4):
             env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
             env.moves.heading.copy_(env._heading + away)
-            _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
+            env.step(torch.zeros(FEW.worlds, 12))
         assert bool((env._gait > 0).all()) == (away > 0)
         terms = env._log["reward/gait"]
         planted = (env._load.amin(-1) / BEARS).clamp(0.0, 1.0)
