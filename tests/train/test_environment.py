@@ -427,13 +427,13 @@ def test_drift_is_the_distance_from_where_the_robot_came_to_rest(description):
     env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
     start = env._anchor.clone()
     env.worlds.qpos[:, 0] += torch.linspace(0.0, 0.5, FEW.worlds)
-    _, reward, _, _ = env.step(torch.zeros(FEW.worlds, 12))
+    _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
     away = (env.worlds.qpos[:, :2] - start).norm(dim=-1).clamp(max=MOST_DRIFT)
     alive = done == 0
     assert alive.sum() >= FEW.worlds - 1
     assert -reward[alive].numpy() == pytest.approx(away[alive].numpy(), abs=1e-3)
     env.moves.velocity[:, 0] = 0.3
-    _, reward, _, _ = env.step(torch.zeros(FEW.worlds, 12))
+    _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
     assert reward[done == 0].abs().max() < 1e-6
 
 
