@@ -15,6 +15,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
+from mimic.io.reading import read_text
 from mimic.records import FloatArray
 from mimic.sources.mocap.points import Points
 
@@ -70,11 +71,11 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     Raises:
         SourceError: If the file is no BVH, or ends early.
     """
-    words = _Words(path.read_text(encoding="utf-8", errors="replace"), path.name)
+    words = _Words(read_text(path), path.name)
     joints = _hierarchy(words)
     announced, step = _header(words)
     width = sum(len(joint.channels) for joint in joints)
-    values = np.array(_numbers(words))
+    values = np.array(_numbers(words, width))
     frames = len(values) // width
     if frames == 0:
         raise SourceError(f"{path.name} has {len(values)} motion values, less than the {width} of one frame")
@@ -140,9 +141,15 @@ def _header(words: _Words) -> tuple[int, float]:
     return announced, words.number("the time of a frame")
 
 
-def _numbers(words: _Words) -> list[float]:
+def _numbers(words: _Words, width: int) -> list[float]:
+    """Return the numbers of all rows; a row may go on in the next line, but a line holds no more than one."""
     numbers = []
+    line = begin = 0
     for word in words:
+        if words.line != line:
+            line, begin = words.line, len(numbers)
+        elif len(numbers) - begin == width:
+            raise words.wrong("more", f"the {width} numbers of the channels in a row")
         try:
             value = float(word)
         except ValueError:

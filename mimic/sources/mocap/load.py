@@ -13,6 +13,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import SourceError
+from mimic.io.reading import check_clock
 from mimic.records import FloatArray, PoseTrack
 from mimic.sources.mocap.bvh import read_bvh
 from mimic.sources.mocap.c3d import read_c3d
@@ -88,7 +89,12 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     points = READERS[path.suffix.lower()](path, mocap)
     scheme, found = recognise(points.names, read_names(mocap.names))
     named = _named(points, found)
-    _check_times(points.t, path, settings)
+    if len(points.t) < 2 or points.t[-1] - points.t[0] < settings.min_duration:
+        raise SourceError(
+            f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
+            f"at least two and {settings.min_duration:g} s"
+        )
+    check_clock(points.t, path.name, SourceError)
     up, notes = _up(named, mocap.up if mocap.up != "auto" else points.up, path)
     unit, length = _unit(named, points.unit)
     xyz = length * named.xyz @ _camera_axes(up).T
@@ -124,24 +130,6 @@ def _named(points: Points, scheme: Scheme) -> _Named:
     xyz = np.stack([finite[:, own].mean(axis=1) for own in columns], axis=1)
     score = np.stack([points.score[:, own].min(axis=1) for own in columns], axis=1)
     return _Named(tuple(scheme), xyz, score)
-
-
-def _check_times(t: FloatArray, path: Path, settings: PoseSettings) -> None:
-    unknown = np.flatnonzero(~np.isfinite(t))
-    if len(unknown):
-        raise SourceError(f"row {unknown[0] + 1} of {path.name} has no time ({t[unknown[0]]:g} s); remove the row")
-    if len(t) < 2 or t[-1] - t[0] < settings.min_duration:
-        raise SourceError(
-            f"{path.name} has {len(t)} rows in {t[-1] - t[0] if len(t) else 0:.2f} s; a motion needs at least two and "
-            f"{settings.min_duration:g} s"
-        )
-    back = np.flatnonzero(~(np.diff(t) > 0))
-    if len(back):
-        row = int(back[0])
-        raise SourceError(
-            f"the times of {path.name} do not increase: row {row + 2} has {t[row + 1]:g} s after {t[row]:g} s; "
-            "sort the rows and drop repeated ones"
-        )
 
 
 def _up(named: _Named, asked: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
