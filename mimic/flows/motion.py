@@ -5,6 +5,7 @@ A new source is a reader in `mimic.sources` and a row in SOURCES.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -107,6 +108,8 @@ def load_motion(
         AssetError: If a record cannot be read.
     """
     path = Path(source)
+    if not path.exists() and (re.match(r"\w+://", str(source)) or re.match(r"(https?|rtsp|ftp):/", str(source))):
+        raise SourceError(f"{source} is an address; download the file and give its path")
     if not path.exists():
         raise SourceError(f"there is no file {path}")
     if path.is_dir():

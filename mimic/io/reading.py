@@ -25,13 +25,14 @@ def read_text(path: Path) -> str:
     return data.decode(marked or plain, errors="replace")
 
 
-def check_clock(t: FloatArray, name: str, error: type[MimicError]) -> None:
+def check_clock(t: FloatArray, name: str, error: type[MimicError], mend: str = "store times in seconds") -> None:
     """Refuse times that no recording has, in one line.
 
     Args:
         t: Time of each row (T,) [s].
         name: Of the file or record, for the message.
         error: What to raise.
+        mend: What else to do about times of another unit.
     """
     unknown = np.flatnonzero(~np.isfinite(t))
     if len(unknown):
@@ -61,7 +62,7 @@ def check_clock(t: FloatArray, name: str, error: type[MimicError]) -> None:
         guess = " or ".join(filter(None, (rate, *units))) or "a period where a rate is expected, or another unit"
         raise error(
             f"the rows of {name} are {usual:g} s apart; recordings have {STEPS[0]:g} to {STEPS[1]:g} s: "
-            f"is it {guess}? Store times in seconds"
+            f"is it {guess}? Then {mend}"
         )
     if len(t) > 4 and steps[largest] > 10.0 and 2 * steps[largest] > t[-1] - t[0]:
         raise error(

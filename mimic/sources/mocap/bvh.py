@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,8 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     joints = _hierarchy(words)
     announced, step = _header(words)
     width = sum(len(joint.channels) for joint in joints)
+    if not width:
+        raise SourceError(f"{path.name} has joints without channels, which do not move; export the BVH again")
     values = np.array(_numbers(words, width))
     frames = len(values) // width
     if frames == 0:
@@ -142,21 +145,27 @@ def _header(words: _Words) -> tuple[int, float]:
 
 
 def _numbers(words: _Words, width: int) -> list[float]:
-    """Return the numbers of all rows; a row may go on in the next line, but a line holds no more than one."""
-    numbers = []
-    line = begin = 0
-    for word in words:
-        if words.line != line:
-            line, begin = words.line, len(numbers)
-        elif len(numbers) - begin == width:
-            raise words.wrong("more", f"the {width} numbers of the channels in a row")
+    """Return the numbers of all rows; a row may go on in the next line, but no line in the next row."""
+
+    def number(word: str) -> float:
         try:
             value = float(word)
         except ValueError:
             raise words.wrong(repr(word), "a number") from None
         if not math.isfinite(value):
             raise words.wrong(repr(word), "a number")
-        numbers.append(value)
+        return value
+
+    numbers: list[float] = []
+    for line, row in groupby(words, lambda _: words.line):
+        given = [number(word) for word in row]
+        if len(given) > width - len(numbers) % width:
+            words.line = line
+            raise words.wrong(
+                f"{len(given)} numbers in row {len(numbers) // width + 1}",
+                f"the {width} numbers of the channels in each row",
+            )
+        numbers += given
     return numbers
 
 

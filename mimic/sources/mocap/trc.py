@@ -49,7 +49,9 @@ def _table(lines: list[str], path: Path, width: int) -> np.ndarray:
             continue
         cells = [cell.strip() for cell in line.rstrip().split("\t")]
         if len(cells) > width:
-            raise SourceError(f"{path.name}, line {number}: {len(cells)} cells; expected {width}, for the names in line 4")
+            raise SourceError(
+                f"{path.name}, line {number}: {len(cells)} cells; expected {width}, for the names in line 4"
+            )
         cells += [""] * (width - len(cells))
         try:
             rows.append([float(cell) if cell else np.nan for cell in cells[:width]])

@@ -1,0 +1,384 @@
+"""Files as other people's programs write them: one of each kind from the shared data, and two more made here."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mimic.config.pose import MocapSettings, PoseSettings
+from mimic.errors import ConfigError, MimicError, SourceError
+from mimic.flows.motion import load_motion
+from mimic.records import PoseTrack
+from mimic.retargeting.wrists import wrist_track
+from mimic.sources.mocap.load import track_mocap
+from mimic.sources.video.decoding import missing_bytes, open_video
+
+HERE = Path(__file__).parents[2]
+PLACES = [up / "shared" / "data" / "outside" for up in (HERE.parent, HERE.parent.parent)]
+OUTSIDE = next((place for place in PLACES if place.is_dir()), PLACES[0])
+
+
+def outside(name: str) -> Path:
+    if not OUTSIDE.is_dir():
+        pytest.skip("the shared test data is not beside the repository (../shared/data)")
+    return OUTSIDE / name
+
+
+def one_line(error: pytest.ExceptionInfo[MimicError], *words: str) -> None:
+    """The message is one line with these words in it."""
+    said = str(error.value)
+    assert "\n" not in said
+    assert len(said) < 400
+    for word in words:
+        assert word in said
+
+
+# ---------------------------------------------------------------------- recorded motion
+
+BODY = {
+    "Hips": ("", (0, 0, 0)),
+    "Spine": ("Hips", (0, 50, 0)),
+    "LeftArm": ("Spine", (18, 0, 0)),
+    "LeftForeArm": ("LeftArm", (28, 0, 0)),
+    "LeftHand": ("LeftForeArm", (25, 0, 0)),
+    "RightArm": ("Spine", (-18, 0, 0)),
+    "RightForeArm": ("RightArm", (-28, 0, 0)),
+    "RightHand": ("RightForeArm", (-25, 0, 0)),
+    "LeftUpLeg": ("Hips", (9, -4, 0)),
+    "RightUpLeg": ("Hips", (-9, -4, 0)),
+}
+ROWS = 60
+
+
+def bvh(
+    called: Callable[[str], str] = str, *, step: float = 1 / 60, people: int = 1, more: int = 0, less: int = 0
+) -> str:
+    """Someone whose left shoulder swings by 40 degrees; others stand 2 m further to the left and hold still."""
+    lines, rows = ["HIERARCHY"], [""] * ROWS
+
+    def joint(name: str) -> None:
+        parent, offset = BODY[name]
+        lines.extend([f"{'JOINT' if parent else 'ROOT'} {called(name)}", "{", f"OFFSET {' '.join(map(str, offset))}"])
+        lines.append(f"CHANNELS {'3' if parent else '6 Xposition Yposition Zposition'} Zrotation Xrotation Yrotation")
+        for child, (own, _) in BODY.items():
+            if own == name:
+                joint(child)
+        lines.extend(
+            ["End Site", "{", "OFFSET 0 5 0", "}"] * (not any(own == name for own, _ in BODY.values())) + ["}"]
+        )
+
+    for person in range(people):
+        joint("Hips")
+        for row in range(ROWS):
+            swing = 40 * np.sin(2 * np.pi * row / ROWS) if person == 0 else 0.0
+            turns = [0.0] * 6 + [swing, 0.0, 0.0] + [0.0] * 21
+            rows[row] += " ".join(f"{v:.4f}" for v in (200.0 * person, 95, 0, *turns)) + " "
+    rows = [" ".join((row.split() + ["0.5"] * more)[: -less or None]) for row in rows]
+    return "\n".join([*lines, "MOTION", f"Frames: {ROWS}", f"Frame Time: {step:.9g}", *rows]) + "\n"
+
+
+def read(path: Path, person: int | str | None = None, **settings: object) -> PoseTrack:
+    return track_mocap(path, MocapSettings(**settings), PoseSettings(person=person))
+
+
+def arms(path: Path, **settings: object) -> np.ndarray:
+    return wrist_track(read(path, **settings)).p_SH
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> np.ndarray:
+    """The arms in the file as it should be."""
+    (tmp_path / "plain.bvh").write_text(bvh())
+    return arms(tmp_path / "plain.bvh")
+
+
+def trc(called: Callable[[str], str] = str, *, first: float = 0.0, step: float = 1 / 60, unit: str = "mm") -> str:
+    """Markers of someone with y up whose left hand swings."""
+    places = {
+        "LShoulder": (200, 1450, 0), "RShoulder": (-200, 1450, 0), "LElbow": (230, 1200, 0), "RElbow": (-230, 1200, 0),
+        "LWrist": (240, 960, 60), "RWrist": (-240, 960, 60), "LHip": (100, 950, 0), "RHip": (-100, 950, 0),
+    }  # fmt: skip
+    head = "\t".join(["Frame#", "Time", *(f"{called(name)}\t\t" for name in places)])
+    table = []
+    for row in range(ROWS):
+        swing = 100 * np.sin(2 * np.pi * row / ROWS)
+        cells = [
+            v + (swing if name == "LWrist" and axis == 2 else 0)
+            for name, p in places.items()
+            for axis, v in enumerate(p)
+        ]
+        table.append("\t".join([str(row + 1), f"{first + step * row:.6f}", *(f"{v:.3f}" for v in cells)]))
+    facts = f"DataRate\tNumFrames\tNumMarkers\tUnits\n60\t{ROWS}\t{len(places)}\t{unit}"
+    return "\n".join(["PathFileType\t4\t(X/Y/Z)\ta.trc", facts, head, "\t\tX1", "", *table]) + "\n"
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text():
+    track = read(outside("bom.bvh"))
+    assert len(track.t) == 60
+    assert track.t[-1] == pytest.approx(59 / 60)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_text_is_read_in_any_encoding(encoding, plain, tmp_path):
+    (tmp_path / "a.bvh").write_text(bvh(), encoding=encoding)
+    np.testing.assert_allclose(arms(tmp_path / "a.bvh"), plain)
+    (tmp_path / "a.trc").write_text(trc(), encoding=encoding)
+    (tmp_path / "b.trc").write_text(trc())
+    np.testing.assert_allclose(arms(tmp_path / "a.trc"), arms(tmp_path / "b.trc"))
+
+
+def test_rows_wider_than_the_channels_are_refused():
+    with pytest.raises(SourceError) as error:
+        load_motion(outside("rows_with_three_more.bvh"))
+    one_line(error, "36 numbers in row 1", "33 numbers")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [({"more": 1}, ["34 numbers in row 1"]), ({"less": 2}, ["31 numbers in row 1"])]
+)
+def test_rows_of_another_width_are_refused(change, words, tmp_path):
+    (tmp_path / "a.bvh").write_text(bvh(**change))
+    with pytest.raises(SourceError) as error:
+        read(tmp_path / "a.bvh")
+    one_line(error, *words, "33 numbers")
+
+
+def test_marker_rows_wider_than_the_names_are_refused(tmp_path):
+    (tmp_path / "a.trc").write_text("\n".join(line + "\t1.0" * (i > 5) for i, line in enumerate(trc().split("\n"))))
+    with pytest.raises(SourceError) as error:
+        read(tmp_path / "a.trc")
+    one_line(error, "line 7", "27 cells", "26")
+
+
+def test_a_row_may_go_on_in_the_next_line(plain, tmp_path):
+    head, table = bvh().split("Frame Time")
+    wrapped = [line.replace(" ", "\n", 12) if "." in line and ":" not in line else line for line in table.split("\n")]
+    (tmp_path / "a.bvh").write_text(head + "Frame Time" + "\n".join(wrapped))
+    np.testing.assert_allclose(arms(tmp_path / "a.bvh"), plain)
+
+
+def test_two_people_of_one_name_are_said_and_one_can_be_chosen():
+    path = outside("two_people_same_names.bvh")
+    assert any("2 people" in text and "--person" in text for text in read(path).warnings)
+    assert not np.allclose(arms(path), wrist_track(read(path, 2)).p_SH)
+    with pytest.raises(ConfigError) as error:
+        read(path, 3)
+    one_line(error, "--person 3", "from 1 to 2")
+
+
+@pytest.mark.parametrize("ending", ["bvh", "trc"])
+def test_people_with_names_of_their_own_are_said_and_one_can_be_chosen(ending, tmp_path):
+    path = tmp_path / f"a.{ending}"
+    if ending == "bvh":
+        one, two = (bvh(lambda name, who=who: f"{who}:{name}").split("MOTION\n") for who in ("Anna", "Bob"))
+        moved = [" ".join(["300", *row.split()[1:]]) for row in two[1].split("\n")[2:-1]]
+        rows = [f"{a} {b}" for a, b in zip(one[1].split("\n")[2:-1], moved, strict=True)]
+        head = one[0] + two[0].removeprefix("HIERARCHY\n") + "MOTION\n" + "\n".join(one[1].split("\n")[:2])
+        path.write_text(head + "\n" + "\n".join(rows))
+    else:
+        one, two = (trc(lambda name, who=who: f"{who}_{name}").split("\n") for who in ("p1", "p2"))
+        names = "\t".join([one[3].rstrip(), "", "", *two[3].split("\t")[2:]])
+        cells = [
+            "\t".join([a, *(f"{float(v) + 900:.1f}" for v in b.split("\t")[2:])])
+            for a, b in zip(one[6:-1], two[6:-1], strict=True)
+        ]
+        path.write_text("\n".join([*one[:3], names, *one[4:6], *cells]) + "\n")
+    assert any("2 people" in text for text in read(path).warnings)
+    np.testing.assert_allclose(arms(path), wrist_track(read(path, 2)).p_SH, atol=1e-3)
+    with pytest.raises(ConfigError) as error:
+        read(path, "left")
+    one_line(error, "number from 1 to 2")
+
+
+def test_copies_of_one_skeleton_are_one_person(tmp_path):
+    two = bvh(people=2).split("\n")
+    start = two.index("ROOT Hips", 2)
+    two[start : two.index("MOTION")] = [
+        line.replace("ROOT ", "ROOT DEF-").replace("JOINT ", "JOINT DEF-") for line in two[start : two.index("MOTION")]
+    ]
+    table = two.index(f"Frames: {ROWS}") + 2
+    same = [" ".join(2 * row.split()[:33]) for row in two[table:-1]]
+    (tmp_path / "a.bvh").write_text("\n".join([*two[:table], *same]) + "\n")
+    assert not any("people" in text for text in read(tmp_path / "a.bvh").warnings)
+
+
+def test_a_frame_time_that_is_a_rate_is_refused():
+    with pytest.raises(SourceError) as error:
+        load_motion(outside("frame_time_is_fps.bvh"))
+    one_line(error, "60 s apart", "a rate of 60 Hz", "--fps")
+
+
+@pytest.mark.parametrize(
+    ("step", "word"),
+    [(16.667, "milliseconds"), (16667.0, "microseconds"), (1.6667e7, "nanoseconds"), (2e-5, "another unit")],
+)
+def test_times_of_another_unit_are_refused(step, word, tmp_path):
+    (tmp_path / "a.trc").write_text(trc(step=step).replace("Frame#", "frame#"))
+    np.savez(tmp_path / "a.npz", t=step * np.arange(6000), points=np.zeros((6000, 33, 3)))
+    for name in ("a.npz",) if step < 1 else ("a.trc", "a.npz"):
+        with pytest.raises(SourceError) as error:
+            read(tmp_path / name)
+        one_line(error, word)
+
+
+@pytest.mark.parametrize("fault", ["equal", "float32", "jump"])
+def test_a_clock_that_cannot_be_true_is_refused(fault, tmp_path):
+    t = {
+        "equal": np.zeros(600),
+        "float32": (1.7640999e9 + np.arange(600) / 60).astype(np.float32),
+        "jump": np.arange(600) / 60 + 3600.0 * (np.arange(600) > 200),
+    }[fault]
+    np.savez(tmp_path / "a.npz", t=t, points=np.zeros((600, 33, 3)))
+    with pytest.raises(SourceError) as error:
+        read(tmp_path / "a.npz")
+    one_line(error, {"equal": "a.npz", "float32": "32 bits", "jump": "jump by 3600"}[fault])
+
+
+def test_a_prefix_without_a_colon_is_no_part_of_the_name():
+    path = outside("mixamorig_without_colon.bvh")
+    np.testing.assert_allclose(arms(path), arms(outside("bom.bvh")), atol=1e-6)
+
+
+NAMINGS = {
+    "Character1_": lambda name: f"Character1_{name}",
+    "Blender's number": lambda name: f"{name}.001",
+    "Biped": lambda name: "Bip01 " + _renamed(name, "{} UpperArm", "{} Forearm", "{} Hand", "{} Thigh"),
+    "Rigify": lambda name: "DEF-" + _renamed(name, "upper_arm.{}", "forearm.{}", "hand.{}", "thigh.{}"),
+    "VRM": lambda name: (
+        name[0].lower() + name[1:].replace("ForeArm", "LowerArm").replace("UpLeg", "UpperLeg")
+        if "Hand" in name or "Leg" in name or "Fore" in name
+        else (name[0].lower() + name[1:]).replace("tArm", "tUpperArm")
+    ),
+    "VRoid": lambda name: "J_Bip_" + _renamed(name, "{}_UpperArm", "{}_LowerArm", "{}_Hand", "{}_UpperLeg"),
+    "OptiTrack": lambda name: "Skeleton_001_" + _renamed(name, "{}UArm", "{}FArm", "{}Hand", "{}Thigh"),
+    "Biovision": lambda name: name.replace("ForeArm", "LowArm").replace("tArm", "tUpArm"),
+    "Biovision's joints": lambda name: (
+        {"Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist", "UpLeg": "Hip"}.get(
+            name.removeprefix("Left").removeprefix("Right"), ""
+        ).join([name[: 4 if name[0] == "L" else 5], ""])
+        if name[:4] in ("Left", "Righ")
+        else name
+    ),
+}
+
+
+def _renamed(name: str, *patterns: str) -> str:
+    for part, pattern in zip(("Arm", "ForeArm", "Hand", "UpLeg"), patterns, strict=True):
+        for side in ("Left", "Right"):
+            if name == side + part:
+                return pattern.format(side[0])
+    return name
+
+
+@pytest.mark.parametrize("naming", NAMINGS)
+def test_common_names_of_joints_are_recognised(naming, plain, tmp_path):
+    (tmp_path / "a.bvh").write_text(bvh(NAMINGS[naming]))
+    track = read(tmp_path / "a.bvh")
+    assert {"left_elbow", "right_hip"} <= set(track.names)
+    np.testing.assert_allclose(arms(tmp_path / "a.bvh"), plain, atol=1e-6)
+
+
+def test_of_many_unknown_names_those_of_arms_are_shown(tmp_path):
+    (tmp_path / "a.trc").write_text(trc(lambda name: f"m{name[0]}{name[2:]}x"))
+    with pytest.raises(SourceError) as error:
+        read(tmp_path / "a.trc")
+    one_line_free = str(error.value)
+    assert "mLristx" in one_line_free
+    assert "mRipx" in one_line_free  # too few look like arms: all are shown
+
+
+def test_the_body_is_believed_before_the_header(tmp_path):
+    points = {"left_shoulder": (0.2, 0, 1.4), "right_shoulder": (-0.2, 0, 1.4), "left_wrist": (0.3, -0.3, 1.0)}
+    points |= {"right_wrist": (-0.3, -0.3, 1.0), "left_hip": (0.1, 0, 0.9), "right_hip": (-0.1, 0, 0.9)}
+    xyz = np.tile(np.array(list(points.values())), (60, 1, 1))
+    for header in ("-z", "y", "-x"):
+        np.savez(tmp_path / "a.npz", points=xyz, names=list(points), fps=60, up=header)
+        track = read(tmp_path / "a.npz")
+        assert any(f"says that {header} is up" in text for text in track.warnings)
+        assert track.landmarks[0, track.index("left_shoulder"), 1] < -0.4
+    np.savez(tmp_path / "a.npz", points=xyz, names=list(points), fps=60, up="z")
+    assert not any("says that" in text for text in read(tmp_path / "a.npz").warnings)
+
+
+@pytest.mark.parametrize(("said", "true"), [("m", "mm"), ("cm", "mm"), ("mm", "mm")])
+def test_a_unit_that_makes_no_arm_is_said_and_not_believed(said, true, tmp_path):
+    (tmp_path / "a.trc").write_text(trc(unit=said))
+    track = read(tmp_path / "a.trc")
+    assert any(f"the file says {said}" in text for text in track.warnings) == (said != true)
+    upper = track.landmarks[0, track.index("left_elbow")] - track.landmarks[0, track.index("left_shoulder")]
+    assert np.linalg.norm(upper) == pytest.approx(0.252, abs=0.01)
+
+
+# ---------------------------------------------------------------------- videos
+
+
+def clip(path: Path, size: tuple[int, int] = (96, 80)) -> bytes:
+    """A white disc on black; returns the file."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, size)
+    for _ in range(9):
+        picture = np.zeros((size[1], size[0], 3), np.uint8)
+        writer.write(cv2.circle(picture, (size[0] // 2, size[1] // 2), 25, (255, 255, 255), -1))
+    writer.release()
+    return path.read_bytes()
+
+
+def with_pixel(data: bytes, wide: int, high: int) -> bytes:
+    """The file with a pasp box (shape of a pixel) at the end of its picture's description, as ISO 14496-12 has it."""
+    box = struct.pack(">I4sII", 16, b"pasp", wide, high)
+    entry = data.index(b"mp4v", data.index(b"stsd")) - 4
+    end = entry + struct.unpack_from(">I", data, entry)[0]
+    changed = bytearray(data[:end] + box + data[end:])
+    for kind in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd"):
+        at = data.index(kind, data.index(b"moov")) - 4
+        struct.pack_into(">I", changed, at, struct.unpack_from(">I", data, at)[0] + len(box))
+    at = entry
+    struct.pack_into(">I", changed, at, struct.unpack_from(">I", data, at)[0] + len(box))
+    return bytes(changed)
+
+
+def disc(path: Path) -> tuple[tuple[int, int], float]:
+    """The size of the picture, and width over height of what is bright in it."""
+    with open_video(path) as video:
+        bright = next(iter(video)).rgb.mean(axis=-1) > 128
+        return video.size, float(
+            np.ptp(np.flatnonzero(bright.any(axis=0))) / np.ptp(np.flatnonzero(bright.any(axis=1)))
+        )
+
+
+def test_pixels_that_are_not_square_are_made_square():
+    with open_video(outside("pixels_16_9.mp4")) as video:
+        assert video.size == (640, 480)
+        assert next(iter(video)).rgb.shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize(
+    ("wide", "high", "size"), [(1, 1, (96, 80)), (3, 2, (144, 80)), (10, 11, (96, 88)), (0, 0, (96, 80))]
+)
+def test_a_disc_has_the_shape_that_its_pixels_give_it(wide, high, size, tmp_path):
+    (tmp_path / "a.mp4").write_bytes(with_pixel(clip(tmp_path / "b.mp4"), wide, high))
+    assert disc(tmp_path / "a.mp4")[0] == size
+    assert disc(tmp_path / "a.mp4")[1] == pytest.approx((wide or 1) / (high or 1), abs=0.05)
+
+
+@pytest.mark.parametrize("ending", ["mp4", "avi", "mkv"])
+def test_only_a_file_that_lacks_bytes_lacks_its_end(ending, tmp_path):
+    path = tmp_path / f"a.{ending}"
+    whole = clip(path)
+    assert missing_bytes(path) == 0
+    path.write_bytes(whole[:-100])
+    assert missing_bytes(path) == 100
+
+
+# ---------------------------------------------------------------------- sources
+
+
+@pytest.mark.parametrize("address", ["https://somewhere.example/dance.mp4", "rtsp://192.168.0.2/stream"])
+def test_an_address_as_source_says_what_to_do(address):
+    with pytest.raises(SourceError) as error:
+        load_motion(address)
+    one_line(error, "address", "download")
