@@ -169,9 +169,8 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     moved = known[np.append(True, np.diff(known) != 0)] if len(known) else known
     check_clock(known if 2 * len(moved) < len(known) else moved, path.name, CalibrationError)
     log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
-    for fault in (unit_fault(log), jump_fault(log)):
-        if fault:
-            raise CalibrationError(f"{path}: {fault}")
+    if fault := jump_fault(log) or unit_fault(log):
+        raise CalibrationError(f"{path.name}: {fault}")
     return log
 
 
@@ -179,7 +178,7 @@ FACTORS = {
     "degrees": 180.0 / np.pi,
     "milliradians": 1000.0,
     "centidegrees": 18_000.0 / np.pi,
-    **{f"ticks of {turn} a turn": turn / (2 * np.pi) for turn in (1024, 4096, 16384, 65536)},
+    **{f"ticks of {turn} a turn": turn / (2 * np.pi) for turn in (4096, 16384)},
 }
 """Units that angles come in, by their number in a radian."""
 
@@ -202,22 +201,25 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
             x = values[np.isfinite(values[:, j]), j]
             bound = np.inf if limits is None else float(np.abs(limits[j]).max())
             reach, span = (float(np.abs(x).max()), float(np.ptp(x))) if len(x) else (0.0, 0.0)
-            whole = bool((x == np.round(x)).all())
+            whole = _whole(x)
             if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 20.0)):
                 continue
             most = bound if np.isfinite(bound) else 2 * np.pi
-            units = [
-                unit for unit, factor in FACTORS.items() if whole <= ("ticks" in unit) and reach <= 1.1 * factor * most
-            ]
-            limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
-            sign = ", with a sign bit" if whole and np.abs(np.diff(x)).max() > 30_000 else ""
-            given = f"whole numbers up to {reach:.0f}: encoder ticks{sign}" if whole else f"up to {reach:.4g}"
+            units = [u for u, factor in FACTORS.items() if whole == ("ticks" in u) and reach <= 1.1 * factor * most]
             scales = ", ".join(f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units) or "something else"
+            limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
+            sign = " with a sign bit" if whole and np.abs(np.diff(x)).max() > 30_000 else ""
+            given = f"encoder ticks{sign}, up to {reach:.0f}" if whole else f"up to {reach:.4g}"
             return (
-                f"{name}.{joint} has {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}; "
-                f'it can be {scales}. Convert it, or write "units": "deg" or "rad" into its notes if that is right'
+                f"{name}.{joint} is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
+                f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
             )
     return None
+
+
+def _whole(x: FloatArray) -> bool:
+    """Return whether readings are whole numbers from the first one on, as those of an encoder."""
+    return bool(len(x) and (x - x[0] == np.round(x - x[0])).all())
 
 
 def jump_fault(log: JointLog) -> str | None:
@@ -228,7 +230,7 @@ def jump_fault(log: JointLog) -> str | None:
     """
     for j, joint in enumerate(log.joints):
         rows = np.flatnonzero(np.isfinite(log.q[:, j]) & np.isfinite(log.t))
-        if len(rows) < 10:
+        if len(rows) < 10 or (_whole(log.q[rows, j]) and np.ptp(log.q[rows, j]) > 2 * np.pi):  # ticks
             continue
         step = np.diff(log.q[rows, j])
         speed = np.abs(step) / np.maximum(np.diff(log.t[rows]), 1e-6)

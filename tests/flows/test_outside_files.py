@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from datetime import UTC, datetime
+from decimal import Decimal
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from mimic.config.pose import MocapSettings, PoseSettings
-from mimic.errors import ConfigError, MimicError, SourceError
+from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
 from mimic.flows.motion import load_motion
+from mimic.io.joint_log import read_log
 from mimic.records import PoseTrack
 from mimic.retargeting.wrists import wrist_track
 from mimic.sources.mocap.load import track_mocap
@@ -372,6 +377,193 @@ def test_only_a_file_that_lacks_bytes_lacks_its_end(ending, tmp_path):
     assert missing_bytes(path) == 0
     path.write_bytes(whole[:-100])
     assert missing_bytes(path) == 100
+
+
+# ---------------------------------------------------------------------- joint logs
+
+T = 0.005 * np.arange(1600)
+ANGLES = 0.8 * np.stack([np.sin(2 * np.pi * 0.4 * T), np.cos(2 * np.pi * 0.3 * T)], -1)
+
+
+def columns(**change: object) -> dict[str, object]:
+    """Two joints that swing by 0.8 rad."""
+    named = {f"{channel}.{joint}": ANGLES[:, i] for channel in ("q", "q_des") for i, joint in enumerate("ab")}
+    return {"t": T, **named, **{name.replace("__", "."): value for name, value in change.items()}}
+
+
+def parquet(path: Path, **change: object) -> Path:
+    pq.write_table(pa.table(columns(**change)), path)
+    return path
+
+
+def csv(path: Path, encoding: str = "utf-8", **change: object) -> Path:
+    own = columns(**change)
+    rows = [",".join(str(v) for v in row) for row in zip(*own.values(), strict=True)]
+    path.write_text("\n".join([",".join(own), *rows]) + "\n", encoding=encoding)
+    return path
+
+
+def refused(path: Path, *words: str) -> None:
+    with pytest.raises(CalibrationError) as error:
+        read_log(path)
+    one_line(error, *words)
+
+
+def test_a_column_of_true_and_false_is_read():
+    log = read_log(outside("enabled_bool.parquet"))
+    off = log.extra["enabled"] == 0.0
+    assert set(np.unique(log.extra["enabled"])) == {0.0, 1.0}
+    assert (log.t[off].min(), log.t[off].max()) == pytest.approx((3.0, 4.995))
+
+
+ON = T < 4
+SINCE = (1_700_000_000_000_000 + (T * 1e6)).astype("int64")
+KINDS = {
+    "bool": pa.array(ON),
+    "decimal": pa.array([Decimal(int(v)) for v in ON], pa.decimal128(5, 2)),
+    "int8": pa.array(ON.astype(np.int8)),
+    "float16": pa.array(ON.astype(np.float16)),
+    "lists of one": pa.array([[float(v)] for v in ON]),
+    "dictionary": pa.array(ON.astype(float)).dictionary_encode(),
+    "text of words": pa.array(["True" if v else "False" for v in ON]),
+    "text of numbers": pa.array(["1" if v else "0" for v in ON]),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_of_any_type_are_read(kind, tmp_path):
+    log = read_log(parquet(tmp_path / "a.parquet", enabled=KINDS[kind]))
+    np.testing.assert_array_equal(log.extra["enabled"], ON)
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_time_stamps_are_read_as_seconds(unit, tmp_path):
+    t = pa.array(SINCE, pa.timestamp("us")).cast(pa.timestamp(unit))
+    log = read_log(parquet(tmp_path / "a.parquet", t=t))
+    assert log.t - log.t[0] == pytest.approx(T, abs=1e-6)
+
+
+def test_lists_are_read_as_a_column_for_each_joint(tmp_path):
+    table = pa.table({"t": T, "q": pa.array(ANGLES.tolist()), "q_des": pa.array(ANGLES.tolist())})
+    pq.write_table(table.replace_schema_metadata({"mimic_log": '{"joints": ["a", "b"]}'}), tmp_path / "a.parquet")
+    log = read_log(tmp_path / "a.parquet")
+    assert log.joints == ("a", "b")
+    assert log.q == pytest.approx(ANGLES)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "kind"),
+    [
+        ("enabled", pa.array(["on" if v else "off" for v in ON]), "text such as 'on'"),
+        ("tau__a", pa.array([{"x": 1.0}] * len(T)), "struct"),
+        ("q__a", pa.array([b"\xff"] * len(T)), "binary"),
+        ("temperature__a", pa.array([[1.0], [1.0, 2.0]] * (len(T) // 2)), "list"),
+    ],
+)
+def test_a_column_of_ours_that_is_no_number_is_refused_with_its_type(name, values, kind, tmp_path):
+    refused(parquet(tmp_path / "a.parquet", **{name: values}), f"column {name.replace('__', '.')}", kind)
+
+
+def test_a_column_of_somebody_else_may_be_text(tmp_path):
+    log = read_log(parquet(tmp_path / "a.parquet", operator=pa.array(["Kim"] * len(T))))
+    assert "operator" not in log.extra
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_words_and_time_stamps_of_a_table_are_read(encoding, tmp_path):
+    stamps = [datetime.fromtimestamp(us / 1e6, UTC).isoformat() for us in SINCE.tolist()]
+    log = read_log(csv(tmp_path / "a.csv", encoding, t=stamps, enabled=[str(bool(v)) for v in ON]))
+    np.testing.assert_array_equal(log.extra["enabled"], ON)
+    assert log.t - log.t[0] == pytest.approx(T, abs=1e-5)
+    refused(csv(tmp_path / "b.csv", enabled=["on"] * len(T)), "column enabled", "'on'")
+
+
+def test_a_table_row_of_another_width_is_refused(tmp_path):
+    path = csv(tmp_path / "a.csv")
+    path.write_text(path.read_text() + "9,1,2,3\n")
+    refused(path, "row 1601 has 4 values", "5 names")
+
+
+def test_ticks_are_not_called_degrees():
+    with pytest.raises(CalibrationError) as error:
+        read_log(outside("ticks.csv"))
+    assert "ticks of 4096 a turn (651.9 a radian)" in str(error.value)
+    assert "degrees (" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("factor", "whole", "possible", "impossible"),
+    [
+        (1000.0, False, "milliradians (1000 a radian)", " degrees ("),
+        (18_000 / np.pi, False, "centidegrees (5730 a radian)", " degrees ("),
+        (180 / np.pi, False, "degrees (57.3 a radian)", "something else"),
+        (16384 / (2 * np.pi), True, "ticks of 16384 a turn (2608 a radian)", " degrees ("),
+    ],
+)
+def test_a_unit_is_named_only_where_it_can_be(factor, whole, possible, impossible, tmp_path):
+    turned = {f"{name.replace('.', '__')}": factor * np.array(x) for name, x in columns().items() if name != "t"}
+    path = parquet(tmp_path / "a.parquet", **({n: np.round(x) for n, x in turned.items()} if whole else turned))
+    refused(path, "not radians", possible)
+    with pytest.raises(CalibrationError) as error:
+        read_log(path)
+    assert impossible not in str(error.value)
+
+
+def test_ticks_with_a_sign_bit_are_said(tmp_path):
+    ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64) & 0xFFFF
+    refused(parquet(tmp_path / "a.parquet", q__a=ticks[:, 0], q__b=ticks[:, 1]), "sign bit")
+
+
+def test_a_reading_that_jumps_is_refused_with_row_and_size():
+    path = outside("jump_40deg.csv")
+    table = np.genfromtxt(path, delimiter=",", names=True, deletechars="")
+    steps = np.diff(table["q.a"])
+    row = int(np.abs(steps).argmax())
+    refused(path, f"row {row + 2}", f"{steps[row]:+.3f}")
+
+
+@pytest.mark.parametrize("turns", [1, -2, 5])
+def test_an_encoder_that_wraps_around_by_any_number_of_turns_is_said(turns, tmp_path):
+    q = ANGLES[:, 1] + 2 * np.pi * turns * (T >= 3)
+    refused(parquet(tmp_path / "a.parquet", q__b=q), "q.b jumps by", "row 601", f"{abs(turns)} turn", "unwrap")
+
+
+@pytest.mark.parametrize("size", [0.2, -0.35, 1.57])
+def test_a_jump_of_any_size_is_refused(size, tmp_path):
+    noise = np.random.default_rng(1).normal(0, 3e-4, len(T))
+    refused(parquet(tmp_path / "a.parquet", q__a=ANGLES[:, 0] + noise + size * (T >= 5)), "q.a jumps by", "row 1001")
+
+
+def test_a_single_reading_that_is_off_and_a_step_of_a_target_are_no_jumps(tmp_path):
+    q = np.array(ANGLES[:, 0])
+    q[700] += 0.9
+    log = read_log(parquet(tmp_path / "a.parquet", q__a=q, q_des__b=ANGLES[:, 1] + (T >= 5)))
+    assert log.q[700, 0] == pytest.approx(q[700])
+
+
+def test_a_clock_of_32_bits_is_refused():
+    refused(outside("clock_float32_epoch.parquet"), "32 bits", "128 s")
+
+
+@pytest.mark.parametrize(
+    ("t", "words"),
+    [
+        (np.zeros(len(T)), ["equal in 1600 of 1600 rows"]),
+        ((1.7e9 + T).astype(np.float32), ["32 bits"]),
+        (T + 3600.0 * (T > 2), ["jump by 3600.0", "row 401"]),
+        (1e3 * T, ["5 s apart", "milliseconds"]),
+        (1e6 * T, ["microseconds"]),
+        (np.where(T > 2, T - 1, T), ["do not increase", "row 402"]),
+    ],
+)
+def test_a_clock_of_a_log_that_cannot_be_true_is_refused(t, words, tmp_path):
+    refused(parquet(tmp_path / "a.parquet", t=t), *words)
+
+
+def test_a_few_rows_read_twice_are_no_fault_of_the_clock(tmp_path):
+    t = np.array(T)
+    t[100] = t[101]
+    assert len(read_log(parquet(tmp_path / "a.parquet", t=t)).t) == len(T)
 
 
 # ---------------------------------------------------------------------- sources
