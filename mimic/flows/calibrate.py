@@ -196,7 +196,8 @@ def checked_log(
     if machine.unit == "rad" and (fault := unit_fault(log, limits)):
         raise CalibrationError(fault)
     check = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
-    return check, machine, [*_missing_gains(log, machine), *check.warnings]
+    dropped = [f"of the model, a replay leaves out: {'; '.join(machine.dropped)}"] if machine.dropped else []
+    return check, machine, [*dropped, *_missing_gains(log, machine), *check.warnings]
 
 
 def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]) -> MachineModel:

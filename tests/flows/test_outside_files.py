@@ -15,10 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from mimic.config.pose import MocapSettings, PoseSettings
+from mimic.dynamics.machine import read_machine
 from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
-from mimic.flows.motion import load_motion
+from mimic.flows.calibrate import checked_log
+from mimic.flows.motion import load_motion, retarget
+from mimic.flows.reporter import SilentReporter
 from mimic.io.joint_log import read_log
-from mimic.records import PoseTrack
+from mimic.records import PoseTrack, WristTrack
 from mimic.retargeting.wrists import wrist_track
 from mimic.sources.mocap.load import track_mocap
 from mimic.sources.video.decoding import missing_bytes, open_video
@@ -566,6 +569,50 @@ def test_a_few_rows_read_twice_are_no_fault_of_the_clock(tmp_path):
     assert len(read_log(parquet(tmp_path / "a.parquet", t=t)).t) == len(T)
 
 
+# ---------------------------------------------------------------------- models
+
+
+PENDULUMS = """<mujoco><worldbody>
+<body name="ba"><joint name="a" axis="0 1 0"/><inertial pos="0 0 -0.15" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+<site name="s"/></body><body name="bb" pos="0.5 0 0"><joint name="b" axis="0 1 0"/>
+<inertial pos="0 0 -0.15" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody>
+<actuator>{a}{b}</actuator>{more}</mujoco>"""
+
+
+def said_of_the_model(path: Path, tmp_path: Path) -> str:
+    log = read_log(parquet(tmp_path / "log.parquet"), {"kp": 8.0, "kd": 0.3})
+    said = checked_log(log, path, lambda *_: None)[2]
+    return " ".join(line for line in said if "leaves out" in line)
+
+
+def test_what_a_replay_drops_of_a_model_is_said(tmp_path):
+    assert "timeconst" in said_of_the_model(outside("act_timeconst.xml"), tmp_path)
+    assert "actuators a, b" in said_of_the_model(outside("act_timeconst.xml"), tmp_path)
+    assert said_of_the_model(outside("two_pendulums.xml"), tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("a", "more", "said"),
+    [
+        ('<position joint="a" kp="8"/>', "", ""),
+        ('<position joint="a" kp="8" ctrlrange="-1 1"/>', "", "ranges of targets (ctrlrange) of the actuators a"),
+        ('<general joint="a" dyntype="filter" dynprm=".1"/>', "", "activation dynamics (timeconst) of the actuators a"),
+        ('<motor name="jet" site="s" gear="0 0 1 0 0 0"/>', "", "act on no joint of the actuators jet"),
+        ('<motor joint="a"/>', '<sensor><jointpos joint="a"/><gyro site="s"/></sensor>', "2 sensors"),
+    ],
+)
+def test_each_part_that_a_replay_drops_is_named(a, more, said, tmp_path):
+    (tmp_path / "a.xml").write_text(PENDULUMS.format(a=a, b='<position joint="b" kp="8"/>', more=more))
+    found = said_of_the_model(tmp_path / "a.xml", tmp_path)
+    assert said in found if said else not found
+
+
+def test_the_range_of_a_motor_bounds_its_torque(tmp_path):
+    motors = '<motor joint="a" gear="20" ctrlrange="-.4 .4"/>', '<motor joint="b" gear="10" forcerange="-.2 .2"/>'
+    (tmp_path / "a.xml").write_text(PENDULUMS.format(a=motors[0], b=motors[1], more=""))
+    assert read_machine(tmp_path / "a.xml").drives.torque == pytest.approx([8.0, 2.0])
+
+
 # ---------------------------------------------------------------------- sources
 
 
@@ -574,3 +621,46 @@ def test_an_address_as_source_says_what_to_do(address):
     with pytest.raises(SourceError) as error:
         load_motion(address)
     one_line(error, "address", "download")
+
+
+# ---------------------------------------------------------------------- tracks from a program
+
+
+def wrists(scale: float = 1.0, rate: float = 50.0, arm: float = 0.6) -> WristTrack:
+    t = np.arange(200) / rate
+    swing = np.stack([0.6 * np.sin(2 * np.pi * 0.01 * np.arange(200)), np.full(200, 0.1), np.full(200, -0.7)], -1)
+    p = scale * np.stack([swing, swing * [1, -1, 1]], axis=1)
+    return WristTrack(t=t, p_SH=p, heading=np.zeros(200), valid=np.ones((200, 2), bool), arm_length=arm)
+
+
+class Heard(SilentReporter):
+    """Keeps the warnings."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def warn(self, text: str) -> None:
+        self.said.append(text)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(600.0, "556 arm lengths"), (0.01, "arm lengths")])
+def test_wrists_in_another_unit_are_refused(scale, said):
+    with pytest.raises(SourceError) as error:
+        retarget(wrists(scale))
+    one_line(error, said, "divide them by the length of the arm")
+
+
+@pytest.mark.parametrize(("rate", "said"), [(0.05, "20 s apart"), (1e6, "1e-06 s apart")])
+def test_times_of_wrists_in_another_unit_are_refused(rate, said):
+    with pytest.raises(SourceError) as error:
+        retarget(wrists(rate=rate))
+    one_line(error, said)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [({"rate": 1500.0}, "arm lengths a second"), ({"arm": 600.0}, "600 m long"), ({}, None)]
+)
+def test_hands_that_are_too_fast_and_arms_too_long_are_said(change, said):
+    heard = Heard()
+    retarget(wrists(**change), reporter=heard)
+    assert any(said in text for text in heard.said) if said else not heard.said
