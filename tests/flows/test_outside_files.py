@@ -18,7 +18,7 @@ from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.dynamics.machine import read_machine
 from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
 from mimic.flows.calibrate import checked_log
-from mimic.flows.motion import load_motion, retarget
+from mimic.flows.motion import load_motion, retarget, track_video
 from mimic.flows.reporter import SilentReporter
 from mimic.io.joint_log import read_log
 from mimic.records import PoseTrack, WristTrack
@@ -362,6 +362,23 @@ def test_pixels_that_are_not_square_are_made_square():
     with open_video(outside("pixels_16_9.mp4")) as video:
         assert video.size == (640, 480)
         assert next(iter(video)).rgb.shape == (480, 640, 3)
+
+
+@pytest.mark.slow
+def test_a_person_in_wide_pixels_moves_as_in_square_ones(tmp_path):
+    with open_video(outside("pixels_16_9.mp4")) as video:
+        writer = cv2.VideoWriter(str(tmp_path / "square.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, video.size)
+        stamps = []
+        for frame in video:
+            writer.write(frame.rgb[..., ::-1].copy())
+            stamps.append(frame.stamp_ms)
+        writer.release()
+    assert np.median(np.diff(stamps)) == pytest.approx(40.0, abs=7.0)
+    wide, square = (
+        wrist_track(track_video(path, cache=False)).p_SH
+        for path in (outside("pixels_16_9.mp4"), tmp_path / "square.avi")
+    )
+    assert np.nanmean(np.linalg.norm(wide - square, axis=-1)) < 0.05
 
 
 @pytest.mark.parametrize(

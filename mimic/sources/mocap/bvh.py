@@ -49,15 +49,14 @@ class _Words:
             return word
         raise self.wrong("the end of the file", expected)
 
-    def number(self, expected: str) -> float:
-        word = self.next(expected)
+    def number(self, expected: str, word: str | None = None) -> float:
+        word = word or self.next(expected)
         try:
-            value = float(word)
+            if math.isfinite(value := float(word)):
+                return value
         except ValueError:
-            raise self.wrong(repr(word), expected) from None
-        if not math.isfinite(value):
-            raise self.wrong(repr(word), expected)
-        return value
+            pass
+        raise self.wrong(repr(word), expected)
 
     def no_bvh(self) -> SourceError:
         return SourceError(f"{self._name}, line 1: not a BVH file (it must start with HIERARCHY)")
@@ -147,18 +146,9 @@ def _header(words: _Words) -> tuple[int, float]:
 def _numbers(words: _Words, width: int) -> list[float]:
     """Return the numbers of all rows; a row may go on in the next line, but no line in the next row."""
 
-    def number(word: str) -> float:
-        try:
-            value = float(word)
-        except ValueError:
-            raise words.wrong(repr(word), "a number") from None
-        if not math.isfinite(value):
-            raise words.wrong(repr(word), "a number")
-        return value
-
     numbers: list[float] = []
     for line, row in groupby(words, lambda _: words.line):
-        given = [number(word) for word in row]
+        given = [words.number("a number", word) for word in row]
         if len(given) > width - len(numbers) % width:
             words.line = line
             raise words.wrong(

@@ -151,8 +151,8 @@ def _apart(one: _Named, other: _Named) -> bool:
         [[who.xyz[:, who.names.index(f"{side}_{part}")] for side in ("left", "right")] for who in (one, other)]
         for part in ("wrist", "shoulder")
     )
-    gap = np.linalg.norm(np.subtract(*wrists), axis=-1)
-    width = np.linalg.norm(np.subtract(*shoulders[0]), axis=-1)
+    gap = np.linalg.norm(np.subtract(wrists[0], wrists[1]), axis=-1)
+    width = np.linalg.norm(np.subtract(shoulders[0][0], shoulders[0][1]), axis=-1)
     known = np.isfinite(gap)
     return not known.any() or float(np.median(gap[known])) > 0.1 * float(np.nanmedian(width))
 

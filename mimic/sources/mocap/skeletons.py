@@ -21,59 +21,47 @@ NEEDED = ("left_shoulder", "right_shoulder", "left_wrist", "right_wrist")
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index")
 
 
-def _sides(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
-    """Return a scheme from one pattern per limb, in the order of _LIMBS.
+_NAMES = """
+mixamo       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}ToeBase
+lafan1       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}Toe
+xsens        Left Right {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}Toe
+unity        Left Right {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}Toes
+biovision    Left Right {}UpArm {}LowArm {}Hand {}UpLeg {}LowLeg {}Foot
+cmu          l r        {}humerus {}radius {}wrist {}femur {}tibia {}foot {}toes
+daz          l r        {}Shldr {}ForeArm {}Hand {}Thigh {}Shin {}Foot
+biped        L R        {}UpperArm {}Forearm {}Hand {}Thigh {}Calf {}Foot {}Toe0
+vroid        L R        {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}ToeBase
+optitrack    L R        {}UArm {}FArm {}Hand {}Thigh {}Shin {}Foot {}Toe
+unreal       l r        upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{} ball_{}
+rigify       L R        upper_arm{} forearm{} hand{} thigh{} shin{} foot{} toe{}
+smpl         L R        {}_Shoulder {}_Elbow {}_Wrist {}_Hip {}_Knee {}_Ankle {}_Toe
+openpose     L R        {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}BigToe
+mimic        L R        shoulder{} elbow{} wrist{} hip{} knee{} ankle{}
+plug-in_gait L R        {}SHO {}ELB {}WRA+{}WRB {}ASI+{}PSI {}KNE {}ANK {}TOE
+qualisys     L R        {}Shoulder {}Elbow {}WristIn+{}WristOut - {}KneeOut {}AnkleOut
+opencap      L r        {}_shoulder_study {}_lelbow_study+{}_melbow_study {}_lwrist_study+{}_mwrist_study {}HJC_study \
+ {}_knee_study+{}_mknee_study {}_ankle_study+{}_mankle_study {}_toe_study
+"""
+"""Scheme, its left and right, and its names in the order of _LIMBS: ``{}`` is the side, ``a+b`` a mean, ``-`` nothing.
 
-    ``{}`` is the side, ``a+b`` a mean, "" nothing.
-    """
-    scheme = {}
-    for limb, pattern in zip(_LIMBS, patterns, strict=False):
-        for side, own in (("left", left), ("right", right)):
-            if pattern:
-                scheme[f"{side}_{limb}"] = tuple(name.format(own) for name in pattern.split("+"))
-    return scheme
+The arm begins at the joint whose child is the elbow: mixamo's LeftShoulder is a collar bone. Mixamo's names are also
+those of Motion Builder, Perception Neuron and Rokoko, Unity's those of VRM, and mimic's are beside its example clips.
+Markers on the skin lie beside their joint. OpenCap: Uhlrich et al., PLOS Computational Biology, 2023.
+"""
+
+
+def _scheme(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
+    return {
+        f"{side}_{limb}": tuple(name.format(own) for name in pattern.split("+"))
+        for limb, pattern in zip(_LIMBS, patterns, strict=False)
+        for side, own in (("left", left), ("right", right))
+        if pattern != "-"
+    } | {"nose": ("Nose",), "left_ear": (f"{left}Ear",), "right_ear": (f"{right}Ear",)}
 
 
 SCHEMES: Mapping[str, Scheme] = {
     "blazepose": {name: (name,) for name in LANDMARKS},
-    # Joints of the arm: Arm at the shoulder, ForeArm at the elbow, Hand at the wrist. LeftShoulder is the collar bone.
-    "mixamo": _sides(
-        "Left", "Right", "{}Arm", "{}ForeArm", "{}Hand", "{}UpLeg", "{}Leg", "{}Foot", "{}ToeBase"
-    ),  # also Motion Builder, CMU as converted for it, Perception Neuron, Rokoko
-    "lafan1": _sides("Left", "Right", "{}Arm", "{}ForeArm", "{}Hand", "{}UpLeg", "{}Leg", "{}Foot", "{}Toe"),
-    "xsens": _sides("Left", "Right", "{}Shoulder", "{}Elbow", "{}Wrist", "{}Hip", "{}Knee", "{}Ankle", "{}Toe"),
-    "cmu": _sides("l", "r", "{}humerus", "{}radius", "{}wrist", "{}femur", "{}tibia", "{}foot", "{}toes"),
-    "daz": _sides("l", "r", "{}Shldr", "{}ForeArm", "{}Hand", "{}Thigh", "{}Shin", "{}Foot"),
-    "unreal": _sides("l", "r", "upperarm_{}", "lowerarm_{}", "hand_{}", "thigh_{}", "calf_{}", "foot_{}", "ball_{}"),
-    "smpl": _sides("L", "R", "{}_Shoulder", "{}_Elbow", "{}_Wrist", "{}_Hip", "{}_Knee", "{}_Ankle", "{}_Toe"),
-    "openpose": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}Wrist", "{}Hip", "{}Knee", "{}Ankle", "{}BigToe")
-    | {"nose": ("Nose",), "left_ear": ("LEar",), "right_ear": ("REar",)},
-    # The positions beside the example clips (examples/videos/*.npz).
-    "mimic": _sides("L", "R", "shoulder{}", "elbow{}", "wrist{}", "hip{}", "knee{}", "ankle{}") | {"nose": ("nose",)},
-    "unity": _sides(
-        "Left", "Right", "{}UpperArm", "{}LowerArm", "{}Hand", "{}UpperLeg", "{}LowerLeg", "{}Foot", "{}Toes"
-    ),  # also VRM
-    "vroid": _sides("L", "R", "{}UpperArm", "{}LowerArm", "{}Hand", "{}UpperLeg", "{}LowerLeg", "{}Foot", "{}ToeBase"),
-    "biped": _sides("L", "R", "{}UpperArm", "{}Forearm", "{}Hand", "{}Thigh", "{}Calf", "{}Foot", "{}Toe0"),
-    "rigify": _sides("L", "R", "upper_arm{}", "forearm{}", "hand{}", "thigh{}", "shin{}", "foot{}", "toe{}"),
-    "optitrack": _sides("L", "R", "{}UArm", "{}FArm", "{}Hand", "{}Thigh", "{}Shin", "{}Foot", "{}Toe"),
-    "biovision": _sides("Left", "Right", "{}UpArm", "{}LowArm", "{}Hand", "{}UpLeg", "{}LowLeg", "{}Foot"),
-    "opensim": _sides("L", "R", "{}.Shoulder", "{}.Elbow", "{}.Wrist", "{}.Hip", "{}.Knee", "{}.Ankle"),
-    # Markers on the skin, each beside its joint; hips are the middle of the two markers of the pelvis on that side.
-    "plug-in gait": _sides("L", "R", "{}SHO", "{}ELB", "{}WRA+{}WRB", "{}ASI+{}PSI", "{}KNE", "{}ANK", "{}TOE"),
-    # Markers that OpenCap's and Pose2Sim's marker augmentation adds (Uhlrich et al., PLOS Computational Biology, 2023).
-    "opencap": _sides(
-        "L",
-        "r",
-        "{}_shoulder_study",
-        "{}_lelbow_study+{}_melbow_study",
-        "{}_lwrist_study+{}_mwrist_study",
-        "{}HJC_study",
-        "{}_knee_study+{}_mknee_study",
-        "{}_ankle_study+{}_mankle_study",
-        "{}_toe_study",
-    ),
-    "qualisys": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}WristIn+{}WristOut", "", "{}KneeOut", "{}AnkleOut"),
+    **{name.replace("_", " "): _scheme(*words) for name, *words in map(str.split, _NAMES.strip().splitlines())},
 }
 """Naming schemes that are recognised by themselves; the one that knows most of the file's landmarks wins."""
 
