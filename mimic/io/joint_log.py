@@ -166,8 +166,7 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
         metadata = {**metadata, UNITS: "rad"}
         found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
     known = columns["t"][np.isfinite(columns["t"])]
-    moved = known[np.append(True, np.diff(known) != 0)] if len(known) else known
-    check_clock(known if 2 * len(moved) < len(known) else moved, path.name, CalibrationError)
+    check_clock(known, path.name, CalibrationError, repeats=True)
     log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
     if fault := jump_fault(log) or unit_fault(log):
         raise CalibrationError(f"{path.name}: {fault}")

@@ -25,7 +25,9 @@ def read_text(path: Path) -> str:
     return data.decode(marked or plain, errors="replace")
 
 
-def check_clock(t: FloatArray, name: str, error: type[MimicError], mend: str = "store times in seconds") -> None:
+def check_clock(
+    t: FloatArray, name: str, error: type[MimicError], mend: str = "store times in seconds", *, repeats: bool = False
+) -> None:
     """Refuse times that no recording has, in one line.
 
     Args:
@@ -33,6 +35,7 @@ def check_clock(t: FloatArray, name: str, error: type[MimicError], mend: str = "
         name: Of the file or record, for the message.
         error: What to raise.
         mend: What else to do about times of another unit.
+        repeats: Some rows may have the time of the row before.
     """
     unknown = np.flatnonzero(~np.isfinite(t))
     if len(unknown):
@@ -40,22 +43,22 @@ def check_clock(t: FloatArray, name: str, error: type[MimicError], mend: str = "
     if len(t) < 2:
         return
     steps = np.diff(t)
-    grain = float(np.spacing(np.float32(np.abs(t).max())))
-    coarse = np.array_equal(t, t.astype(np.float32)) and grain > 1e-3
-    back = np.flatnonzero(~(steps > 0))
-    if len(back) and (coarse or not steps.any()):
+    equal, grain = int(np.sum(steps == 0)), float(np.spacing(np.float32(np.abs(t).max())))
+    coarse = np.array_equal(t, t.astype(np.float32)) and grain * len(steps) > 0.25 * abs(t[-1] - t[0])
+    if coarse or 2 * equal > len(steps):
         raise error(
-            f"the times of {name} are equal in {len(back) + 1} of {len(t)} rows"
-            + (f": numbers of 32 bits step by {grain:g} s at {t[0]:.6g} s" if coarse else "")
+            f"the times of {name} are equal in {equal + 1} of {len(t)} rows"
+            + (f": numbers of 32 bits step by {grain:.3g} s at {t[0]:.6g} s" if coarse else "")
             + "; store them with 64 bits, or count them from the first row"
         )
+    back = np.flatnonzero(steps < 0 if repeats else steps <= 0)
     if len(back):
         row = int(back[0])
         raise error(
             f"the times of {name} do not increase: row {row + 2} has {t[row + 1]:.10g} s after {t[row]:.10g} s; "
             "sort the rows and drop repeated ones"
         )
-    usual, largest = float(np.median(steps)), int(steps.argmax())
+    usual, largest = float(np.median(steps[steps > 0])), int(steps.argmax())
     if not STEPS[0] <= usual <= STEPS[1]:
         units = [unit for unit, scale in _SCALES.items() if STEPS[0] <= scale * usual <= STEPS[1]]
         rate = f"a rate of {usual:g} Hz where a period is expected" if 5.0 <= usual <= 20_000.0 else ""

@@ -390,6 +390,37 @@ def test_a_disc_has_the_shape_that_its_pixels_give_it(wide, high, size, tmp_path
     assert disc(tmp_path / "a.mp4")[1] == pytest.approx((wide or 1) / (high or 1), abs=0.05)
 
 
+def with_edits(data: bytes, *edits: tuple[int, int]) -> bytes:
+    """The file with an edit list: length on the film's clock, and where in the pictures it begins (-1 for nothing)."""
+    entries = b"".join(struct.pack(">IiI", length, begin, 0x10000) for length, begin in edits)
+    inner = struct.pack(">I4sII", 16 + len(entries), b"elst", 0, len(edits)) + entries
+    box = struct.pack(">I4s", 8 + len(inner), b"edts") + inner
+    moov = data.index(b"moov")
+    old = data.find(b"edts", moov)
+    if old >= 0:  # the writer's own, which says nothing
+        data = data[:old] + b"free" + data[old + 4 :]
+    mdia = data.index(b"mdia", moov) - 4
+    changed = bytearray(data[:mdia] + box + data[mdia:])
+    for kind in (b"moov", b"trak"):
+        at = data.index(kind, moov) - 4
+        struct.pack_into(">I", changed, at, struct.unpack_from(">I", data, at)[0] + len(box))
+    return bytes(changed)
+
+
+@pytest.mark.parametrize("edit", ["trimmed", "late"])
+def test_a_trimmed_clip_and_a_late_start_lack_no_end(edit, tmp_path):
+    data = clip(tmp_path / "a.mp4")
+    scale = struct.unpack_from(">I", data, data.index(b"mvhd") + 16)[0]
+    ticks = struct.unpack_from(">I", data, data.index(b"mdhd") + 16)[0]
+    edits = [(scale * 5 // 25, ticks * 4 // 25)] if edit == "trimmed" else [(scale, -1), (scale * 9 // 25, 0)]
+    (tmp_path / "a.mp4").write_bytes(with_edits(data, *edits))
+    with open_video(tmp_path / "a.mp4") as video:
+        stamps = np.array([frame.stamp_ms for frame in video])
+    assert np.diff(stamps) == pytest.approx(40.0)
+    assert len(stamps) == (5 if edit == "trimmed" else 9)
+    assert missing_bytes(tmp_path / "a.mp4") == 0
+
+
 @pytest.mark.parametrize("ending", ["mp4", "avi", "mkv"])
 def test_only_a_file_that_lacks_bytes_lacks_its_end(ending, tmp_path):
     path = tmp_path / f"a.{ending}"
@@ -570,6 +601,7 @@ def test_a_clock_of_32_bits_is_refused():
     [
         (np.zeros(len(T)), ["equal in 1600 of 1600 rows"]),
         ((1.7e9 + T).astype(np.float32), ["32 bits"]),
+        ((9e4 + T).astype(np.float32), ["32 bits step by 0.00781 s"]),
         (T + 3600.0 * (T > 2), ["jump by 3600.0", "row 401"]),
         (1e3 * T, ["5 s apart", "milliseconds"]),
         (1e6 * T, ["microseconds"]),

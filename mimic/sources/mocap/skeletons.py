@@ -26,6 +26,7 @@ mixamo       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}ToeBase
 lafan1       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}Toe
 xsens        Left Right {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}Toe
 unity        Left Right {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}Toes
+mvn          Left Right {}UpperArm {}ForeArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}Toe
 biovision    Left Right {}UpArm {}LowArm {}Hand {}UpLeg {}LowLeg {}Foot
 cmu          l r        {}humerus {}radius {}wrist {}femur {}tibia {}foot {}toes
 daz          l r        {}Shldr {}ForeArm {}Hand {}Thigh {}Shin {}Foot
@@ -36,6 +37,7 @@ unreal       l r        upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{}
 rigify       L R        upper_arm{} forearm{} hand{} thigh{} shin{} foot{} toe{}
 smpl         L R        {}_Shoulder {}_Elbow {}_Wrist {}_Hip {}_Knee {}_Ankle {}_Toe
 openpose     L R        {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}BigToe
+kinect       Left Right Shoulder{} Elbow{} Wrist{} Hip{} Knee{} Ankle{} Foot{}
 mimic        L R        shoulder{} elbow{} wrist{} hip{} knee{} ankle{}
 plug-in_gait L R        {}SHO {}ELB {}WRA+{}WRB {}ASI+{}PSI {}KNE {}ANK {}TOE
 qualisys     L R        {}Shoulder {}Elbow {}WristIn+{}WristOut - {}KneeOut {}AnkleOut
