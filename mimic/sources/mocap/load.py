@@ -43,8 +43,8 @@ CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
 MIRRORED = (
-    "the nose or the feet point backwards: left and right are exchanged, or the axes of the file are left-handed; if "
-    "the robot moves the wrong leg, negate x in the file"
+    "the nose or the feet point backwards, so the axes of the file are taken as left-handed and turned over; if its "
+    "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
 )
 
 _UP = {
@@ -106,7 +106,7 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     xyz = xyz - (length * origin @ _camera_axes(up).T)[:, None]
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
     if _mirrored(named.names, xyz):
-        notes = (*notes, MIRRORED)
+        xyz, notes = xyz * (-1.0, 1.0, 1.0), (*notes, MIRRORED)
     track = PoseTrack(
         t=points.t - points.t[0],
         landmarks=_smoothed(points.t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
