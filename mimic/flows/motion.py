@@ -110,11 +110,7 @@ def load_motion(
         SourceError: If there is no such file, or it holds no motion that can be played.
         AssetError: If a record cannot be read.
     """
-    path = Path(source)
-    if not path.exists() and (re.match(r"\w+://", str(source)) or re.match(r"(https?|rtsp|ftp):/", str(source))):
-        raise SourceError(f"{source} is an address; download the file and give its path")
-    if not path.exists():
-        raise SourceError(f"there is no file {path}")
+    path = existing(source)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
     loading = _Loading(
@@ -125,6 +121,20 @@ def load_motion(
     if reader is None and ending in NOT_READ:
         raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
     return (reader or VIDEO).read(path, loading)
+
+
+def existing(source: str | Path) -> Path:
+    """Return the path of a source.
+
+    Raises:
+        SourceError: If nothing is there, or it is an address on a network.
+    """
+    path = Path(source)
+    if path.exists():
+        return path
+    if address := re.match(r"(\w{2,}):/+(.*)", str(source)):
+        raise SourceError(f"{address[1]}://{address[2]} is an address; download the file and give its path")
+    raise SourceError(f"there is no file {path}")
 
 
 def motion_from_text(
@@ -180,9 +190,9 @@ def track_video(
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
-    path, settings, reporter = Path(video), settings or PoseSettings(), reporter or SilentReporter()
-    if not path.is_file():
-        raise SourceError(f"there is no video {path}")
+    path, settings, reporter = existing(video), settings or PoseSettings(), reporter or SilentReporter()
+    if path.is_dir():
+        raise SourceError(f"{path} is a folder; expected a video")
     cached = user_cache("pose") / f"{pose_cache_key(path, settings)}.parquet" if cache else None
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")

@@ -196,7 +196,9 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
         return None
     for name in ("q", "q_des"):
         values = getattr(log, name)
-        for j, joint in enumerate(log.joints if values is not None else ()):
+        if values is None:
+            continue
+        for j, joint in enumerate(log.joints):
             x = values[np.isfinite(values[:, j]), j]
             bound = np.inf if limits is None else float(np.abs(limits[j]).max())
             reach, span = (float(np.abs(x).max()), float(np.ptp(x))) if len(x) else (0.0, 0.0)
