@@ -48,6 +48,8 @@ class MachineModel:
     """Upper joint limits; inf where none."""
     unit: str
     """Unit of the positions: rad, or m where all joints slide."""
+    dropped: tuple[str, ...] = ()
+    """Parts of the file that a replay leaves out."""
 
     @property
     def last(self) -> Any:
@@ -107,12 +109,40 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
         if original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE:  # a position and a velocity servo add up
             kp[j] -= original.actuator_biasprm[a, 1] * gear**2
             kd[j] -= original.actuator_biasprm[a, 2] * gear**2
-        most[j] += original.actuator_forcerange[a, 1] * gear if original.actuator_forcelimited[a] else UNLIMITED
+        force = original.actuator_forcerange[a, 1] if original.actuator_forcelimited[a] else UNLIMITED
+        if original.actuator_ctrllimited[a] and original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
+            force = min(force, original.actuator_ctrlrange[a, 1] * abs(original.actuator_gainprm[a, 0]))
+        most[j] += force * gear
     torque = np.where(most > 0.0, np.minimum(most, UNLIMITED), UNLIMITED)
     limited = original.jnt_actfrclimited.astype(bool)
     torque = np.where(limited, np.minimum(torque, original.jnt_actfrcrange[:, 1]), torque)
     far = np.full(len(names), UNLIMITED)
-    return with_gains(_machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far), gains or {})
+    dropped = _dropped(original)
+    machine = replace(_machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far), dropped=dropped)
+    return with_gains(machine, gains or {})
+
+
+def _dropped(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the parts of a model that are not replayed, each with the names or the number of those that have it."""
+    servo = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    parts = {
+        "activation dynamics (timeconst)": model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE,
+        "delays": model.actuator_delay > 0 if hasattr(model, "actuator_delay") else np.zeros(model.nu, dtype=bool),
+        "ranges of targets (ctrlrange)": servo & model.actuator_ctrllimited.astype(bool),
+        "all, because they act on no joint": model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT,
+    }
+    names = [
+        model.actuator(a).name or model.joint(max(int(model.actuator_trnid[a, 0]), 0)).name for a in range(model.nu)
+    ]
+    said = [
+        f"{part} of the actuators {', '.join(n for n, own in zip(names, has, strict=True) if own)}"
+        for part, has in parts.items()
+        if has.any()
+    ]
+    return (
+        *said,
+        *(f"{count} {what}" for what, count in (("sensors", model.nsensor), ("plugins", model.nplugin)) if count),
+    )
 
 
 def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = False) -> MachineModel:

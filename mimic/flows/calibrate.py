@@ -185,6 +185,7 @@ def checked_log(
     """
     import numpy as np
 
+    from mimic.io.joint_log import unit_fault
     from mimic.sysid.checks import check_log
 
     log = _read(log, {})
@@ -192,8 +193,11 @@ def checked_log(
     log = log.of(machine.joints)
     show("checking the log", 0)
     limits = np.stack([machine.low, machine.high], -1)
+    if machine.unit == "rad" and (fault := unit_fault(log, limits)):
+        raise CalibrationError(fault)
     check = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
-    return check, machine, [*_missing_gains(log, machine), *check.warnings]
+    dropped = [f"of the model, a replay leaves out: {'; '.join(machine.dropped)}"] if machine.dropped else []
+    return check, machine, [*dropped, *_missing_gains(log, machine), *check.warnings]
 
 
 def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]) -> MachineModel:

@@ -5,11 +5,14 @@ A new source is a reader in `mimic.sources` and a row in SOURCES.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mimic.config.pose import LanguageSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
@@ -18,6 +21,7 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 from mimic.io.assets import manual, user_cache
+from mimic.io.reading import check_clock
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
 from mimic.sources.not_read import NOT_READ
 
@@ -106,9 +110,7 @@ def load_motion(
         SourceError: If there is no such file, or it holds no motion that can be played.
         AssetError: If a record cannot be read.
     """
-    path = Path(source)
-    if not path.exists():
-        raise SourceError(f"there is no file {path}")
+    path = existing(source)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
     loading = _Loading(
@@ -119,6 +121,20 @@ def load_motion(
     if reader is None and ending in NOT_READ:
         raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
     return (reader or VIDEO).read(path, loading)
+
+
+def existing(source: str | Path) -> Path:
+    """Return the path of a source.
+
+    Raises:
+        SourceError: If nothing is there, or it is an address on a network.
+    """
+    path = Path(source)
+    if path.exists():
+        return path
+    if address := re.match(r"(\w{2,}):/+(.*)", str(source)):
+        raise SourceError(f"{address[1]}://{address[2]} is an address; download the file and give its path")
+    raise SourceError(f"there is no file {path}")
 
 
 def motion_from_text(
@@ -174,9 +190,9 @@ def track_video(
     from mimic.sources.video.video import pose_cache_key
     from mimic.sources.video.video import track_video as track
 
-    path, settings, reporter = Path(video), settings or PoseSettings(), reporter or SilentReporter()
-    if not path.is_file():
-        raise SourceError(f"there is no video {path}")
+    path, settings, reporter = existing(video), settings or PoseSettings(), reporter or SilentReporter()
+    if path.is_dir():
+        raise SourceError(f"{path} is a folder; expected a video")
     cached = user_cache("pose") / f"{pose_cache_key(path, settings)}.parquet" if cache else None
     if cached is not None and cached.is_file():
         reporter.note(f"pose         reused from an earlier run on the same video ({cached})")
@@ -255,10 +271,35 @@ def _of_targets(targets: TargetTrack) -> Motion:
 def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
     from mimic.retargeting.targets import target_track
 
+    check_clock(wrists.t, "the motion", SourceError)
     targets = target_track(wrists, loading.reach(), loading.settings.retarget)
-    for text in targets.warnings:
+    for text in (*_implausible(wrists), *targets.warnings):
         loading.reporter.warn(text)
     return _of_targets(targets)
+
+
+LONGEST, FASTEST = (0.15, 1.6), 20.0
+"""Plausible lengths of an arm [m], and the speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
+
+
+def _implausible(wrists: WristTrack) -> Iterator[str]:
+    """Say which unit or clock of the wrists cannot be true, whatever they were read from.
+
+    Raises:
+        SourceError: If they are in no arm lengths.
+    """
+    reach = np.linalg.norm(wrists.p_SH[wrists.valid], axis=-1)
+    if len(reach) and not 0.2 <= (longest := float(np.quantile(reach, 0.98))) <= 2.0:
+        raise SourceError(
+            f"the wrists are up to {longest:.3g} arm lengths from their shoulders; expected about 1: divide them by "
+            "the length of the arm"
+        )
+    if not LONGEST[0] <= wrists.arm_length <= LONGEST[1] and np.isfinite(wrists.arm_length):
+        yield f"the arms are {wrists.arm_length:.3g} m long: the positions are hardly in metres"
+    step = np.linalg.norm(np.diff(wrists.p_SH, axis=0), axis=-1) / np.diff(wrists.t)[:, None]
+    known = step[np.isfinite(step)]
+    if len(known) and (speed := float(np.quantile(known, 0.9))) > FASTEST:
+        yield f"the hands move at {speed:.0f} arm lengths a second: the times or the frame rate are too short"
 
 
 def _of_pose(pose: PoseTrack, loading: _Loading, *, video: Path | None = None) -> Motion:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import csv
 import json
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from mimic.errors import CalibrationError
 from mimic.io.assets import manual
+from mimic.io.reading import check_clock, read_text
 from mimic.io.store import plain, written_whole
 from mimic.records import BoolArray, FloatArray, IntArray
 
@@ -131,9 +132,9 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     columns, metadata = _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
     side = path.with_suffix(".json")
     if side.exists() and side != path:
-        metadata = {**metadata, **_notes(side.read_bytes(), f"{side} beside the log")}
+        metadata = {**metadata, **_notes(read_text(side), f"{side} beside the log")}
     if notes:
-        metadata = {**metadata, **_notes(json.dumps(notes).encode(), f"what is said of {path}")}
+        metadata = {**metadata, **_notes(json.dumps(notes), f"what is said of {path}")}
     if "t" not in columns:
         raise CalibrationError(f"{path} has no column t; it has {_some(columns)}. See {manual('log-format.md')}")
     joints = tuple(name[2:] for name in columns if name.startswith("q."))
@@ -164,7 +165,90 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     if metadata.get(UNITS) == "deg":
         metadata = {**metadata, UNITS: "rad"}
         found |= {name: np.deg2rad(found[name]) for name in ("q", "q_des", "dq") if name in found}
-    return _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    known = columns["t"][np.isfinite(columns["t"])]
+    check_clock(known, path.name, CalibrationError, repeats=True)
+    log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
+    if fault := jump_fault(log) or unit_fault(log):
+        raise CalibrationError(f"{path.name}: {fault}")
+    return log
+
+
+FACTORS = {
+    "degrees": 180.0 / np.pi,
+    "milliradians": 1000.0,
+    "centidegrees": 18_000.0 / np.pi,
+    **{f"ticks of {turn} a turn": turn / (2 * np.pi) for turn in (4096, 16384)},
+}
+"""Units that angles come in, by their number in a radian."""
+
+JUMP, FASTEST = 0.05, 10.0
+"""A jump is larger than so much [rad or m], and faster than so much [rad/s or m/s]: see `jump_fault`."""
+
+
+def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
+    """Return what says that positions are in no radians, None where nothing does.
+
+    Args:
+        log: The log, as its notes have it; where they say "rad", they are believed.
+        limits: Lower and upper limit of each joint (J, 2) [rad], infinite where there is none.
+    """
+    if log.metadata.get(UNITS) is not None:
+        return None
+    for name in ("q", "q_des"):
+        values = getattr(log, name)
+        if values is None:
+            continue
+        for j, joint in enumerate(log.joints):
+            x = values[np.isfinite(values[:, j]), j]
+            bound = np.inf if limits is None else float(np.abs(limits[j]).max())
+            reach, span = (float(np.abs(x).max()), float(np.ptp(x))) if len(x) else (0.0, 0.0)
+            whole = _whole(x)
+            if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 20.0)):
+                continue
+            most = bound if np.isfinite(bound) else 2 * np.pi
+            units = [u for u, factor in FACTORS.items() if whole == ("ticks" in u) and reach <= 1.1 * factor * most]
+            scales = ", ".join(f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units) or "something else"
+            limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
+            sign = " with a sign bit" if whole and np.abs(np.diff(x)).max() > 30_000 else ""
+            given = f"encoder ticks{sign}, up to {reach:.0f}" if whole else f"up to {reach:.4g}"
+            return (
+                f"{name}.{joint} is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
+                f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
+            )
+    return None
+
+
+def _whole(x: FloatArray) -> bool:
+    """Return whether readings are whole numbers from the first one on, as those of an encoder."""
+    return bool(len(x) and (x - x[0] == np.round(x - x[0])).all())
+
+
+def jump_fault(log: JointLog) -> str | None:
+    """Return row and size of the first step of a reading that no joint makes, None where there is none.
+
+    Such a step is five times the steps around it and three times nearly all others. A single reading that is off and
+    comes back is none: two steps of one size follow each other.
+    """
+    for j, joint in enumerate(log.joints):
+        rows = np.flatnonzero(np.isfinite(log.q[:, j]) & np.isfinite(log.t))
+        if len(rows) < 10 or (_whole(log.q[rows, j]) and np.ptp(log.q[rows, j]) > 2 * np.pi):  # ticks
+            continue
+        step = np.diff(log.q[rows, j])
+        speed = np.abs(step) / np.maximum(np.diff(log.t[rows]), 1e-6)
+        around = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
+        usual = float(np.quantile(speed, 0.99))
+        found = np.flatnonzero((np.abs(step) > JUMP) & (speed > np.maximum(FASTEST, np.maximum(5 * around, 3 * usual))))
+        if len(found):
+            size, row = float(step[found[0]]), int(rows[found[0] + 1])
+            turns = round(size / (2 * np.pi))
+            wraps = turns != 0 and abs(size - 2 * np.pi * turns) < 0.5
+            why = (
+                f"{abs(turns)} turn{'s' * (abs(turns) > 1)}: the encoder wraps around; unwrap it"
+                if wraps
+                else ("which no joint makes: an encoder that lost counts, or two recordings; cut the log there")
+            )
+            return f"q.{joint} jumps by {size:+.3f} in row {row + 1} (t = {log.t[row]:.3f} s), {why}"
+    return None
 
 
 def _carried(log: JointLog) -> JointLog:
@@ -235,7 +319,7 @@ def write_log(log: JointLog, path: str | Path) -> Path:
     return path
 
 
-def _notes(text: bytes, where: str) -> dict[str, Any]:
+def _notes(text: str | bytes, where: str) -> dict[str, Any]:
     """Return the metadata of a log; gains, units and gravity must be what they can be.
 
     Raises:
@@ -287,23 +371,69 @@ def _some(columns: Iterable[str]) -> str:
     return ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
 
 
+OURS = ("t", *CHANNELS, "enabled", "unread", "t_send", "t_receive", "temperature", "voltage", "current")
+"""Columns with such a name, or with one before a point, are read as numbers or refused; others may be anything."""
+
+_NONE = ("", "nan", "na", "n/a", "null", "none")
+_WORDS = {**dict.fromkeys(_NONE, np.nan), "true": 1.0, "false": 0.0}
+
+
 def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            header = [name.strip() for name in next(csv.reader(file))]
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # no rows: told below
-            values = np.genfromtxt(path, delimiter=",", skip_header=1, dtype=np.float64, encoding="utf-8-sig", ndmin=2)
-    except StopIteration:
-        raise CalibrationError(f"{path} is empty; a log is a header line and a row for each reading") from None
-    except (OSError, ValueError) as reason:
+        rows = [row for row in csv.reader(read_text(path).splitlines()) if row]
+    except (OSError, csv.Error) as reason:
         raise CalibrationError(f"{path} cannot be read as CSV with a header line: {reason}") from None
-    if not values.size:
+    if not rows:
+        raise CalibrationError(f"{path} is empty; a log is a header line and a row for each reading")
+    header = [name.strip() for name in rows[0]]
+    if len(rows) == 1:
         raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
     if len(header) == 1 and ";" in header[0]:
         raise CalibrationError(f"{path} has semicolons between its columns; commas are expected, and points in numbers")
-    if values.shape[1] != len(header):
-        raise CalibrationError(f"{path} has {len(header)} names in its header, but {values.shape[1]} columns")
-    return {name: values[:, i] for i, name in enumerate(header)}, {}
+    if twice := [name for name in header if header.count(name) > 1]:
+        raise CalibrationError(f"{path} has two columns {twice[0]}")
+    for number, row in enumerate(rows[1:], 1):
+        if len(row) != len(header):
+            raise CalibrationError(f"{path}: row {number} has {len(row)} values; its header has {len(header)} names")
+    return _numeric({name: column for name, *column in zip(header, *rows[1:], strict=True)}, path), {}
+
+
+def _numeric(columns: Mapping[str, Sequence[str | None]], path: Path) -> dict[str, FloatArray]:
+    """Return the columns of text that are numbers, times or True and False.
+
+    Raises:
+        CalibrationError: If one with a name of ours is something else.
+    """
+    found = {}
+    for name, cells in columns.items():
+        try:
+            found[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)
+        except ValueError:
+            try:
+                found[name] = np.array([_number(cell or "") for cell in cells])
+            except ValueError as cell:
+                _refuse_ours(name, f"text such as {cell}", path)
+    return found
+
+
+def _number(cell: str) -> float:
+    word = cell.strip().lower()
+    if word in _WORDS:
+        return _WORDS[word]
+    try:
+        return float(word)
+    except ValueError:
+        pass
+    try:
+        time = datetime.fromisoformat(word)
+    except ValueError:
+        raise ValueError(repr(cell[:40])) from None
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _refuse_ours(name: str, what: str, path: Path) -> None:
+    if name.split(".")[0] in OURS:
+        raise CalibrationError(f"{path}: column {name} is {what}; expected numbers: convert it, or rename the column")
 
 
 def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
@@ -314,10 +444,31 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as reason:
         raise CalibrationError(f"{path} cannot be read as Parquet (nor is it named .csv): {reason}") from None
+    raw = (table.schema.metadata or {}).get(_KEY)
+    notes = _notes(raw, f"the metadata {_KEY.decode()!r} of {path}") if raw else {}
     columns: dict[str, FloatArray] = {}
     for name in table.column_names:
         column = table.column(name)
-        if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-            columns[name] = column.to_numpy().astype(np.float64)
-    raw = (table.schema.metadata or {}).get(_KEY)
-    return columns, _notes(raw, f"the metadata {_KEY.decode()!r} of {path}") if raw else {}
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        kind, types = column.type, pa.types
+        if types.is_string(kind) or types.is_large_string(kind):
+            columns |= _numeric({name: column.to_pylist()}, path)
+            continue
+        try:
+            if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+                table_of = np.array(column.to_pylist(), dtype=np.float64)  # fails where rows differ in length
+                joints = notes.get("joints") or [str(i) for i in range(table_of.shape[1])]
+                whole = {f"{name}.{joint}": values for joint, values in zip(joints, table_of.T, strict=True)}
+                columns |= {name: table_of[:, 0]} if table_of.shape[1] == 1 else whole
+                continue
+            if types.is_temporal(kind):
+                ticks = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[getattr(kind, "unit", "")]
+                whole_ticks = column.cast(pa.int32() if types.is_time32(kind) else pa.int64())
+                columns[name] = whole_ticks.cast(pa.float64(), safe=False).to_numpy() / ticks
+            else:
+                plain_kind = column.cast(pa.int8()) if types.is_boolean(kind) else column
+                columns[name] = plain_kind.cast(pa.float64(), safe=False).to_numpy()
+        except (pa.ArrowException, ValueError, TypeError, KeyError, IndexError):
+            _refuse_ours(name, f"of type {kind}", path)
+    return columns, notes

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import SourceError
+from mimic.io.reading import read_text
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
 
@@ -171,7 +172,7 @@ def read_keyframes(path: Path) -> KeyFrames:
     if path.stat().st_size > LARGEST:
         raise SourceError(f"{path.name} has {path.stat().st_size} bytes; a motion in key frames has at most {LARGEST}")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         _check_size(text, path.name)
         data = yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
+from mimic.io.reading import read_text
 from mimic.records import FloatArray
 from mimic.sources.mocap.points import Points
 
@@ -47,15 +49,14 @@ class _Words:
             return word
         raise self.wrong("the end of the file", expected)
 
-    def number(self, expected: str) -> float:
-        word = self.next(expected)
+    def number(self, expected: str, word: str | None = None) -> float:
+        word = word or self.next(expected)
         try:
-            value = float(word)
+            if math.isfinite(value := float(word)):
+                return value
         except ValueError:
-            raise self.wrong(repr(word), expected) from None
-        if not math.isfinite(value):
-            raise self.wrong(repr(word), expected)
-        return value
+            pass
+        raise self.wrong(repr(word), expected)
 
     def no_bvh(self) -> SourceError:
         return SourceError(f"{self._name}, line 1: not a BVH file (it must start with HIERARCHY)")
@@ -70,11 +71,13 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     Raises:
         SourceError: If the file is no BVH, or ends early.
     """
-    words = _Words(path.read_text(encoding="utf-8", errors="replace"), path.name)
+    words = _Words(read_text(path), path.name)
     joints = _hierarchy(words)
     announced, step = _header(words)
     width = sum(len(joint.channels) for joint in joints)
-    values = np.array(_numbers(words))
+    if not width:
+        raise SourceError(f"{path.name} has joints without channels, which do not move; export the BVH again")
+    values = np.array(_numbers(words, width))
     frames = len(values) // width
     if frames == 0:
         raise SourceError(f"{path.name} has {len(values)} motion values, less than the {width} of one frame")
@@ -140,16 +143,19 @@ def _header(words: _Words) -> tuple[int, float]:
     return announced, words.number("the time of a frame")
 
 
-def _numbers(words: _Words) -> list[float]:
-    numbers = []
-    for word in words:
-        try:
-            value = float(word)
-        except ValueError:
-            raise words.wrong(repr(word), "a number") from None
-        if not math.isfinite(value):
-            raise words.wrong(repr(word), "a number")
-        numbers.append(value)
+def _numbers(words: _Words, width: int) -> list[float]:
+    """Return the numbers of all rows; a row may go on in the next line, but no line in the next row."""
+
+    numbers: list[float] = []
+    for line, row in groupby(words, lambda _: words.line):
+        given = [words.number("a number", word) for word in row]
+        if len(given) > width - len(numbers) % width:
+            words.line = line
+            raise words.wrong(
+                f"{len(given)} numbers in row {len(numbers) // width + 1}",
+                f"the {width} numbers of the channels in each row",
+            )
+        numbers += given
     return numbers
 
 

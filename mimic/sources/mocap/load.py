@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.pose import MocapSettings, PoseSettings
-from mimic.errors import SourceError
+from mimic.errors import ConfigError, SourceError
+from mimic.io.reading import check_clock
 from mimic.records import FloatArray, PoseTrack
 from mimic.sources.mocap.bvh import read_bvh
 from mimic.sources.mocap.c3d import read_c3d
 from mimic.sources.mocap.npz import read_npz
 from mimic.sources.mocap.points import UNITS, Points
-from mimic.sources.mocap.skeletons import Scheme, read_names, recognise
+from mimic.sources.mocap.skeletons import NEEDED, Columns, read_names, recognise
 from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
 from mimic.sources.video.smoothing import smooth
@@ -36,12 +37,14 @@ READERS: Mapping[str, Callable[[Path, MocapSettings], Points]] = {
 ARM = 0.5
 """Approximate length of an adult's arm, shoulder -> elbow -> wrist [m]; it decides the unit of a file that names none.
 The motion does not depend on it, because arms are measured in their own length."""
+LONGEST = (0.15, 1.6)
+"""An arm is not shorter and not longer [m]; the units of UNITS are at most a factor of ten apart."""
 CLEARLY = 0.75
 """Minimum component of the torso direction along an axis that is taken as up."""
 
 MIRRORED = (
-    "the nose or the feet point backwards: left and right are exchanged, or the axes of the file are left-handed; if "
-    "the robot moves the wrong leg, negate x in the file"
+    "the nose or the feet point backwards, so the axes of the file are taken as left-handed and turned over; if its "
+    "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
 )
 
 _UP = {
@@ -86,11 +89,16 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     if not path.is_file():
         raise SourceError(f"there is no file {path}")
     points = READERS[path.suffix.lower()](path, mocap)
-    scheme, found = recognise(points.names, read_names(mocap.names))
-    named = _named(points, found)
-    _check_times(points.t, path, settings)
-    up, notes = _up(named, mocap.up if mocap.up != "auto" else points.up, path)
-    unit, length = _unit(named, points.unit)
+    if len(points.t) < 2 or points.t[-1] - points.t[0] < settings.min_duration:
+        raise SourceError(
+            f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
+            f"at least two and {settings.min_duration:g} s"
+        )
+    check_clock(points.t, path.name, SourceError, "store times in seconds, or give the frame rate with --fps")
+    scheme, skeletons = recognise(points.names, read_names(mocap.names))
+    named, others = _person(points, skeletons, settings.person, path)
+    up, notes = _up(named, mocap.up if mocap.up != "auto" else None, points.up, path)
+    unit, length, doubts = _unit(named, points.unit)
     xyz = length * named.xyz @ _camera_axes(up).T
     origin = named.middle("hip")
     origin = named.middle("shoulder") if origin is None else origin
@@ -98,7 +106,7 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     xyz = xyz - (length * origin @ _camera_axes(up).T)[:, None]
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
     if _mirrored(named.names, xyz):
-        notes = (*notes, MIRRORED)
+        xyz, notes = xyz * (-1.0, 1.0, 1.0), (*notes, MIRRORED)
     track = PoseTrack(
         t=points.t - points.t[0],
         landmarks=_smoothed(points.t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
@@ -110,6 +118,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         warnings=(
             *points.warnings,
             f"read as {scheme}, {up} up, in {unit}; correct it with --names or --up",
+            *others,
+            *doubts,
             *notes,
         ),
     )
@@ -117,36 +127,52 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     return track
 
 
-def _named(points: Points, scheme: Scheme) -> _Named:
-    index = {name: i for i, name in enumerate(points.names)}
-    columns = [[index[name] for name in theirs] for theirs in scheme.values()]
+def _person(
+    points: Points, skeletons: list[Columns], asked: str | int | None, path: Path
+) -> tuple[_Named, tuple[str, ...]]:
+    """Return who is played, and a note if there are others; copies of a skeleton at the same place are no others."""
+    people: list[_Named] = []
+    for one in (_named(points, columns) for columns in skeletons):
+        if all(_apart(one, other) for other in people):
+            people.append(one)
+    if isinstance(asked, str) and asked != "largest" and len(people) > 1:
+        raise ConfigError(f"{path.name} has no picture to be {asked} in; give a number from 1 to {len(people)}")
+    if isinstance(asked, int) and asked > len(people):
+        raise ConfigError(f"--person {asked}: {path.name} has {len(people)}; give a number from 1 to {len(people)}")
+    seen = [float(np.isfinite(one.xyz[:, [one.names.index(n) for n in NEEDED]]).mean()) for one in people]
+    chosen = asked if isinstance(asked, int) else 1 + int(np.argmax(seen))
+    note = f"{len(people)} people are in the file; number {chosen} of them is played (choose with --person)"
+    return people[chosen - 1], (note,) * (len(people) > 1)
+
+
+def _apart(one: _Named, other: _Named) -> bool:
+    """Return whether two skeletons have their wrists at different places."""
+    wrists, shoulders = (
+        [[who.xyz[:, who.names.index(f"{side}_{part}")] for side in ("left", "right")] for who in (one, other)]
+        for part in ("wrist", "shoulder")
+    )
+    gap = np.linalg.norm(np.subtract(wrists[0], wrists[1]), axis=-1)
+    width = np.linalg.norm(np.subtract(shoulders[0][0], shoulders[0][1]), axis=-1)
+    known = np.isfinite(gap)
+    return not known.any() or float(np.median(gap[known])) > 0.1 * float(np.nanmedian(width))
+
+
+def _named(points: Points, scheme: Columns) -> _Named:
+    columns = [list(theirs) for theirs in scheme.values()]
     finite = np.where(np.isfinite(points.xyz), points.xyz, np.nan)
     xyz = np.stack([finite[:, own].mean(axis=1) for own in columns], axis=1)
     score = np.stack([points.score[:, own].min(axis=1) for own in columns], axis=1)
     return _Named(tuple(scheme), xyz, score)
 
 
-def _check_times(t: FloatArray, path: Path, settings: PoseSettings) -> None:
-    unknown = np.flatnonzero(~np.isfinite(t))
-    if len(unknown):
-        raise SourceError(f"row {unknown[0] + 1} of {path.name} has no time ({t[unknown[0]]:g} s); remove the row")
-    if len(t) < 2 or t[-1] - t[0] < settings.min_duration:
-        raise SourceError(
-            f"{path.name} has {len(t)} rows in {t[-1] - t[0] if len(t) else 0:.2f} s; a motion needs at least two and "
-            f"{settings.min_duration:g} s"
-        )
-    back = np.flatnonzero(~(np.diff(t) > 0))
-    if len(back):
-        row = int(back[0])
-        raise SourceError(
-            f"the times of {path.name} do not increase: row {row + 2} has {t[row + 1]:g} s after {t[row]:g} s; "
-            "sort the rows and drop repeated ones"
-        )
+def _up(named: _Named, asked: str | None, header: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the axis that points up, and what the user should know about that.
 
-
-def _up(named: _Named, asked: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
-    """Return the axis that points up, and what the user should know about that."""
+    The user is believed, then the body, then the file.
+    """
     trunk = _trunk(named)
+    if asked is None and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
+        return header, ()
     if asked is not None:
         if trunk is None or np.dot(trunk, _UP[asked]) > 0.0:
             return asked, ()
@@ -161,7 +187,9 @@ def _up(named: _Named, asked: str | None, path: Path) -> tuple[str, tuple[str, .
             f"the torso in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no single axis; "
             "give the upward axis, for example --up y"
         )
-    return ("" if trunk[axis] > 0 else "-") + "xyz"[axis], ()
+    up = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
+    said = f"{path.name} says that {header} is up, but the trunk points along {up}; the trunk is believed"
+    return up, (said,) * (header is not None)
 
 
 def _trunk(named: _Named) -> FloatArray | None:
@@ -210,18 +238,27 @@ def _mirrored(names: tuple[str, ...], xyz: FloatArray) -> bool:
     return bool(len(known)) and float((known < 0).mean()) > 0.8
 
 
-def _unit(named: _Named, given: str | None) -> tuple[str, float]:
-    """Return name and length [m] of the unit that the file says, or that makes the arms as long as arms are."""
-    if given is not None:
-        return given, UNITS[given]
+def _unit(named: _Named, given: str | None) -> tuple[str, float, tuple[str, ...]]:
+    """Return name and length [m] of the unit that makes the arms as long as arms are, of the file's if that one does.
+
+    Last comes what the user should know about that.
+    """
     joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
     arms = []
     for side in ("left", "right"):
         chain = named.xyz[:, [named.names.index(f"{side}_{part}") for part in joints]]
         arms.append(np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1))
-    length = float(np.nanquantile(arms, 0.9))
+    known = np.concatenate(arms)[np.isfinite(np.concatenate(arms))]
+    if not len(known):
+        return given or "m", UNITS[given or "m"], ()
+    length = float(np.quantile(known, 0.9))
+    if given is not None and LONGEST[0] <= UNITS[given] * length <= LONGEST[1]:
+        return given, UNITS[given], ()
     best = min(UNITS, key=lambda name: abs(np.log(max(UNITS[name] * length, 1e-12) / ARM)))
-    return f"{best} by the length of the arms", UNITS[best]
+    doubt = "" if given is None else f"the file says {given}, but its arms would be {UNITS[given] * length:.3g} m long"
+    if not LONGEST[0] <= UNITS[best] * length <= LONGEST[1]:
+        doubt = f"arms are {length:.3g} long in the file, which is an arm's length in no unit; check the positions"
+    return f"{best} by the length of the arms", UNITS[best], (doubt,) * bool(doubt)
 
 
 def _smoothed(t: FloatArray, xyz: FloatArray, cutoff_hz: float) -> FloatArray:

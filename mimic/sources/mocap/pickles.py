@@ -11,6 +11,7 @@ import collections
 import gzip
 import io
 import lzma
+import math
 import pickle
 import zipfile
 import zlib
@@ -81,13 +82,10 @@ def _unpacked(path: Path) -> bytes:
 class _JoblibArray:
     """Stands for joblib's NumpyArrayWrapper: the array's bytes follow it in the file."""
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.state = state
+    state: dict[str, Any]
 
     def read(self, file: io.BytesIO) -> np.ndarray:
-        dtype, shape = np.dtype(self.state["dtype"]), tuple(int(n) for n in self.state["shape"])
-        if dtype.hasobject:
-            raise _NotPlain("an array of objects")
+        dtype, shape = _dtype(self.state["dtype"]), tuple(int(n) for n in self.state["shape"])
         if self.state.get("numpy_array_alignment_bytes") is not None:
             file.read(file.read(1)[0])  # padding
         size = int(np.prod(shape, dtype=object)) * dtype.itemsize
@@ -115,6 +113,7 @@ class _Tensor:
     def rebuild(
         storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
     ) -> np.ndarray:
+        offset, size, stride = int(offset), tuple(map(int, size)), tuple(map(int, stride))  # NumPy's would overflow
         last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
         if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
             raise ValueError("a tensor is larger than its storage")
@@ -124,23 +123,33 @@ class _Tensor:
         return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
 
 
+class _NdArray:
+    """Stands for numpy.ndarray, which would build an array on any bytes."""
+
+
 def _rebuild_array(kind: Any, shape: Any, typecode: Any) -> np.ndarray:
-    return np.ndarray.__new__(np.ndarray, (0,), np.dtype("b"))
+    return np.empty(0, dtype="b")
+
+
+def _dtype(kind: Any, *_: Any) -> np.dtype:
+    """Return a type of numbers or text of its own; types that hold addresses of objects are none."""
+    found = np.dtype(kind) if isinstance(kind, str | np.dtype) else None
+    if found is None or found.hasobject or found.kind not in "biufcSU":
+        raise _NotPlain(f"an array of {kind}"[:60])
+    return np.dtype(found, copy=True)
 
 
 def _scalar(dtype: np.dtype, data: bytes) -> Any:
-    if dtype.hasobject:
-        raise _NotPlain("an object in an array")
-    return np.frombuffer(data, dtype=dtype, count=1)[0]
+    return np.frombuffer(data, dtype=_dtype(dtype), count=1)[0]
 
 
 def _frombuffer(data: Any, dtype: np.dtype, shape: Any, order: str) -> np.ndarray:
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if order == "F" else "C")
+    return np.frombuffer(data, dtype=_dtype(dtype)).reshape(shape, order="F" if order == "F" else "C")
 
 
 _KNOWN: dict[str, Any] = {
-    "numpy.ndarray": np.ndarray,
-    "numpy.dtype": np.dtype,
+    "numpy.ndarray": _NdArray,
+    "numpy.dtype": _dtype,
     "collections.OrderedDict": collections.OrderedDict,
     "collections.defaultdict": lambda *_: {},
     "builtins.dict": dict,
@@ -178,9 +187,22 @@ class _Reader(pickle._Unpickler):  # pyright: ignore  # the Python one: joblib's
         return self.storages(pid)
 
     def load_build(self) -> None:
-        super().load_build()
-        if isinstance(self.stack[-1], _JoblibArray):
-            self.stack.append(self.stack.pop().read(self.file))
+        """Give an object its state: arrays and their types only, and no other than NumPy itself writes."""
+        state = self.stack.pop()
+        given = self.stack[-1]
+        if isinstance(given, _JoblibArray):
+            given.state = state
+            self.stack[-1] = given.read(self.file)
+        elif isinstance(given, np.dtype):
+            if state[2:8] != given.__reduce__()[2][2:8]:  # pyright: ignore
+                raise _NotPlain("an array with fields")
+            given.__setstate__(state[:8])  # pyright: ignore
+        elif isinstance(given, np.ndarray):
+            _, shape, dtype, _, data = state
+            sizes, size = [int(n) for n in shape], _dtype(dtype).itemsize
+            if min((0, *sizes)) < 0 or not isinstance(data, bytes | str) or size * math.prod(sizes) != len(data):
+                raise _NotPlain("an array of another size than its bytes")
+            given.__setstate__(state)
 
     dispatch = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}  # pyright: ignore  # noqa: RUF012
 

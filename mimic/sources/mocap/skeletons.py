@@ -6,6 +6,7 @@ A scheme maps our landmark (see `mimic.records.LANDMARKS`) to a name of the file
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from mimic.errors import ConfigError, SourceError
@@ -20,51 +21,49 @@ NEEDED = ("left_shoulder", "right_shoulder", "left_wrist", "right_wrist")
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot_index")
 
 
-def _sides(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
-    """Return a scheme from one pattern per limb, in the order of _LIMBS.
+_NAMES = """
+mixamo       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}ToeBase
+lafan1       Left Right {}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot {}Toe
+xsens        Left Right {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}Toe
+unity        Left Right {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}Toes
+mvn          Left Right {}UpperArm {}ForeArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}Toe
+biovision    Left Right {}UpArm {}LowArm {}Hand {}UpLeg {}LowLeg {}Foot
+cmu          l r        {}humerus {}radius {}wrist {}femur {}tibia {}foot {}toes
+daz          l r        {}Shldr {}ForeArm {}Hand {}Thigh {}Shin {}Foot
+biped        L R        {}UpperArm {}Forearm {}Hand {}Thigh {}Calf {}Foot {}Toe0
+vroid        L R        {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foot {}ToeBase
+optitrack    L R        {}UArm {}FArm {}Hand {}Thigh {}Shin {}Foot {}Toe
+unreal       l r        upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{} ball_{}
+rigify       L R        upper_arm{} forearm{} hand{} thigh{} shin{} foot{} toe{}
+smpl         L R        {}_Shoulder {}_Elbow {}_Wrist {}_Hip {}_Knee {}_Ankle {}_Toe
+openpose     L R        {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}BigToe
+kinect       Left Right Shoulder{} Elbow{} Wrist{} Hip{} Knee{} Ankle{} Foot{}
+mimic        L R        shoulder{} elbow{} wrist{} hip{} knee{} ankle{}
+plug-in_gait L R        {}SHO {}ELB {}WRA+{}WRB {}ASI+{}PSI {}KNE {}ANK {}TOE
+qualisys     L R        {}Shoulder {}Elbow {}WristIn+{}WristOut - {}KneeOut {}AnkleOut
+opencap      L r        {}_shoulder_study {}_lelbow_study+{}_melbow_study {}_lwrist_study+{}_mwrist_study {}HJC_study \
+ {}_knee_study+{}_mknee_study {}_ankle_study+{}_mankle_study {}_toe_study
+"""
+"""Scheme, its left and right, and its names in the order of _LIMBS: ``{}`` is the side, ``a+b`` a mean, ``-`` nothing.
 
-    ``{}`` is the side, ``a+b`` a mean, "" nothing.
-    """
-    scheme = {}
-    for limb, pattern in zip(_LIMBS, patterns, strict=False):
-        for side, own in (("left", left), ("right", right)):
-            if pattern:
-                scheme[f"{side}_{limb}"] = tuple(name.format(own) for name in pattern.split("+"))
-    return scheme
+The arm begins at the joint whose child is the elbow: mixamo's LeftShoulder is a collar bone. Mixamo's names are also
+those of Motion Builder, Perception Neuron and Rokoko, Unity's those of VRM, and mimic's are beside its example clips.
+Markers on the skin lie beside their joint. OpenCap: Uhlrich et al., PLOS Computational Biology, 2023.
+"""
+
+
+def _scheme(left: str, right: str, *patterns: str) -> dict[str, tuple[str, ...]]:
+    return {
+        f"{side}_{limb}": tuple(name.format(own) for name in pattern.split("+"))
+        for limb, pattern in zip(_LIMBS, patterns, strict=False)
+        for side, own in (("left", left), ("right", right))
+        if pattern != "-"
+    } | {"nose": ("Nose",), "left_ear": (f"{left}Ear",), "right_ear": (f"{right}Ear",)}
 
 
 SCHEMES: Mapping[str, Scheme] = {
     "blazepose": {name: (name,) for name in LANDMARKS},
-    # Joints of the arm: Arm at the shoulder, ForeArm at the elbow, Hand at the wrist. LeftShoulder is the collar bone.
-    "mixamo": _sides(
-        "Left", "Right", "{}Arm", "{}ForeArm", "{}Hand", "{}UpLeg", "{}Leg", "{}Foot", "{}ToeBase"
-    ),  # also Motion Builder, CMU as converted for it, Perception Neuron, Rokoko
-    "lafan1": _sides("Left", "Right", "{}Arm", "{}ForeArm", "{}Hand", "{}UpLeg", "{}Leg", "{}Foot", "{}Toe"),
-    "xsens": _sides("Left", "Right", "{}Shoulder", "{}Elbow", "{}Wrist", "{}Hip", "{}Knee", "{}Ankle", "{}Toe"),
-    "cmu": _sides("l", "r", "{}humerus", "{}radius", "{}wrist", "{}femur", "{}tibia", "{}foot", "{}toes"),
-    "daz": _sides("l", "r", "{}Shldr", "{}ForeArm", "{}Hand", "{}Thigh", "{}Shin", "{}Foot"),
-    "unreal": _sides("l", "r", "upperarm_{}", "lowerarm_{}", "hand_{}", "thigh_{}", "calf_{}", "foot_{}", "ball_{}"),
-    "smpl": _sides("L", "R", "{}_Shoulder", "{}_Elbow", "{}_Wrist", "{}_Hip", "{}_Knee", "{}_Ankle", "{}_Toe"),
-    "openpose": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}Wrist", "{}Hip", "{}Knee", "{}Ankle", "{}BigToe")
-    | {"nose": ("Nose",), "left_ear": ("LEar",), "right_ear": ("REar",)},
-    # The positions beside the example clips (examples/videos/*.npz).
-    "mimic": _sides("L", "R", "shoulder{}", "elbow{}", "wrist{}", "hip{}", "knee{}", "ankle{}") | {"nose": ("nose",)},
-    "opensim": _sides("L", "R", "{}.Shoulder", "{}.Elbow", "{}.Wrist", "{}.Hip", "{}.Knee", "{}.Ankle"),
-    # Markers on the skin, each beside its joint; hips are the middle of the two markers of the pelvis on that side.
-    "plug-in gait": _sides("L", "R", "{}SHO", "{}ELB", "{}WRA+{}WRB", "{}ASI+{}PSI", "{}KNE", "{}ANK", "{}TOE"),
-    # Markers that OpenCap's and Pose2Sim's marker augmentation adds (Uhlrich et al., PLOS Computational Biology, 2023).
-    "opencap": _sides(
-        "L",
-        "r",
-        "{}_shoulder_study",
-        "{}_lelbow_study+{}_melbow_study",
-        "{}_lwrist_study+{}_mwrist_study",
-        "{}HJC_study",
-        "{}_knee_study+{}_mknee_study",
-        "{}_ankle_study+{}_mankle_study",
-        "{}_toe_study",
-    ),
-    "qualisys": _sides("L", "R", "{}Shoulder", "{}Elbow", "{}WristIn+{}WristOut", "", "{}KneeOut", "{}AnkleOut"),
+    **{name.replace("_", " "): _scheme(*words) for name, *words in map(str.split, _NAMES.strip().splitlines())},
 }
 """Naming schemes that are recognised by themselves; the one that knows most of the file's landmarks wins."""
 
@@ -141,10 +140,15 @@ def read_names(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return asked
 
 
-def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, Scheme]:
-    """Return the scheme that fits a file's names: its name, and landmark -> names as the file writes them.
+Columns = Mapping[str, tuple[int, ...]]
+"""Landmark -> columns of the file's points; the landmark is their mean."""
 
-    A prefix before a colon (``mixamorig:LeftArm``) and upper or lower case make no difference.
+
+def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, list[Columns]]:
+    """Return the scheme that fits a file's names, and the columns of each skeleton in it, in the order of the file.
+
+    Case, separators, and what all names of a skeleton have before or after ours (``mixamorig:LeftArm``,
+    ``DEF-upper_arm.L.001``) make no difference; several skeletons differ in that, or repeat each other's names.
 
     Args:
         names: Names in the file.
@@ -153,24 +157,35 @@ def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, Scheme]:
     Raises:
         SourceError: If shoulders and wrists cannot be found.
     """
-    written = {name.split(":")[-1].lower(): name for name in reversed(names)}
-    written |= {name: name for name in names}
+    column: dict[str, int] = {}
+    for i, name in enumerate(names):
+        key = _plain(name)
+        while key in column:
+            key += "#"
+        column[key] = i
 
-    def found(scheme: Scheme) -> dict[str, tuple[str, ...]]:
-        here = {}
-        for ours, theirs in scheme.items():
-            own = [written.get(name, written.get(name.lower())) for name in theirs]
-            if all(name is not None for name in own):
-                here[ours] = tuple(str(name) for name in own)
-        return here
+    def found(scheme: Scheme, before: str = "", after: str = "") -> Columns:
+        own = {
+            ours: [
+                column.get(before + _plain(n) + after, column.get(_plain(n)) if ours in asked else None) for n in theirs
+            ]
+            for ours, theirs in scheme.items()
+        }
+        return {ours: tuple(c for c in at if c is not None) for ours, at in own.items() if None not in at}
 
-    missing = [name for theirs in asked.values() for name in theirs if not found({"": (name,)})]
-    if missing:
-        raise SourceError(f"--names asks for {', '.join(missing)}; the file has {_some(names)}")
-    fits = {name: found({**scheme, **asked}) for name, scheme in SCHEMES.items()}
-    best = max(fits, key=lambda name: (set(NEEDED) <= fits[name].keys(), len(fits[name])))
-    if not set(NEEDED) <= fits[best].keys():
-        lacking = [name for name in NEEDED if name not in fits[best]]
+    def skeletons(scheme: Scheme) -> list[Columns]:
+        arms = [_plain(scheme[part][0]) for part in NEEDED]
+        around = {tuple(key.split(own, 1)) for key in column for own in arms if own in key}
+        here = [found(scheme, *ends) for ends in sorted(around)] or [found(scheme)]
+        whole = [one for one in here if set(NEEDED) <= one.keys()]
+        return sorted(whole or [max(here, key=len)], key=lambda one: min(min(at) for at in one.values()) if one else 0)
+
+    unknown = [name for theirs in asked.values() for name in theirs if not any(_plain(name) in key for key in column)]
+    if unknown:
+        raise SourceError(f"--names asks for {', '.join(unknown)}; the file has {_some(names)}")
+    fits = {name: skeletons({**scheme, **asked}) for name, scheme in SCHEMES.items()}
+    best = max(fits, key=lambda name: (set(NEEDED) <= fits[name][0].keys(), len(fits[name][0])))
+    if lacking := [name for name in NEEDED if name not in fits[best][0]]:
         raise SourceError(
             f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} "
             "are known; map others with --names left_shoulder=… right_shoulder=… left_wrist=… right_wrist=…"
@@ -178,6 +193,12 @@ def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, Scheme]:
     return best, fits[best]
 
 
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.lower())
+
+
 def _some(names: Sequence[str]) -> str:
-    shown = [name or "''" for name in names[:24]]
-    return ", ".join(shown) + ", …" * (len(names) > 24)
+    """Return the names that look like parts of arms; all, where less than four do."""
+    arms = [name for name in names if re.search("sho|shld|sh_|acr|arm|elb|hum|rad|uln|wr|hand", name.lower())]
+    some = arms if len(arms) >= len(NEEDED) else [name or "''" for name in names]
+    return ", ".join(some) + f", and {len(names) - len(some)} others" * (len(some) < len(names))

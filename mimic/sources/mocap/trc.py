@@ -11,6 +11,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
+from mimic.io.reading import read_text
 from mimic.sources.mocap.points import UNITS, Points
 
 _HEADER = 5
@@ -23,7 +24,7 @@ def read_trc(path: Path, settings: MocapSettings) -> Points:
     Raises:
         SourceError: If the file is no TRC.
     """
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_text(path).splitlines()
     if len(lines) < _HEADER + 1 or not lines[0].startswith("PathFileType"):
         raise SourceError(f"{path.name}, line 1: not a TRC file (it must start with PathFileType)")
     facts = dict(zip(lines[1].split(), lines[2].split(), strict=False))
@@ -46,7 +47,11 @@ def _table(lines: list[str], path: Path, width: int) -> np.ndarray:
     for number, line in enumerate(lines[_HEADER:], _HEADER + 1):
         if not line.strip():
             continue
-        cells = [cell.strip() for cell in line.split("\t")]
+        cells = [cell.strip() for cell in line.rstrip().split("\t")]
+        if len(cells) > width:
+            raise SourceError(
+                f"{path.name}, line {number}: {len(cells)} cells; expected {width}, for the names in line 4"
+            )
         cells += [""] * (width - len(cells))
         try:
             rows.append([float(cell) if cell else np.nan for cell in cells[:width]])

@@ -49,7 +49,7 @@ class Video:
     """An open video; iterate over it once."""
 
     size: tuple[int, int]
-    """Width and height of the upright picture [px]."""
+    """Width and height of the upright picture with square pixels [px]."""
     frame_count: int | None
     """Number of frames in the header, None if it has none. It may be wrong."""
     frames: Iterator[Frame]
@@ -87,12 +87,15 @@ def open_video(path: Path) -> Iterator[Video]:
                 "with a picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
             )
         frame_count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        frame, thumbnail = _frame(first, capture.get(cv2.CAP_PROP_POS_MSEC), None)
+        shape = capture.get(cv2.CAP_PROP_SAR_NUM) or 1.0, capture.get(cv2.CAP_PROP_SAR_DEN) or 1.0
+        turned = int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 180 == 90
+        size = _upright(first.shape[1], first.shape[0], shape[1 if turned else 0] / shape[0 if turned else 1])
+        frame, thumbnail = _frame(first, capture.get(cv2.CAP_PROP_POS_MSEC), None, size)
         thread = threading.Thread(
-            target=_decode_into, args=(capture, decoded, stop, thumbnail), name="decode", daemon=True
+            target=_decode_into, args=(capture, decoded, stop, thumbnail, size), name="decode", daemon=True
         )
         thread.start()
-        yield Video((first.shape[1], first.shape[0]), frame_count if frame_count > 0 else None, _drain(frame, decoded))
+        yield Video(size, frame_count if frame_count > 0 else None, _drain(frame, decoded))
     finally:
         stop.set()
         if thread is not None:
@@ -106,7 +109,21 @@ def check_video(path: Path) -> None:
         pass
 
 
-def _frame(bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None) -> tuple[Frame, np.ndarray]:
+def _upright(width: int, height: int, pixel: float) -> tuple[int, int]:
+    """Return the size that shows the picture with square pixels; none gets less of them.
+
+    Args:
+        width: As stored.
+        height: As stored.
+        pixel: Width of a stored pixel over its height; what no video has counts as square.
+    """
+    pixel = pixel if 0.25 <= pixel <= 4.0 else 1.0
+    return round(width * max(pixel, 1.0)), round(height / min(pixel, 1.0))
+
+
+def _frame(
+    bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None, size: tuple[int, int]
+) -> tuple[Frame, np.ndarray]:
     """Return the frame, and its thumbnail for comparison with the next one."""
     import cv2
 
@@ -114,13 +131,20 @@ def _frame(bgr: np.ndarray, stamp_ms: float, previous: np.ndarray | None) -> tup
     stride = max(1, min(height, width) // 96)
     thumbnail = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
     change = 0.0 if previous is None else float(np.abs(thumbnail - previous).mean())
-    shrink = MAX_SIDE / max(height, width)
-    if shrink < 1:
-        bgr = cv2.resize(bgr, (round(width * shrink), round(height * shrink)), interpolation=cv2.INTER_LINEAR)
+    shrink = min(1.0, MAX_SIDE / max(size))
+    wanted = round(size[0] * shrink), round(size[1] * shrink)
+    if wanted != (width, height):
+        bgr = cv2.resize(bgr, wanted, interpolation=cv2.INTER_LINEAR)
     return Frame(stamp_ms, cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), change), thumbnail
 
 
-def _decode_into(capture: Any, decoded: queue.Queue[Any], stop: threading.Event, thumbnail: np.ndarray | None) -> None:
+def _decode_into(
+    capture: Any,
+    decoded: queue.Queue[Any],
+    stop: threading.Event,
+    thumbnail: np.ndarray | None,
+    size: tuple[int, int],
+) -> None:
     import cv2
 
     def put(item: Frame | Exception | None) -> None:
@@ -136,7 +160,7 @@ def _decode_into(capture: Any, decoded: queue.Queue[Any], stop: threading.Event,
             if not ok:
                 break
             # After read() this is the time of this frame, also with a variable frame rate.
-            frame, thumbnail = _frame(bgr, capture.get(cv2.CAP_PROP_POS_MSEC), thumbnail)
+            frame, thumbnail = _frame(bgr, capture.get(cv2.CAP_PROP_POS_MSEC), thumbnail, size)
             put(frame)
     except Exception as error:
         put(error)
@@ -150,6 +174,40 @@ def _drain(first: Frame, decoded: queue.Queue[Any]) -> Iterator[Frame]:
         if isinstance(item, Exception):
             raise item
         yield item
+
+
+def missing_bytes(path: Path) -> int:
+    """Return how many bytes the outermost elements of an MP4, MOV, MKV, WebM or AVI announce beyond the file's end.
+
+    0 where none do. The number of frames in a header says less: it counts those before an edit list or a late start.
+    """
+    size = end = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(4096)
+        if head[:4] == b"RIFF":
+            end = 8 + int.from_bytes(head[4:8], "little")
+        elif head[:4] == b"\x1a\x45\xdf\xa3":  # EBML, then the segment
+            header, at = _ebml_size(head, 4)
+            length, at = _ebml_size(head, at + (header or 0) + 4)
+            end = size if length is None else at + length
+        elif head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
+            end = 0
+            while end + 8 <= size:
+                file.seek(end)
+                box = file.read(16)
+                length = int.from_bytes(box[8:16] if box[:4] == b"\0\0\0\1" else box[:4], "big")
+                end = end + length if length >= 8 else size
+    return max(0, end - size)
+
+
+def _ebml_size(data: bytes, at: int) -> tuple[int | None, int]:
+    """Return the size that stands at a place, None where it is unknown, and the place after it."""
+    if at >= len(data) or not data[at]:
+        return None, at
+    count = 9 - data[at].bit_length()
+    ones = (1 << 7 * count) - 1
+    value = int.from_bytes(data[at : at + count], "big") & ones
+    return None if value == ones else value, at + count
 
 
 def true_times(stamps_ms: FloatArray) -> tuple[FloatArray, int]:

@@ -17,7 +17,7 @@ from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
 from mimic.sources.video.blazepose import BlazePose
-from mimic.sources.video.decoding import Video, open_video, true_times
+from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
 from mimic.sources.video.pose_model import BUNDLE, pose_model
@@ -26,11 +26,9 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 8
+ALGORITHM = 9
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
-MISSING_FRAMES, MISSING_SHARE = 2, 0.01
-"""Fewer frames than announced are normal up to this number or share: headers count frames that are not shown."""
 MAX_SWAP_SHARE = 0.05
 """A larger share of frames with swapped left and right gives a warning."""
 MIN_PERSON_SHARE = 0.8
@@ -52,7 +50,8 @@ class _Detections:
     light: FloatArray
     clothes: FloatArray
     size: tuple[int, int]
-    frame_count: int | None
+    missing: int
+    """Bytes that the file lacks at its end."""
     repaired: int
     people: list[str]
     """What is to be said about several people in view."""
@@ -166,7 +165,7 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
     looks = np.array(change), np.array(light), np.array(clothes)
     said = people.sentences()
-    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, video.frame_count, repaired, said)
+    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, missing_bytes(path), repaired, said)
 
 
 def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
@@ -200,11 +199,13 @@ def _person_share(detections: _Detections, settings: PoseSettings) -> float:
 
 
 def _file_warnings(detections: _Detections) -> Iterator[str]:
-    frames, expected = len(detections.t), detections.frame_count
-    if expected is not None and expected - frames > max(MISSING_FRAMES, MISSING_SHARE * expected):
-        yield f"the file header says {expected} frames, but only {frames} could be decoded; the end may be missing"
+    if detections.missing:
+        yield f"the file is cut off, {detections.missing} bytes short; the end may be missing: copy it again"
     if detections.repaired:
-        yield f"{detections.repaired} of {frames} time stamps do not increase; these frames got interpolated times"
+        yield (
+            f"{detections.repaired} of {len(detections.t)} time stamps do not increase; these frames got interpolated "
+            "times"
+        )
 
 
 def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> Iterator[str]:

@@ -23,17 +23,21 @@ MARKERS = {
 ROWS = 50
 
 
-def write(path: Path, *, units: str = "mm", names: list[str] | None = None) -> Path:
+def write(path: Path, *, units: str = "mm", names: list[str] | None = None, screen: str = "", people: int = 1) -> Path:
     ezc3d = pytest.importorskip("ezc3d", reason="writes the file; needs the extra 'c3d'")
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["UNITS"]["value"] = [units]
     file["parameters"]["POINT"]["RATE"]["value"] = [100]
-    file["parameters"]["POINT"]["LABELS"]["value"] = names or list(MARKERS)
+    people_names = [f"P{n + 1}:{name}" for n in range(people) for name in MARKERS]
+    file["parameters"]["POINT"]["LABELS"]["value"] = names or (list(MARKERS) if people == 1 else people_names)
+    if screen:
+        file.add_parameter("POINT", "Y_SCREEN", [screen])
     points = np.ones((4, len(MARKERS), ROWS))
     points[:3] = np.array(list(MARKERS.values()), dtype=float).T[:, :, None]
     points[2, list(MARKERS).index("LWRA"), :] += 100.0 * np.linspace(0, 1, ROWS)
     points[:3, list(MARKERS).index("RELB"), 10:20] = np.nan
-    file["data"]["points"] = points
+    apart = np.array([0.0, 1500.0, 0.0, 0.0])[:, None, None]
+    file["data"]["points"] = np.concatenate([points + n * apart for n in range(people)], axis=1)
     file.write(str(path))
     return path
 
@@ -46,6 +50,21 @@ def test_markers_of_a_c3d_file_become_a_person_in_metres(tmp_path):
     assert arm[1] == pytest.approx(0.32, abs=0.003)  # down
     assert not track.valid[10:20, track.index("right_elbow")].any()
     assert any("read as plug-in gait, z up, in mm" in text for text in track.warnings)
+
+
+@pytest.mark.parametrize(("screen", "said"), [("+Z", False), ("-Z", True), ("+Y", True), ("", False)])
+def test_the_trunk_is_believed_before_the_axis_of_the_screen(screen, said, tmp_path):
+    track = track_mocap(write(tmp_path / "walk.c3d", screen=screen), MocapSettings(), PoseSettings())
+    assert track.landmarks[0, track.index("left_ankle"), 1] > 0.5
+    assert any("the trunk is believed" in text for text in track.warnings) == said
+
+
+def test_several_people_are_said_and_one_can_be_chosen(tmp_path):
+    path = write(tmp_path / "pair.c3d", people=2)
+    one, two = (track_mocap(path, MocapSettings(), PoseSettings(person=person)) for person in (None, 2))
+    assert any("2 people are in the file; number 1" in text for text in one.warnings)
+    assert any("number 2" in text for text in two.warnings)
+    np.testing.assert_allclose(one.landmarks, two.landmarks, atol=1e-4)
 
 
 def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):

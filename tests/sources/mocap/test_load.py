@@ -143,8 +143,10 @@ def test_an_upside_down_person_is_reported(tmp_path):
     assert any("upside down" in text for text in warnings)
 
 
-def test_left_handed_axes_are_reported(tmp_path):
-    assert MIRRORED in read(save(tmp_path / "a.npz", points=stacked() * [1, -1, 1])).warnings
+def test_left_handed_axes_are_reported_and_turned_over(tmp_path):
+    path = save(tmp_path / "a.npz", points=stacked() * [1, -1, 1])
+    assert MIRRORED in read(path).warnings
+    np.testing.assert_allclose(arms(path), expected_arms(), atol=0.03)
     assert MIRRORED not in read(save(tmp_path / "b.npz")).warnings
 
 

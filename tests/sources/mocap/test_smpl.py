@@ -170,6 +170,65 @@ class Attack:
         return os.system, (f"touch {self.target}",)
 
 
+class Call:
+    """Pickles as a call with a state, whatever they are."""
+
+    def __init__(self, *reduced: object) -> None:
+        self.reduced = reduced
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+EMPTY = (np.ndarray, (0,), b"b")
+REBUILD = np.zeros(0).__reduce__()[0]
+ADDRESSES = b"A" * 32  # as objects these are addresses that nobody owns: reading one ends the process
+SCALAR = np.float64(0.0).__reduce__()[0]
+OBJECTS = {
+    "a call of the type": Call(np.ndarray, ((4,), np.dtype("O"), ADDRESSES)),
+    "the type with its class by name": Call(np.ndarray, ((4,), "O", ADDRESSES)),
+    "a state of addresses": Call(REBUILD, EMPTY, (1, (4,), np.dtype("O"), False, ADDRESSES)),
+    "a state of a list": Call(REBUILD, EMPTY, (1, (2,), np.dtype("O"), False, ["a", "b"])),
+    "a field hidden by flags": Call(
+        REBUILD,
+        EMPTY,
+        (
+            1,
+            (4,),
+            Call(
+                np.dtype,
+                ("V8", False, True),
+                (3, "|", None, ("f",), {"f": (np.dtype("O"), 0)}, 8, 1, 0),
+            ),
+            False,
+            ADDRESSES,
+        ),
+    ),
+    "more rows than bytes": Call(REBUILD, EMPTY, (1, (2**62, 4), np.dtype("f8"), False, b"")),
+    "rows below zero": Call(REBUILD, EMPTY, (1, (-2, -2), np.dtype("f8"), False, ADDRESSES)),
+    "a wider type than it says": Call(
+        REBUILD,
+        EMPTY,
+        (1, (4,), Call(np.dtype, ("S1", False, True), (3, "|", None, None, None, 8, 1, 0)), False, ADDRESSES),
+    ),
+    "one object": Call(SCALAR, (np.dtype("O"), ADDRESSES)),
+}
+
+
+@pytest.mark.parametrize("data", OBJECTS.values(), ids=OBJECTS)
+def test_a_pickle_that_makes_objects_of_bytes_is_refused(data, tmp_path):
+    (tmp_path / "evil.pkl").write_bytes(pickle.dumps({"poses": data, "fps": 30}))
+    with pytest.raises(SourceError, match=r"evil\.pkl .*(Python object|cannot be read)"):
+        read(tmp_path / "evil.pkl")
+
+
+def test_the_type_of_all_arrays_is_not_changed_by_a_pickle(tmp_path):
+    swap = Call(np.dtype, ("f8", False, False), (3, ">", None, None, None, -1, -1, 0))
+    (tmp_path / "evil.pkl").write_bytes(pickle.dumps({"poses": np.zeros((9, 72)), "other": swap, "fps": 30}))
+    assert len(read(tmp_path / "evil.pkl").t) == 9
+    assert np.dtype("f8").isnative
+
+
 def test_a_pickle_that_runs_code_is_refused(tmp_path):
     (tmp_path / "evil.pkl").write_bytes(pickle.dumps({"poses": Attack(tmp_path / "hacked")}))
     with pytest.raises(SourceError, match=r"holds a Python object .*system"):
