@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from cyclopts import App, Parameter
-from cyclopts.exceptions import CycloptsError
+from cyclopts.exceptions import CycloptsError, UnknownOptionError
 
 from mimic.cli.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
@@ -24,8 +24,7 @@ EXAMPLES = """Examples:
   mimic --robot cyberdog2                  the same on a stock CyberDog 2
 
 To see the options of a command: mimic COMMAND --help
-To read options from a file: --config FILE.toml, with a table for each command
-such as [retarget]; options of playing stand at the top of the file.
+All other settings: --config FILE.toml. To see them all: mimic config
 
 Exit status: 0 done, 1 bug, 2 user error, 3 stopped by Ctrl-C or for safety,
 4 some files of a batch failed."""
@@ -131,6 +130,12 @@ COMMANDS = {
         "mimic emulate --fault motor_dead:FL_knee@12.5",
         "mimic emulate --board cyberdog2",
     ),
+    "config": (
+        "mimic.cli.settings_file:config",
+        "Print all settings with their defaults, as a file for --config.",
+        "mimic config > mimic.toml",
+        "mimic video.mp4 --sim --config mimic.toml",
+    ),
 }
 """Name -> where the command is, what it does, and examples."""
 
@@ -233,7 +238,7 @@ def run(arguments: list[str]) -> int:
     except MimicError as error:
         return _failed(error)
     except CycloptsError as error:
-        return _failed(error.__cause__ if isinstance(error.__cause__, MimicError) else error)
+        return _failed(error.__cause__ if isinstance(error.__cause__, MimicError) else _explained(error))
     except EOFError:
         return _failed("a question could not be answered: there is no input; run it in a terminal, or add --yes")
     except BrokenPipeError:
@@ -250,6 +255,15 @@ def run(arguments: list[str]) -> int:
     return result if isinstance(result, int) else DONE
 
 
+def _explained(error: CycloptsError) -> object:
+    """Return an error of the parser; for an option that is a setting, how to set it."""
+    if isinstance(error, UnknownOptionError):
+        from mimic.cli.settings_file import where_to_set
+
+        return where_to_set(error) or error
+    return error
+
+
 def _failed(error: object) -> int:
     from rich.console import Console
     from rich.markup import escape
@@ -260,7 +274,7 @@ def _failed(error: object) -> int:
 
 
 def _with_config(arguments: list[str]) -> list[str]:
-    """Return the arguments without --config FILE, whose options count from now on."""
+    """Return the arguments without --config FILE, whose settings count from now on."""
     app.config = ()
     for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")
@@ -271,18 +285,9 @@ def _with_config(arguments: list[str]) -> list[str]:
             if not rest:
                 raise ConfigError("--config needs a file, such as --config mimic.toml")
             value, rest = rest[0], rest[1:]
-        path = Path(value)
-        if not path.is_file():
-            raise ConfigError(f"there is no file {path}; --config expects a TOML file with options")
-        from tomllib import TOMLDecodeError, loads
+        from mimic.cli.settings_file import config_of
 
-        try:
-            loads(path.read_text(encoding="utf-8"))
-        except (TOMLDecodeError, UnicodeDecodeError) as reason:
-            raise ConfigError(f"{path} is not a TOML file: {reason}") from None
-        from cyclopts.config import Toml
-
-        app.config = (Toml(path, must_exist=True),)
+        app.config = config_of(Path(value))
         return [*arguments[:index], *rest]
     return arguments
 

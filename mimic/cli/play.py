@@ -28,14 +28,16 @@ def play(
     out: o.Out = None,
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
     view: o.View = None,
-    retarget: o.Retarget = None,
-    run: o.Run = None,
-    model: o.Effects = None,
-    pose: o.Pose = None,
-    stored: o.Stored = None,
-    language: o.Language = None,
-    live: o.Live = None,
-    bus: o.Bus = None,
+    retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
+    run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
+    model: Annotated[o.Effects, o.only("model", "effects")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    stored: Annotated[o.Stored, o.only("stored")] = None,
+    language: Annotated[o.Language, o.only("language")] = None,
+    live: Annotated[o.Live, o.only("live")] = None,
+    bus: Annotated[
+        o.Bus, o.only("bus", "wiring", "interface", "zeroed", "watchdog", "yes", "dry_run", "tether", "hold")
+    ] = None,
 ) -> int:
     """Play human motion on the robot.
 
@@ -50,9 +52,9 @@ def play(
         Play it on the real robot on these buses: can0, several with commas, slcan:/dev/ttyACM0,
         socketcand://HOST:PORT/can0; or on a stock one: cyberdog2. Without a source it stands until Ctrl-C.
     text
-        Play a sentence instead, such as "step forward, then wave the left hand".
+        Play a sentence, such as "step forward, then wave the left hand".
     camera
-        Follow a camera live instead: its number or device, or a video that is played in its place.
+        Follow a camera live: its number or device, or a video that is played in its place.
     out
         Run folder; by default runs/NAME, with a number if that is taken.
     video

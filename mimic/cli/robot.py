@@ -364,7 +364,7 @@ def probe(
     out
         Parquet or CSV file to write.
     motion
-        Play the targets of this run folder or log.parquet instead, scaled into the ranges in which nothing can touch.
+        Play the targets of this run folder or log.parquet, scaled into the ranges in which nothing can touch.
     """
     from mimic.flows.commissioning import probe_robot
 
