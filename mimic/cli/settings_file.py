@@ -1,4 +1,4 @@
-"""``--config FILE``: settings from a TOML file with a section for each group; and ``mimic config``, which prints all."""
+"""``--config FILE``: settings from a TOML file, a section for each group; ``mimic config`` prints all."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def _groups(arguments: ArgumentCollection) -> list[tuple[str, Argument]]:
     """Return each group of settings among the arguments of a command, with its section."""
     found = []
     for argument in arguments:
-        kinds = [kind for kind in get_args(argument.hint) if isinstance(kind, type) and is_dataclass(kind)]
+        kinds: list[type] = [kind for kind in get_args(argument.hint) if isinstance(kind, type) and is_dataclass(kind)]
         section = next((s for s, kind in SECTIONS.items() if kinds and issubclass(kind, kinds[0])), None)
         if section is not None:
             found.append((section, argument))

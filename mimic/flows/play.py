@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from mimic.control.plant import Plant
     from mimic.control.supervisor import Event
     from mimic.control.tick import Safety, Sink
+    from mimic.flows.camera import CameraRecord
     from mimic.policy.runtime import Policy
     from mimic.robot.description import RobotDescription
+    from mimic.view.scene.footage import Footage
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,13 +238,33 @@ def play_source(
 
             footage = stack.enter_context(start_footage(file))
         check_playable(run, effects)
-        motion = _load(source, settings, PreloadingReporter(reporter))
+        motion = load_source(source, settings, PreloadingReporter(reporter))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
-        made_by = provenance(
-            settings_of(settings) | {"run": run, "robot": effects},
-            {**done.inputs, **({} if file is None else {"source": file})},
-        )
-        return save_run(done, folder, made_by, reporter, film=film, footage=footage)
+        parts = settings_of(settings) | {"run": run, "robot": effects}
+        return save_played(done, folder, parts, reporter, source=file, film=film, footage=footage)
+
+
+def save_played(
+    done: Run,
+    folder: Path,
+    parts: Mapping[str, Any],
+    reporter: Reporter,
+    *,
+    source: Path | None = None,
+    camera: CameraRecord | None = None,
+    more: Mapping[str, Any] | None = None,
+    film: Path | None = None,
+    footage: Footage | None = None,
+) -> SavedRun:
+    """Write the folder of a run in simulation or on a robot, with the settings behind it (``parts``) and what a camera
+    saw that was followed; ``source`` is a file, also one in place of a camera. See save_run for the rest.
+    """
+    made_by = provenance(parts, {**done.inputs, **({} if source is None else {"source": source})})
+    if camera is not None:
+        more = {**(more or {}), "live": camera.save(folder, made_by)}
+        motion = camera.motion(done.log)
+        done = done if motion is None else replace(done, motion=motion)
+    return save_run(done, folder, made_by, reporter, more=more, film=film, footage=footage)
 
 
 def save_targets(
@@ -278,7 +300,8 @@ def save_targets(
     return motion
 
 
-def _load(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+def load_source(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+    """Return the motion of a file (Path) or a sentence (str)."""
     if isinstance(source, Path):
         return load_motion(source, settings, reporter=reporter)
     return motion_from_text(source, settings, reporter=reporter)
