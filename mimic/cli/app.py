@@ -130,6 +130,11 @@ COMMANDS = {
         "mimic emulate --fault motor_dead:FL_knee@12.5",
         "mimic emulate --board cyberdog2",
     ),
+    "doctor": (
+        "mimic.cli.doctor:doctor",
+        "Say what this computer has for mimic, and how to mend what is missing.",
+        "mimic doctor",
+    ),
     "config": (
         "mimic.cli.settings_file:config",
         "Print all settings with their defaults, as a file for --config.",
@@ -244,6 +249,12 @@ def run(arguments: list[str]) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except ImportError as error:
+        if "libGL" not in str(error):
+            raise
+        from mimic.flows.doctor import fix_of_opencv
+
+        return _failed(f"OpenCV cannot be loaded ({error}); {fix_of_opencv()}")
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise
