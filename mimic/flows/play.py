@@ -11,14 +11,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
-from mimic.errors import ConfigError, SourceError
+from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
-from mimic.flows.run_folder import SavedRun, check_not_overwritten, new_run_folder, save_run
+from mimic.flows.run_folder import (
+    COMMANDS,
+    HEALTH,
+    JOINTS,
+    LOG,
+    METRICS,
+    POSE,
+    TARGETS,
+    SavedRun,
+    check_not_overwritten,
+    new_run_folder,
+    save_run,
+)
 from mimic.io import store
-from mimic.records import CommandTrack, HealthLog, LiveCommands, PoseTrack, RunLog, TargetTrack, WristTrack
+from mimic.records import (
+    CommandTrack,
+    HealthLog,
+    JointSamples,
+    LiveCommands,
+    PoseTrack,
+    RunLog,
+    TargetTrack,
+    WristTrack,
+)
+from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
     from mimic.control.loop import RunResult
@@ -31,8 +53,8 @@ if TYPE_CHECKING:
     from mimic.view.scene.footage import Footage
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Run(ShownAsTable):
     """What came of playing a motion."""
 
     motion: Motion | None
@@ -132,7 +154,7 @@ def load_policy(policy: str | Path | None = None, robot: RobotDescription | None
 
 
 def play(
-    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
+    commands: str | Path | Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
     *,
     plant: Plant | None = None,
     policy: Policy | str | Path | None = None,
@@ -146,7 +168,7 @@ def play(
     """Stand up, play commands through a policy, sit down. Writes no files.
 
     Args:
-        commands: A motion, a track at any stage (it is retargeted as needed), or live commands.
+        commands: A file, a motion, a track at any stage (it is retargeted as needed), or live commands.
         plant: Robot that plays them; by default the simulated CyberDog 2. It is closed at the end.
         policy: Low-level policy or its ONNX file; by default the shipped one.
         sit_down: Policy that brings the robot down at the end; by default the shipped one.
@@ -162,6 +184,7 @@ def play(
 
     Raises:
         AssetError, ConfigError, ContractError: If policy, effects or commands do not fit.
+        SourceError: If there is no such file, or it holds no motion that can be played.
         PlantError: If the plant fails before the first tick.
     """
     from mimic.control.loop import run_policy
@@ -169,6 +192,14 @@ def play(
     from mimic.policy.runtime import load_policy as policy_for
 
     settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporter or SilentReporter()
+    if not isinstance(settings, RunSettings):
+        raise ConfigError(
+            f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
+        )
+    if isinstance(commands, str | Path):
+        if not Path(commands).exists():
+            raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
+        commands = load_motion(commands, reporter=reporter)
     motion: Motion | None = None
     asked: CommandTrack | LiveCommands
     if isinstance(commands, LiveCommands):
@@ -265,6 +296,48 @@ def save_played(
         motion = camera.motion(done.log)
         done = done if motion is None else replace(done, motion=motion)
     return save_run(done, folder, made_by, reporter, more=more, film=film, footage=footage)
+
+
+def load_run(folder: str | Path) -> SavedRun:
+    """Read the folder of a run: logs, motion, events and figures.
+
+    Args:
+        folder: Run folder that a command or `Run.save` wrote.
+
+    Returns:
+        The run as it was saved. Its video and key frames are not read again.
+
+    Raises:
+        AssetError: If it is no run folder, or a file in it is broken.
+    """
+    from mimic.control.loop import RunResult
+    from mimic.control.supervisor import Event, SafetyMode
+
+    folder = Path(folder)
+    if not (folder / LOG).is_file():
+        raise AssetError(f"there is no {LOG} in {folder}; expected the folder of a run")
+    metrics = store.load_json(folder / METRICS)
+    log = store.load(folder / LOG, RunLog)
+
+    def stored(name: str, kind: type[store.R]) -> store.R | None:
+        return store.load(folder / name, kind) if (folder / name).is_file() else None
+
+    motion = None
+    targets, commands = stored(TARGETS, TargetTrack), stored(COMMANDS, CommandTrack)
+    if commands is not None:
+        motion = Motion(commands=commands, targets=targets, pose=stored(POSE, PoseTrack))
+    elif targets is not None:
+        motion = replace(as_motion(targets), pose=stored(POSE, PoseTrack))
+    result = RunResult(
+        log=log,
+        health=store.load(folder / HEALTH, HealthLog),
+        events=tuple(Event(**{**event, "mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
+        samples=stored(JOINTS, JointSamples),
+        fell_at=log.metadata.get("fell_at"),
+        interrupted=metrics["interrupted"],
+    )
+    run = Run(motion=motion, result=result, description=load_robot())
+    return SavedRun(run=run, folder=folder, metrics=metrics)
 
 
 def save_targets(

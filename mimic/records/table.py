@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 LINES, WIDTH = 10, 100
 """Size of the table at most [lines, characters]."""
@@ -32,16 +33,22 @@ def in_words(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, np.ndarray):
-        shape = " x ".join(map(str, value.shape))
-        if value.dtype == bool:
-            return f"{shape}, {value.mean():.0%} true" if value.size else shape
-        finite = value[np.isfinite(value)] if np.issubdtype(value.dtype, np.number) else value[:0]
-        return f"{shape}, {finite.min():.4g} to {finite.max():.4g}" if finite.size else shape
+        return _array(value)  # pyright: ignore[reportUnknownArgumentType]
     if isinstance(value, (Mapping, tuple, list)):
-        inside = ", ".join(str(one) if isinstance(one, (str, int, float)) else type(one).__name__ for one in value)
-        return f"{len(value)}: {inside}" if value else "none"
+        entries: list[Any] = list(value)  # pyright: ignore[reportUnknownArgumentType]
+        inside = ", ".join(str(one) if isinstance(one, (str, int, float)) else type(one).__name__ for one in entries)
+        return f"{len(entries)}: {inside}" if entries else "none"
     if is_dataclass(value):
-        t = getattr(value, "t", None)
-        rows = f", {len(t)} rows, {t[0]:.2f} to {t[-1]:.2f} s" if isinstance(t, np.ndarray) and len(t) else ""
+        t = getattr(value, "t", getattr(getattr(value, "log", None), "t", None))
+        rows = f", {len(t)} rows, {t[0]:.2f} to {t[-1]:.2f} s" if t is not None and np.size(t) > 1 else ""
         return f"{type(value).__name__}{rows}"
     return " ".join(str(value).split())
+
+
+def _array(values: NDArray[Any]) -> str:
+    """Return the shape of an array, and its range or the share that is true."""
+    shape = " x ".join(map(str, values.shape))
+    if values.dtype == np.bool_:
+        return f"{shape}, {np.mean(values):.0%} true" if values.size else shape
+    finite = values[np.isfinite(values)] if np.issubdtype(values.dtype, np.number) else values[:0]
+    return f"{shape}, {np.min(finite):.4g} to {np.max(finite):.4g}" if finite.size else shape

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mimic.errors import AssetError, MimicError
 from mimic.io.store import written_whole
@@ -178,7 +178,7 @@ def _no_viewer(output: str) -> MimicError:
     return MimicError(f"the Rerun viewer did not start: {output.strip()[-400:] or 'no output'}")
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[Any]) -> None:
     """End the viewer and its process group, because the command starts another program."""
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)
