@@ -11,6 +11,17 @@ from typing import TYPE_CHECKING, Any
 from mimic.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from mimic.config.evaluation import EvaluateSettings as EvaluateSettings
+    from mimic.config.hardware import BusSettings as BusSettings
+    from mimic.config.play import EffectsSettings as EffectsSettings
+    from mimic.config.play import RunSettings as RunSettings
+    from mimic.config.pose import LanguageSettings as LanguageSettings
+    from mimic.config.pose import LiveSettings as LiveSettings
+    from mimic.config.pose import MocapSettings as MocapSettings
+    from mimic.config.pose import PoseSettings as PoseSettings
+    from mimic.config.retarget import RetargetSettings as RetargetSettings
+    from mimic.config.sysid import CalibrateSettings as CalibrateSettings
+    from mimic.config.sysid import LogSettings as LogSettings
     from mimic.dynamics.effect_set import EffectSet as EffectSet
     from mimic.dynamics.effect_set import read_effects as read_effects
     from mimic.errors import MimicError as MimicError
@@ -27,6 +38,7 @@ if TYPE_CHECKING:
     from mimic.flows.play import Run as Run
     from mimic.flows.play import load_policy as load_policy
     from mimic.flows.play import load_robot as load_robot
+    from mimic.flows.play import load_run as load_run
     from mimic.flows.play import play as play
     from mimic.flows.play import play_source as play_source
     from mimic.flows.reporter import Reporter as Reporter
@@ -47,6 +59,23 @@ if TYPE_CHECKING:
     from mimic.sysid.result import Calibration as Calibration
 
 _OWNERS = {
+    "mimic.config.evaluation": ("EvaluateSettings",),
+    "mimic.config.hardware": ("BusSettings",),
+    "mimic.config.play": (
+        "EffectsSettings",
+        "RunSettings",
+    ),
+    "mimic.config.pose": (
+        "LanguageSettings",
+        "LiveSettings",
+        "MocapSettings",
+        "PoseSettings",
+    ),
+    "mimic.config.retarget": ("RetargetSettings",),
+    "mimic.config.sysid": (
+        "CalibrateSettings",
+        "LogSettings",
+    ),
     "mimic.dynamics.effect_set": ("EffectSet", "read_effects"),
     "mimic.errors": ("MimicError",),
     "mimic.flows.calibrate": ("calibrate",),
@@ -60,7 +89,7 @@ _OWNERS = {
         "retarget",
         "track_video",
     ),
-    "mimic.flows.play": ("Run", "load_policy", "load_robot", "play", "play_source"),
+    "mimic.flows.play": ("Run", "load_policy", "load_robot", "load_run", "play", "play_source"),
     "mimic.flows.reporter": ("Reporter",),
     "mimic.flows.run_folder": ("SavedRun",),
     "mimic.io.joint_log": ("JointLog", "read_log"),

@@ -14,6 +14,7 @@ import mimic
 from mimic.config.play import RunSettings
 from mimic.records import CommandTrack
 
+CLIP = Path(__file__).parents[1] / "examples" / "videos" / "waving.npz"
 FUNCTIONS = ("calibrate", "evaluate", "load_motion", "load_policy", "load_robot", "play", "retarget", "track_video")
 
 
@@ -70,3 +71,63 @@ def test_a_policy_is_found_by_its_name_from_any_folder(tmp_path: Path, monkeypat
         assert mimic.load_policy(name).contract.task == "stand_track"
     with pytest.raises(mimic.MimicError, match="stand_track, sit_down"):
         mimic.load_policy("elsewhere/stand_track.onnx")
+
+
+@pytest.fixture(scope="module")
+def waved() -> mimic.Run:
+    return mimic.play(CLIP, settings=mimic.RunSettings(hold_last=0.0))
+
+
+def test_a_file_is_played_by_its_name(waved):
+    assert waved.motion is not None
+    assert waved.metrics["toe_error_cm"]["mean"] < 5.0
+
+
+def test_a_saved_run_is_read_again_with_its_figures(waved, tmp_path):
+    waved.save(tmp_path / "run")
+    found = mimic.load_run(tmp_path / "run")
+    assert found.run.metrics == waved.metrics
+    assert found.run.events == waved.events
+    assert found.run.motion is not None
+    assert np.array_equal(found.run.motion.commands.p_BE, waved.motion.commands.p_BE)
+
+
+def test_a_folder_without_a_run_is_named(tmp_path):
+    with pytest.raises(mimic.MimicError, match=r"there is no log\.parquet in"):
+        mimic.load_run(tmp_path)
+
+
+def test_one_group_of_settings_or_single_ones_do():
+    whole = mimic.InputSettings(retarget=mimic.RetargetSettings(mirror=True))
+    one, other, third = (
+        mimic.load_motion(CLIP, whole),
+        mimic.load_motion(CLIP, mimic.RetargetSettings(mirror=True)),
+        mimic.load_motion(CLIP, mirror=True),
+    )
+    assert np.array_equal(one.commands.p_BE, other.commands.p_BE)
+    assert np.array_equal(one.commands.p_BE, third.commands.p_BE)
+    assert not np.array_equal(one.commands.p_BE, mimic.load_motion(CLIP).commands.p_BE)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: mimic.load_motion(CLIP, raet=0.2), "there is no setting 'raet'; settings are .*rate"),
+        (lambda: mimic.load_motion(CLIP, rate=5.0), "rate is 5 s; it must be from 0.05 to 1 s"),
+        (lambda: mimic.load_motion(CLIP, mimic.RunSettings()), "settings is a RunSettings; expected InputSettings"),
+        (lambda: mimic.play("wave the left hand"), r"to play a sentence: play\(motion_from_text"),
+        (lambda: mimic.play(CLIP, settings=mimic.RetargetSettings()), r"play\(load_motion\(source, settings\)\)"),
+    ],
+)
+def test_what_does_not_fit_says_how(call, said):
+    with pytest.raises(mimic.MimicError, match=said):
+        call()
+
+
+def test_a_motion_and_a_run_show_at_most_ten_short_lines(waved):
+    for thing in (waved, waved.motion, waved.motion.targets, waved.log, waved.health):
+        lines = repr(thing).splitlines()
+        assert 2 <= len(lines) <= 10
+        assert max(map(len, lines)) <= 100
+    assert "RunLog" in repr(waved.log)
+    assert f"{len(waved.log.t)} rows" in repr(waved.log)

@@ -98,3 +98,9 @@ def test_a_pose_may_have_other_landmarks_than_those_of_the_detector():
 def test_an_unknown_landmark_is_reported_with_those_that_exist():
     with pytest.raises(ContractError, match=r"left_antenna.*it has nose, left_eye_inner"):
         pose(LANDMARKS).index("left_antenna")
+
+
+def test_times_that_decrease_are_refused_with_their_row():
+    still = {"v": np.zeros((3, 2)), "heading": np.zeros(3), "p_BE": np.zeros((3, 2, 3))}
+    with pytest.raises(ContractError, match=r"CommandTrack\.t decreases: row 2 is at 0\.01 s, after 0\.02 s"):
+        CommandTrack(t=np.array([0.0, 0.02, 0.01]), **still)

@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from cyclopts import App, Parameter
-from cyclopts.exceptions import CycloptsError
+from cyclopts.exceptions import CycloptsError, UnknownOptionError
 
 from mimic.cli.exit_status import DONE, STOPPED, USER_ERROR
 from mimic.errors import ConfigError, MimicError
@@ -24,8 +24,7 @@ EXAMPLES = """Examples:
   mimic --robot cyberdog2                  the same on a stock CyberDog 2
 
 To see the options of a command: mimic COMMAND --help
-To read options from a file: --config FILE.toml, with a table for each command
-such as [retarget]; options of playing stand at the top of the file.
+All other settings: --config FILE.toml. To see them all: mimic config
 
 Exit status: 0 done, 1 bug, 2 user error, 3 stopped by Ctrl-C or for safety,
 4 some files of a batch failed."""
@@ -131,6 +130,17 @@ COMMANDS = {
         "mimic emulate --fault motor_dead:FL_knee@12.5",
         "mimic emulate --board cyberdog2",
     ),
+    "doctor": (
+        "mimic.cli.doctor:doctor",
+        "Say what this computer has for mimic, and how to mend what is missing.",
+        "mimic doctor",
+    ),
+    "config": (
+        "mimic.cli.settings_file:config",
+        "Print all settings with their defaults, as a file for --config.",
+        "mimic config > mimic.toml",
+        "mimic video.mp4 --sim --config mimic.toml",
+    ),
 }
 """Name -> where the command is, what it does, and examples."""
 
@@ -233,12 +243,18 @@ def run(arguments: list[str]) -> int:
     except MimicError as error:
         return _failed(error)
     except CycloptsError as error:
-        return _failed(error.__cause__ if isinstance(error.__cause__, MimicError) else error)
+        return _failed(error.__cause__ if isinstance(error.__cause__, MimicError) else _explained(error))
     except EOFError:
         return _failed("a question could not be answered: there is no input; run it in a terminal, or add --yes")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except ImportError as error:
+        if "libGL" not in str(error):
+            raise
+        from mimic.flows.doctor import fix_of_opencv
+
+        return _failed(f"OpenCV cannot be loaded ({error}); {fix_of_opencv()}")
     except OSError as error:
         if error.filename is None and error.errno is None:
             raise
@@ -248,6 +264,15 @@ def run(arguments: list[str]) -> int:
         _failed("; ".join(["interrupted", *map(str, reason.args)]))
         return STOPPED
     return result if isinstance(result, int) else DONE
+
+
+def _explained(error: CycloptsError) -> object:
+    """Return an error of the parser; for an option that is a setting, how to set it."""
+    if isinstance(error, UnknownOptionError):
+        from mimic.cli.settings_file import where_to_set
+
+        return where_to_set(error) or error
+    return error
 
 
 def _failed(error: object) -> int:
@@ -260,7 +285,7 @@ def _failed(error: object) -> int:
 
 
 def _with_config(arguments: list[str]) -> list[str]:
-    """Return the arguments without --config FILE, whose options count from now on."""
+    """Return the arguments without --config FILE, whose settings count from now on."""
     app.config = ()
     for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")
@@ -271,18 +296,9 @@ def _with_config(arguments: list[str]) -> list[str]:
             if not rest:
                 raise ConfigError("--config needs a file, such as --config mimic.toml")
             value, rest = rest[0], rest[1:]
-        path = Path(value)
-        if not path.is_file():
-            raise ConfigError(f"there is no file {path}; --config expects a TOML file with options")
-        from tomllib import TOMLDecodeError, loads
+        from mimic.cli.settings_file import config_of
 
-        try:
-            loads(path.read_text(encoding="utf-8"))
-        except (TOMLDecodeError, UnicodeDecodeError) as reason:
-            raise ConfigError(f"{path} is not a TOML file: {reason}") from None
-        from cyclopts.config import Toml
-
-        app.config = (Toml(path, must_exist=True),)
+        app.config = config_of(Path(value))
         return [*arguments[:index], *rest]
     return arguments
 

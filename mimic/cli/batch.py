@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
@@ -20,11 +20,11 @@ def batch(
     workers: int = 0,
     ray: str | None = None,
     export: Literal["lerobot"] | None = None,
-    retarget: o.Retarget = None,
-    run: o.Run = None,
-    robot: o.Effects = None,
-    pose: o.Pose = None,
-    stored: o.Stored = None,
+    retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
+    run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
+    robot: Annotated[o.Effects, o.only("robot", "effects")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    stored: Annotated[o.Stored, o.only("stored")] = None,
 ) -> int:
     """Play every video and motion file of a folder in simulation, into one table; go on where it was stopped.
 
@@ -37,7 +37,7 @@ def batch(
     workers
         Processes; 0 takes one for each core.
     ray
-        Address of a Ray cluster to play on instead, such as auto or 10.0.0.5:6379; its nodes need the same paths.
+        Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
     export
         Also write all runs as one LeRobotDataset v3, into OUT/lerobot.
     """

@@ -29,7 +29,7 @@ def emulate(
     Parameters
     ----------
     board
-        Serve a stock CyberDog 2 over LCM on this computer instead; play on it with --robot cyberdog2 --interface lo.
+        Serve a stock CyberDog 2 over LCM on this computer; play on it with --robot cyberdog2 --interface lo.
     listen
         Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot.
     slcan

@@ -47,15 +47,15 @@ def evaluate(
     policy
         ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
     table
-        Instead, the columns of the paper's Table III, beside the paper's.
+        The columns of the paper's Table III, beside the paper's.
     robustness
-        Instead, the share of survived episodes along each disturbance, with a heat map.
+        Share of survived episodes along each disturbance, with a heat map.
     stand_up
-        Instead, standing up from 500 lying starts, and standing still for 20 s.
+        Standing up from 500 lying starts, and standing still for 20 s.
     calm
-        Instead, standing for 60 s without a command, with and without noise: planted feet, heat, drift; pushes, pulls.
+        Standing for 60 s without a command, with and without noise: planted feet, heat, drift; pushes, pulls.
     lead
-        Instead, being led by the hand: a pull on a front toe, 5 m at 0.2 m/s in any direction.
+        Being led by the hand: a pull on a front toe, 5 m at 0.2 m/s in any direction.
     out
         JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json,
         stand-up-NAME.json, calm-NAME.json or lead-NAME.json in the current folder. The heat map goes beside it.

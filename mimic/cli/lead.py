@@ -29,7 +29,7 @@ def lead(
     video
         Also write a film in which the pull is drawn (.mp4).
     interactive
-        Open MuJoCo's viewer instead: double-click a front leg, then drag it with Ctrl and the right mouse button.
+        Open MuJoCo's viewer: double-click a front leg, then drag it with Ctrl and the right mouse button.
     policy
         ONNX file that stands and walks; by default the shipped one.
     seed

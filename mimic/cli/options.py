@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +28,11 @@ OUTPUT = Group("Output", sort_key=1)
 
 def _group(name: str, order: int) -> Parameter:
     return Parameter(name="*", group=Group(name, sort_key=order))
+
+
+def only(group: str, *shown: str) -> Parameter:
+    """Return which settings of a parameter's group are options; all others are read from --config alone."""
+    return Parameter(parse=re.compile(f"^({'|'.join((group, *shown))})$"))
 
 
 Flag = Parameter(negative="")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,14 +29,16 @@ def play(
     out: o.Out = None,
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
     view: o.View = None,
-    retarget: o.Retarget = None,
-    run: o.Run = None,
-    model: o.Effects = None,
-    pose: o.Pose = None,
-    stored: o.Stored = None,
-    language: o.Language = None,
-    live: o.Live = None,
-    bus: o.Bus = None,
+    retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
+    run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
+    model: Annotated[o.Effects, o.only("model", "effects")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    stored: Annotated[o.Stored, o.only("stored")] = None,
+    language: Annotated[o.Language, o.only("language")] = None,
+    live: Annotated[o.Live, o.only("live")] = None,
+    bus: Annotated[
+        o.Bus, o.only("bus", "wiring", "interface", "zeroed", "watchdog", "yes", "dry_run", "tether", "hold")
+    ] = None,
 ) -> int:
     """Play human motion on the robot.
 
@@ -50,9 +53,9 @@ def play(
         Play it on the real robot on these buses: can0, several with commas, slcan:/dev/ttyACM0,
         socketcand://HOST:PORT/can0; or on a stock one: cyberdog2. Without a source it stands until Ctrl-C.
     text
-        Play a sentence instead, such as "step forward, then wave the left hand".
+        Play a sentence, such as "step forward, then wave the left hand".
     camera
-        Follow a camera live instead: its number or device, or a video that is played in its place.
+        Follow a camera live: its number or device, or a video that is played in its place.
     out
         Run folder; by default runs/NAME, with a number if that is taken.
     video
@@ -130,19 +133,29 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
 
 def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:
     """Print the figures of a simulated run, open its scene, and return the exit status."""
-    from mimic.cli.console import table, warn
-    from mimic.cli.rows import metric_rows, target_rows
+    from mimic.cli.console import warn
 
-    result, motion = saved.run.result, saved.run.motion
-    figures = target_rows(None if motion is None else motion.targets) | (rows or {}) | metric_rows(dict(saved.metrics))
-    figures |= {"run folder": str(saved.folder)} | ({"film": str(saved.film)} if saved.film else {})
-    table(title, figures)
+    show_figures(saved, title, rows)
+    result = saved.run.result
     if result.error is not None:
         raise result.error
     if saved.run.shortfall is not None:
         warn(f"stopped: {saved.run.shortfall}")
     open_scene(saved.folder, view)
     return STOPPED if saved.run.shortfall is not None or result.interrupted else DONE
+
+
+def show_figures(
+    saved: SavedRun, title: str, rows: dict[str, str] | None = None, more: dict[str, str] | None = None
+) -> None:
+    """Print the figures of a run, with further rows before and after those of the robot."""
+    from mimic.cli.console import table
+    from mimic.cli.rows import metric_rows, target_rows
+
+    motion = saved.run.motion
+    figures = target_rows(None if motion is None else motion.targets) | (rows or {})
+    figures |= metric_rows(dict(saved.metrics)) | (more or {}) | {"run folder": str(saved.folder)}
+    table(title, figures | ({"film": str(saved.film)} if saved.film else {}))
 
 
 def open_scene(folder: Path, view: bool | None) -> None:
@@ -169,16 +182,16 @@ def _play_camera(
     from mimic.view.scene.viewer import display_available
 
     window = bool(view or (view is None and display_available()))
-    done = play_camera(
+    saved, record = play_camera(
         camera, settings, live=live, run=run, effects=model, out=out, window=window, reporter=ConsoleReporter()
     )
-    ticks = len(done.saved.run.log.t)
-    if done.late_steps:
-        warn(f"the simulation was late in {done.late_steps} of {ticks} steps: this computer is too busy")
-    status = show_simulated(done.saved, f"camera {camera}", False, {"frame to target": done.record.summary()})
-    if done.record.error is not None:
-        raise done.record.error
-    return DONE if done.saved.run.shortfall is None else status
+    if record.overruns:
+        ticks = len(saved.run.log.t)
+        warn(f"the simulation was late in {record.overruns} of {ticks} steps: this computer is too busy")
+    status = show_simulated(saved, f"camera {camera}", False, {"frame to target": record.summary()})
+    if record.error is not None:
+        raise record.error
+    return DONE if saved.run.shortfall is None else status
 
 
 def demo(
@@ -241,7 +254,7 @@ def retarget(
 
 
 def view(run: Path, /) -> int:
-    """Open the Rerun scene of a run folder.
+    """Open the Rerun scene of a run folder; without a display, serve it to a browser on this computer.
 
     Parameters
     ----------
@@ -249,12 +262,17 @@ def view(run: Path, /) -> int:
         Run folder, or its scene.rrd.
     """
     from mimic.flows.run_folder import SCENE
-    from mimic.view.scene.viewer import display_available, open_viewer
+    from mimic.view.scene.viewer import display_available, open_viewer, serve_scene
 
     scene = run / SCENE if run.is_dir() else run
     if not scene.is_file():
         raise AssetError(f"there is no {SCENE} in {run}; expected the folder of a run")
-    if not display_available():
-        raise ConfigError(f"there is no display here; copy {scene} to a computer with one and run: rerun {scene.name}")
-    open_viewer(scene)
+    if display_available():
+        open_viewer(scene)
+        return DONE
+    from mimic.cli.console import note
+
+    note("there is no display here; Ctrl-C ends the server for a browser on this computer:")
+    with suppress(KeyboardInterrupt):
+        serve_scene(scene, note)
     return DONE

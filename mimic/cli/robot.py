@@ -71,8 +71,7 @@ def play_on_robot(
     view: bool | None,
 ) -> int:
     """Play on a real robot, print the figures, and return the exit status."""
-    from mimic.cli.play import open_scene
-    from mimic.cli.rows import metric_rows, target_rows
+    from mimic.cli.play import open_scene, show_figures
     from mimic.flows.robot import play_on_robot as play
 
     done = play(
@@ -87,13 +86,9 @@ def play_on_robot(
         operator=_operator(bus),
         reporter=ConsoleReporter(),
     )
-    motion = done.saved.run.motion
-    rows = target_rows(None if motion is None else motion.targets)
-    if done.camera is not None:
-        rows["frame to target"] = done.camera.summary()
-    rows |= metric_rows(dict(done.saved.metrics)) | _timing_rows(done) | {"run folder": str(done.saved.folder)}
+    rows = {} if done.camera is None else {"frame to target": done.camera.summary()}
     name = source.name if isinstance(source, Path) else source or "robot"
-    table(name if camera is None else f"camera {camera}", rows)
+    show_figures(done.saved, name if camera is None else f"camera {camera}", rows, _timing_rows(done))
     if done.camera is not None and done.camera.error is not None:
         warn(str(done.camera.error))
     status = _report_end(done)
@@ -366,7 +361,7 @@ def probe(
     out
         Parquet or CSV file to write.
     motion
-        Play the targets of this run folder or log.parquet instead, scaled into the ranges in which nothing can touch.
+        Play the targets of this run folder or log.parquet, scaled into the ranges in which nothing can touch.
     """
     from mimic.flows.commissioning import probe_robot
 

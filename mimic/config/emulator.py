@@ -24,7 +24,7 @@ class EmulateSettings:
     can_timeout: bool = False
     """The firmware supports CAN_TIMEOUT; otherwise writing it does nothing."""
     reply: float = 250e-6
-    """Delay of the answer to a command [s]. Source: cybergear_m5, CYBERGEAR_RESPONSE_TIME."""
+    """Delay of the answer to a command [s]. Source: cybergear_m5, its response time."""
     imu_noise: float = 0.003
     """Standard deviation of the IMU's rates of turn [rad/s]."""
 

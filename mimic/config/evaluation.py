@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from mimic.config.leading import HandSettings, LeadingSettings
+from mimic.config.leading import LONGEST_WATCH, HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
 from mimic.config.ranges import check_range
 
@@ -128,7 +128,7 @@ class LeadSettings(EpisodeSettings):
     randomisation: Randomisation = field(default_factory=Randomisation)
 
     def __post_init__(self) -> None:
-        self.check_episodes(self.hand.end + 2.0)
+        self.check_episodes(self.hand.end + 2.0, self.hand.end + LONGEST_WATCH)
         object.__setattr__(self, "hand", replace(self.hand, after=self.seconds - self.hand.end))
 
 

@@ -7,6 +7,9 @@ from typing import Literal
 
 from mimic.config.ranges import check_range
 
+LONGEST_WATCH = 600.0
+"""How long a robot can be watched when the hand has let go [s]."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LeadingSettings:
@@ -59,7 +62,7 @@ class HandSettings:
         check_range("most", self.most, 0.1, 50.0, "N")
         check_range("stiffness", self.stiffness, 1.0, 1000.0, "N/m")
         check_range("begin", self.begin, 2.0, 60.0, "s")
-        check_range("after", self.after, 2.0, 60.0, "s")
+        check_range("after", self.after, 2.0, LONGEST_WATCH, "s")
 
     @property
     def end(self) -> float:

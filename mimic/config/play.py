@@ -21,7 +21,7 @@ class RunSettings:
     """Timing of a run, and its policy."""
 
     policy: str | None = None
-    """ONNX file; None takes the shipped one."""
+    """ONNX file; by default the shipped one."""
     seed: int = 0
     """Seed of the simulated start."""
     stand_up: float = 2.0
@@ -33,8 +33,8 @@ class RunSettings:
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half of it."""
     early: float | None = None
-    """How much earlier than the person the robot is asked for each target, so that its toes are there in time [s]. None
-    takes the known lag of the toes, 0.06 s, and 0 for a camera, whose future is unknown."""
+    """Lead of the commands over the person, against the lag of the toes [s]; by default their known lag, 0.06 s, and 0
+    for a camera."""
 
     def __post_init__(self) -> None:
         check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
@@ -50,7 +50,7 @@ class EffectsSettings:
     """Calibrated effects of the simulated robot."""
 
     effects: str | None = None
-    """effects.toml of a calibration; None simulates the robot as described."""
+    """effects.toml of a calibration; by default the robot as described."""
     timestep: float = 0.0025
     """Physics step with effects [s]; by default the step without effects."""
 

@@ -23,7 +23,7 @@ class RetargetSettings:
     """Follow slow turns of the person; otherwise the heading is constant over the clip."""
     heading: float | None = None
     """Where the person faces, if you know better than shoulders and hips tell: 0 faces the camera, positive is turned
-    to the person's left [deg]. With --turns, the middle of the turns."""
+    to the person's left [deg]. With turns, the middle of them."""
     keep_peaks: bool = True
     """Move each target to the nearest turning point within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = 0.98

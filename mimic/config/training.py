@@ -317,7 +317,7 @@ class LearnSettings:
     """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
     std_end: float = 0.0
     """Largest spread of the actions at the end: it falls from resume_std, or else init_std, over the first
-    STD_SHARE of the training; 0 leaves the spread to the learner."""
+    80 % of the training; 0 leaves the spread to the learner."""
     critic_updates: int = 100
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none."""
     hidden: tuple[int, ...] = (512, 256, 128)

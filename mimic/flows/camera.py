@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,9 @@ import numpy as np
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.flows.motion import InputSettings, Motion, fetch_pose_model
-from mimic.flows.play import Run, play, warn_of_stand_effects
-from mimic.flows.provenance import provenance
+from mimic.flows.play import play, save_played, warn_of_stand_effects
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
-from mimic.flows.run_folder import LIVE, SavedRun, new_run_folder, save_run
+from mimic.flows.run_folder import LIVE, SavedRun, new_run_folder
 from mimic.io import store
 from mimic.records import PHASES, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
 
@@ -43,6 +42,10 @@ class CameraRecord:
     latency: list[float] = field(default_factory=list)
     began: float = float("nan")
     """When the first command was asked for, on the clock of the rows [s]."""
+    zero: float = 0.0
+    """Time from the first command to the first tracked target [s]."""
+    overruns: int | None = None
+    """Control steps that the simulation could not finish in time; None on a robot."""
     error: Exception | None = None
 
     def summary(self, latest: int | None = None) -> str:
@@ -68,8 +71,9 @@ class CameraRecord:
             seen=np.array(wrists, dtype=np.bool_).reshape(-1, 2),
         )
 
-    def pose(self, zero: float) -> PoseTrack | None:
-        """Return what was seen from a moment on [s], as a track; None where nothing was."""
+    def pose(self) -> PoseTrack | None:
+        """Return what was seen from the first tracked target on, as a track; None where nothing was."""
+        zero = self.began + self.zero
         rows = [row for row in self.seen if row.t >= zero]
         if len(rows) < 2:
             return None
@@ -83,6 +87,35 @@ class CameraRecord:
             depth_spread=np.array([row.depth_spread for row in rows]),
             swapped=np.array([row.swapped for row in rows]),
         )
+
+    def motion(self, log: RunLog) -> Motion | None:
+        """Return what was asked of the robot in the tracking phase, with the person; it can be played again."""
+        rows = log.phase == PHASES.index("track")
+        if not rows.any():
+            return None
+        t = log.t[rows]
+        heading = log.heading_des[rows] - log.heading_des[0]
+        commands = CommandTrack(t=t - t[0], v=log.v_des[rows], heading=heading, p_BE=log.p_BE_des[rows])
+        return Motion(commands=commands, pose=self.pose())
+
+    def save(self, folder: Path, made_by: Provenance) -> dict[str, Any]:
+        """Write the latency of every frame; return figures of it for metrics.json."""
+        track = self.track()
+        store.save(track, folder / LIVE, made_by=made_by)
+
+        def quantiles(seconds: FloatArray) -> dict[str, float | None]:
+            shares = (0.5, 0.95, 1.0) if len(seconds) else ()
+            found = {f"p{round(100 * q)}": float(np.quantile(1e3 * seconds, q)) for q in shares}
+            return {name: found.get(name) for name in ("p50", "p95", "p100")}
+
+        return {
+            "frames": len(track.t),
+            "skipped": int(track.skipped.sum()),
+            "seen_share": float(track.seen.any(axis=1).mean()) if len(track.t) else None,
+            "latency_ms": quantiles(track.latency),
+            "detector_ms": quantiles(track.detector),
+            **({} if self.overruns is None else {"late_steps": self.overruns}),
+        }
 
 
 @contextmanager
@@ -170,16 +203,6 @@ def _show_latency(record: CameraRecord, show: Activity, over: threading.Event) -
         show(f"frame to target {record.summary(SHOWN)}", 0)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class CameraRun:
-    """A run that followed a camera."""
-
-    saved: SavedRun
-    record: CameraRecord
-    late_steps: int
-    """Control steps that the simulation could not finish in time."""
-
-
 def play_camera(
     camera: str,
     settings: InputSettings | None = None,
@@ -190,7 +213,7 @@ def play_camera(
     out: Path | None = None,
     window: bool = False,
     reporter: Reporter | None = None,
-) -> CameraRun:
+) -> tuple[SavedRun, CameraRecord]:
     """Let the simulated robot follow a camera until Ctrl-C, or a video in its place to its end; write the run folder.
 
     Args:
@@ -202,6 +225,9 @@ def play_camera(
         out: Run folder; by default runs/NAME.
         window: Open a viewer while it runs.
         reporter: Receives notes, warnings and progress.
+
+    Returns:
+        The run, and what was recorded of the camera.
 
     Raises:
         SourceError: If the camera cannot be opened.
@@ -228,50 +254,12 @@ def play_camera(
         )
         sink = None if view is None else view.tick
         done = play(targets, plant=plant, settings=run, effects=effects, sink=sink)
-    inputs = {**done.inputs, **({"camera": Path(camera)} if Path(camera).is_file() else {})}
+    record.zero, record.overruns = run.blend, plant.overruns
     parts = {"pose": settings.pose, "retarget": settings.retarget, "live": live, "run": run, "robot": effects}
-    made_by = provenance(parts, inputs)
-    figures = save_camera_record(record, folder, made_by) | {"late_steps": plant.overruns}
-    saved = save_run(with_pose(done, record, run), folder, made_by, reporter, more={"live": figures})
-    return CameraRun(saved=saved, record=record, late_steps=plant.overruns)
+    source = Path(camera) if Path(camera).is_file() else None
+    return save_played(done, folder, parts, reporter, source=source, camera=record), record
 
 
 def camera_name(camera: str) -> Path | str:
     """Return what a run folder is named after."""
     return f"camera {camera}" if camera.isdigit() else Path(camera)
-
-
-def with_pose(done: Run, record: CameraRecord, run: RunSettings) -> Run:
-    """Return a run together with the person that the camera saw and the commands that were given."""
-    commands, pose = commands_of(done.log), record.pose(record.began + run.blend)
-    if commands is None:
-        return done
-    return replace(done, motion=Motion(commands=commands, pose=pose))
-
-
-def save_camera_record(record: CameraRecord, folder: Path, made_by: Provenance) -> dict[str, Any]:
-    """Write the latency of every frame; return figures of it for metrics.json."""
-    track = record.track()
-    store.save(track, folder / LIVE, made_by=made_by)
-    milliseconds = 1e3 * track.latency
-
-    def quantile(values: FloatArray, q: float) -> float | None:
-        return float(np.quantile(values, q)) if len(values) else None
-
-    return {
-        "frames": len(track.t),
-        "skipped": int(track.skipped.sum()),
-        "seen_share": float(track.seen.any(axis=1).mean()) if len(track.t) else None,
-        "latency_ms": {f"p{round(100 * q)}": quantile(milliseconds, q) for q in (0.5, 0.95, 1.0)},
-        "detector_ms": {f"p{round(100 * q)}": quantile(1e3 * track.detector, q) for q in (0.5, 0.95, 1.0)},
-    }
-
-
-def commands_of(log: RunLog) -> CommandTrack | None:
-    """Return the commands of the tracking phase, so that they can be played again; None if there was none."""
-    rows = log.phase == PHASES.index("track")
-    if not rows.any():
-        return None
-    t = log.t[rows]
-    heading = log.heading_des[rows] - log.heading_des[0]
-    return CommandTrack(t=t - t[0], v=log.v_des[rows], heading=heading, p_BE=log.p_BE_des[rows])

@@ -6,11 +6,11 @@ A new source is a reader in `mimic.sources` and a row in SOURCES.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from mimic.io import store
 from mimic.io.assets import manual, user_cache
 from mimic.io.reading import check_clock
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
+from mimic.records.table import ShownAsTable
 from mimic.sources.not_read import NOT_READ
 
 if TYPE_CHECKING:
@@ -41,8 +42,33 @@ class InputSettings:
     language: LanguageSettings = field(default_factory=LanguageSettings)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Motion:
+AnySettings = InputSettings | PoseSettings | MocapSettings | RetargetSettings | LanguageSettings
+
+
+def input_settings(given: AnySettings | None, changes: Mapping[str, Any]) -> InputSettings:
+    """Return the settings of an input, of which one group or single settings may be given by name.
+
+    Raises:
+        ConfigError: If there is no such setting, or it is out of range.
+    """
+    settings = InputSettings()
+    if isinstance(given, InputSettings):
+        settings = given
+    elif given is not None:
+        part = next((f.name for f in fields(settings) if type(getattr(settings, f.name)) is type(given)), None)
+        if part is None:
+            raise ConfigError(f"settings is a {type(given).__name__}; expected InputSettings or a part of it")
+        settings = replace(settings, **{part: given})
+    parts = {name.name: f.name for f in fields(settings) for name in fields(getattr(settings, f.name))}
+    for name, value in changes.items():
+        if name not in parts:
+            raise ConfigError(f"there is no setting {name!r}; settings are {', '.join(parts)}")
+        settings = replace(settings, **{parts[name]: replace(getattr(settings, parts[name]), **{name: value})})
+    return settings
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Motion(ShownAsTable):
     """What the robot is asked to do, whatever it was made from."""
 
     commands: CommandTrack
@@ -87,10 +113,11 @@ class Source:
 
 def load_motion(
     source: str | Path,
-    settings: InputSettings | None = None,
+    settings: AnySettings | None = None,
     *,
     description: RobotDescription | None = None,
     reporter: Reporter | None = None,
+    **changes: Any,
 ) -> Motion:
     """Load a motion from a file.
 
@@ -99,9 +126,10 @@ def load_motion(
     Args:
         source: A video of one person, recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt), key frames (.yaml), or a
             record that mimic wrote (.parquet).
-        settings: How the input becomes commands.
+        settings: How the input becomes commands; InputSettings, or one part of it such as RetargetSettings.
         description: Robot whose workspace the targets are clamped to; by default the shipped CyberDog 2.
         reporter: Receives notes, warnings and progress.
+        changes: Single settings by name, such as ``rate=0.2``.
 
     Returns:
         The motion, with commands at the robot's control rate (50 Hz), toe targets in base axes [m].
@@ -109,12 +137,13 @@ def load_motion(
     Raises:
         SourceError: If there is no such file, or it holds no motion that can be played.
         AssetError: If a record cannot be read.
+        ConfigError: If there is no such setting.
     """
     path = existing(source)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a file. To play all files of a folder: mimic batch {path}")
     loading = _Loading(
-        settings=settings or InputSettings(), reporter=reporter or SilentReporter(), description=description
+        settings=input_settings(settings, changes), reporter=reporter or SilentReporter(), description=description
     )
     ending = path.suffix.lower()
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
@@ -139,10 +168,11 @@ def existing(source: str | Path) -> Path:
 
 def motion_from_text(
     sentence: str,
-    settings: InputSettings | None = None,
+    settings: AnySettings | None = None,
     *,
     description: RobotDescription | None = None,
     reporter: Reporter | None = None,
+    **changes: Any,
 ) -> Motion:
     """Plan a motion from a sentence, such as "step forward, then wave the left hand".
 
@@ -152,7 +182,7 @@ def motion_from_text(
     """
     from mimic.sources.text.planner import describe, plan, uses_model
 
-    settings, reporter = settings or InputSettings(), reporter or SilentReporter()
+    settings, reporter = input_settings(settings, changes), reporter or SilentReporter()
     loading = _Loading(settings=settings, reporter=reporter, description=description)
     reach = loading.reach()
     if uses_model(settings.language):

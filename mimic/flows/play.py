@@ -11,26 +11,50 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
-from mimic.errors import ConfigError, SourceError
+from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
-from mimic.flows.run_folder import SavedRun, check_not_overwritten, new_run_folder, save_run
+from mimic.flows.run_folder import (
+    COMMANDS,
+    HEALTH,
+    JOINTS,
+    LOG,
+    METRICS,
+    POSE,
+    TARGETS,
+    SavedRun,
+    check_not_overwritten,
+    new_run_folder,
+    save_run,
+)
 from mimic.io import store
-from mimic.records import CommandTrack, HealthLog, LiveCommands, PoseTrack, RunLog, TargetTrack, WristTrack
+from mimic.records import (
+    CommandTrack,
+    HealthLog,
+    JointSamples,
+    LiveCommands,
+    PoseTrack,
+    RunLog,
+    TargetTrack,
+    WristTrack,
+)
+from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
     from mimic.control.loop import RunResult
     from mimic.control.plant import Plant
     from mimic.control.supervisor import Event
     from mimic.control.tick import Safety, Sink
+    from mimic.flows.camera import CameraRecord
     from mimic.policy.runtime import Policy
     from mimic.robot.description import RobotDescription
+    from mimic.view.scene.footage import Footage
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Run(ShownAsTable):
     """What came of playing a motion."""
 
     motion: Motion | None
@@ -130,7 +154,7 @@ def load_policy(policy: str | Path | None = None, robot: RobotDescription | None
 
 
 def play(
-    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
+    commands: str | Path | Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
     *,
     plant: Plant | None = None,
     policy: Policy | str | Path | None = None,
@@ -144,7 +168,7 @@ def play(
     """Stand up, play commands through a policy, sit down. Writes no files.
 
     Args:
-        commands: A motion, a track at any stage (it is retargeted as needed), or live commands.
+        commands: A file, a motion, a track at any stage (it is retargeted as needed), or live commands.
         plant: Robot that plays them; by default the simulated CyberDog 2. It is closed at the end.
         policy: Low-level policy or its ONNX file; by default the shipped one.
         sit_down: Policy that brings the robot down at the end; by default the shipped one.
@@ -160,6 +184,7 @@ def play(
 
     Raises:
         AssetError, ConfigError, ContractError: If policy, effects or commands do not fit.
+        SourceError: If there is no such file, or it holds no motion that can be played.
         PlantError: If the plant fails before the first tick.
     """
     from mimic.control.loop import run_policy
@@ -167,6 +192,14 @@ def play(
     from mimic.policy.runtime import load_policy as policy_for
 
     settings, effects, reporter = settings or RunSettings(), effects or EffectsSettings(), reporter or SilentReporter()
+    if not isinstance(settings, RunSettings):
+        raise ConfigError(
+            f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
+        )
+    if isinstance(commands, str | Path):
+        if not Path(commands).exists():
+            raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
+        commands = load_motion(commands, reporter=reporter)
     motion: Motion | None = None
     asked: CommandTrack | LiveCommands
     if isinstance(commands, LiveCommands):
@@ -236,13 +269,75 @@ def play_source(
 
             footage = stack.enter_context(start_footage(file))
         check_playable(run, effects)
-        motion = _load(source, settings, PreloadingReporter(reporter))
+        motion = load_source(source, settings, PreloadingReporter(reporter))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
-        made_by = provenance(
-            settings_of(settings) | {"run": run, "robot": effects},
-            {**done.inputs, **({} if file is None else {"source": file})},
-        )
-        return save_run(done, folder, made_by, reporter, film=film, footage=footage)
+        parts = settings_of(settings) | {"run": run, "robot": effects}
+        return save_played(done, folder, parts, reporter, source=file, film=film, footage=footage)
+
+
+def save_played(
+    done: Run,
+    folder: Path,
+    parts: Mapping[str, Any],
+    reporter: Reporter,
+    *,
+    source: Path | None = None,
+    camera: CameraRecord | None = None,
+    more: Mapping[str, Any] | None = None,
+    film: Path | None = None,
+    footage: Footage | None = None,
+) -> SavedRun:
+    """Write the folder of a run in simulation or on a robot, with the settings behind it (``parts``) and what a camera
+    saw that was followed; ``source`` is a file, also one in place of a camera. See save_run for the rest.
+    """
+    made_by = provenance(parts, {**done.inputs, **({} if source is None else {"source": source})})
+    if camera is not None:
+        more = {**(more or {}), "live": camera.save(folder, made_by)}
+        motion = camera.motion(done.log)
+        done = done if motion is None else replace(done, motion=motion)
+    return save_run(done, folder, made_by, reporter, more=more, film=film, footage=footage)
+
+
+def load_run(folder: str | Path) -> SavedRun:
+    """Read the folder of a run: logs, motion, events and figures.
+
+    Args:
+        folder: Run folder that a command or `Run.save` wrote.
+
+    Returns:
+        The run as it was saved. Its video and key frames are not read again.
+
+    Raises:
+        AssetError: If it is no run folder, or a file in it is broken.
+    """
+    from mimic.control.loop import RunResult
+    from mimic.control.supervisor import Event, SafetyMode
+
+    folder = Path(folder)
+    if not (folder / LOG).is_file():
+        raise AssetError(f"there is no {LOG} in {folder}; expected the folder of a run")
+    metrics = store.load_json(folder / METRICS)
+    log = store.load(folder / LOG, RunLog)
+
+    def stored(name: str, kind: type[store.R]) -> store.R | None:
+        return store.load(folder / name, kind) if (folder / name).is_file() else None
+
+    motion = None
+    targets, commands = stored(TARGETS, TargetTrack), stored(COMMANDS, CommandTrack)
+    if commands is not None:
+        motion = Motion(commands=commands, targets=targets, pose=stored(POSE, PoseTrack))
+    elif targets is not None:
+        motion = replace(as_motion(targets), pose=stored(POSE, PoseTrack))
+    result = RunResult(
+        log=log,
+        health=store.load(folder / HEALTH, HealthLog),
+        events=tuple(Event(**{**event, "mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
+        samples=stored(JOINTS, JointSamples),
+        fell_at=log.metadata.get("fell_at"),
+        interrupted=metrics["interrupted"],
+    )
+    run = Run(motion=motion, result=result, description=load_robot())
+    return SavedRun(run=run, folder=folder, metrics=metrics)
 
 
 def save_targets(
@@ -278,7 +373,8 @@ def save_targets(
     return motion
 
 
-def _load(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+def load_source(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+    """Return the motion of a file (Path) or a sentence (str)."""
     if isinstance(source, Path):
         return load_motion(source, settings, reporter=reporter)
     return motion_from_text(source, settings, reporter=reporter)

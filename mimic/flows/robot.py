@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.errors import AssetError, MimicError, PlantError
-from mimic.flows.camera import CameraRecord, camera_name, follow_camera, save_camera_record, with_pose
-from mimic.flows.motion import InputSettings, Motion, load_motion, motion_from_text
+from mimic.flows.camera import CameraRecord, camera_name, follow_camera
+from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.operator import Operator, undisturbed
-from mimic.flows.play import play
+from mimic.flows.play import load_source, play, save_played
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
-from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
+from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder
 from mimic.io import store
 from mimic.records import CommandTrack, LiveCommands
 
@@ -146,8 +146,7 @@ def play_on_robot(
     file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
     name = name if camera is None else f"camera {camera}"
     inference = max(_inference(one) for one in (policy, sit_down))
-    parts = PARTS if policy.contract.interpolate else 1
-    rate_hz = parts / description.dt
+    rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
     supervisor = Supervisor(description, rules=DRY_RULES if bus.dry_run else RULES, strict=bus.tether)
     signals = Signals()
@@ -188,17 +187,13 @@ def play_on_robot(
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")
-        inputs = {**done.inputs, **({} if file is None else {"source": file})}
-        made_by = provenance({"run": run, "bus": bus, "live": live}, inputs)
-        more: dict[str, Any] = {"ending": plant.ending}
+        done = replace(done, motion=None if standing or record else motion)
+        if record is not None:
+            record.zero = run.blend
+        parts, more = {"run": run, "bus": bus, "live": live}, {"ending": plant.ending}
         signals.read()
         try:
-            if record is not None:
-                more["live"] = save_camera_record(record, folder, made_by)
-                done = with_pose(done, record, run)
-            else:
-                done = replace(done, motion=None if standing else motion)
-            saved = save_run(done, folder, made_by, reporter, more=more)
+            saved = save_played(done, folder, parts, reporter, source=file, camera=record, more=more)
         except OSError as reason:
             raise AssetError(
                 f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "
@@ -262,9 +257,7 @@ def _motion(source: Path | str | None, settings: InputSettings, contract: Policy
     if source is None:
         toes = np.array(contract.neutral_toes).reshape(1, 2, 3)
         return Motion(commands=CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=toes))
-    if isinstance(source, Path):
-        return load_motion(source, settings, reporter=reporter)
-    return motion_from_text(source, settings, reporter=reporter)
+    return load_source(source, settings, reporter)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from mimic.errors import ConfigError
 from mimic.flows.reporter import Reporter
 from mimic.io import store
 from mimic.records import Provenance
+from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
     from mimic.flows.motion import Motion
@@ -23,8 +24,8 @@ LOG, HEALTH, JOINTS, METRICS = "log.parquet", "health.parquet", "joints.parquet"
 SCENE, LIVE, ERROR = "scene.rrd", "live.parquet", "error.txt"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SavedRun:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class SavedRun(ShownAsTable):
     """A run and what was written of it."""
 
     run: Run

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mimic.errors import ContractError
+from mimic.records.table import ShownAsTable
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
@@ -82,8 +83,8 @@ def array(*axes: str, dtype: type = np.float64, optional: bool = False, **kwargs
     return field(metadata={"axes": axes, "dtype": dtype, "optional": optional}, **kwargs)
 
 
-class Record:
-    """Base of the frozen records: array fields are copied, made read-only and checked for shape."""
+class Record(ShownAsTable):
+    """Base of the frozen records: arrays are copied, made read-only, checked for shape; times do not decrease."""
 
     __slots__ = ()
 
@@ -104,6 +105,11 @@ class Record:
             if not fits or any(e not in (-1, s) for e, s in zip(expected, value.shape[1:], strict=True)):
                 wanted = ", ".join([str(rows), *("any" if e < 0 else str(e) for e in expected)])
                 raise ContractError(f"{type(self).__name__}.{f.name} has shape {value.shape}; expected ({wanted})")
+            if f.name == "t" and (np.diff(value) < 0.0).any():
+                row = int(np.argmax(np.diff(value) < 0.0)) + 1
+                raise ContractError(
+                    f"{type(self).__name__}.t decreases: row {row} is at {value[row]:g} s, after {value[row - 1]:g} s"
+                )
             value.setflags(write=False)
             object.__setattr__(self, f.name, value)
 

@@ -12,7 +12,7 @@ from mimic.errors import ContractError
 from mimic.records.base import AXES, LANDMARKS, BoolArray, FloatArray, IntArray, Record, array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class PoseTrack(Record):
     """A person's landmarks, one row for every frame of the source."""
 
@@ -56,7 +56,7 @@ class PoseTrack(Record):
         return self.names.index(name)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class WristTrack(Record):
     """Where each hand is from its own shoulder, in a measure that does not depend on the person's size."""
 
@@ -74,7 +74,7 @@ class WristTrack(Record):
     """What the user should know, carried over from the source."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class TargetTrack(Record):
     """Where each front toe should be, over time; every row is reachable."""
 
@@ -102,7 +102,7 @@ class TargetTrack(Record):
     """What the user should know."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class CommandTrack(Record):
     """What the policy is asked for, at the control rate."""
 
@@ -116,7 +116,7 @@ class CommandTrack(Record):
     """Desired base -> toe, base axes [m]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class LiveTrack(Record):
     """How a camera was followed, one row for every frame that became a target."""
 

@@ -51,7 +51,7 @@ class JointCommand:
     """Time in which q_des moves linearly from the previous command's to this one's [s]; 0: at once."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class JointSamples(Record):
     """Joint readings faster than the control rate; the columns are those of a calibration log."""
 
@@ -109,7 +109,7 @@ class Health:
     """From the newest question with an answer of its own to that answer [s]; NaN where none is asked."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class HealthLog(Record):
     """What a robot said about itself at each control tick, beside the RunLog of the same rows."""
 
@@ -169,7 +169,7 @@ PHASES = ("lie", "stand_up", "blend", "track", "hold", "sit_down", "damp")
 """Phases of a run; a log stores their index."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class RunLog(Record):
     """Every control tick of a run: the state at its start, and what was decided and sent from it."""
 

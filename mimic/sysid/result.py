@@ -12,6 +12,7 @@ import numpy as np
 
 from mimic.io.store import plain
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.records.table import ShownAsTable
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -206,8 +207,8 @@ class Correlations:
         return tuple((self.names[i[k]], self.names[j[k]], float(values[k])) for k in order if abs(values[k]) >= least)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibration(ShownAsTable):
     """The whole result."""
 
     joints: tuple[str, ...]

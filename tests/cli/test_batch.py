@@ -27,7 +27,7 @@ STANDING = {
     "left_hip": (0.0, 0.1, 0.9),
     "right_hip": (0.0, -0.1, 0.9),
 }
-OPTIONS = ["--hold-last", "0", "--stand-up", "1", "--blend", "0.1", "--workers", "1"]
+OPTIONS = ["--config", str(Path(__file__).parents[1] / "quick.toml"), "--workers", "1"]
 
 
 def someone(path: Path, sway: float, rows: int = 30) -> Path:
@@ -142,7 +142,7 @@ def test_another_setting_is_another_result(played, folder, tmp_path):
     _, out = played
     copy = tmp_path / "out"
     shutil.copytree(out, copy)
-    assert main(["batch", str(folder), "-o", str(copy), *OPTIONS, "--scale", "0.5"]) == 4
+    assert main(["batch", str(folder), "-o", str(copy), *OPTIONS, "--rate", "0.2"]) == 4
     assert rows(copy)["one.npz"]["folder"] != rows(out)["one.npz"]["folder"]
     assert (copy / rows(out)["one.npz"]["folder"]).is_dir()
 

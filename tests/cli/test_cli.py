@@ -16,6 +16,7 @@ from mimic.records import CommandTrack, JointSamples, RunLog, TargetTrack, Wrist
 from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 
+SHORT = ("--config", str(Path(__file__).parents[1] / "short.toml"))
 HEAVY = ("numpy", "scipy", "mujoco", "cv2", "mediapipe", "torch", "pinocchio", "onnxruntime", "rerun", "pyarrow", "av")
 HEAVY += ("openai", "ray", "yaml")
 
@@ -104,7 +105,7 @@ def test_help_lists_the_commands_and_the_options(capsys):
         "--rate",
         "--mirror",
         "--video",
-        "--seed",
+        "--config",
     ):
         assert word in shown, word
 
@@ -134,8 +135,8 @@ def test_a_process_ends_with_the_exit_status():
 # ---------------------------------------------------------------------- user errors
 
 
-def text_file(name: str) -> Callable[[Path], None]:
-    return lambda here: (here / name).write_text("this is not what you think\n") and None
+def text_file(name: str, text: str = "this is not what you think\n") -> Callable[[Path], None]:
+    return lambda here: (here / name).write_text(text) and None
 
 
 def nothing(here: Path) -> None:
@@ -189,7 +190,7 @@ BAD = [
     ("targets.parquet", nothing, "add --sim"),
     ("targets.parquet --sim --rate 5", nothing, "rate is 5 s; it must be from 0.05 to 1 s"),
     ("targets.parquet --sim --rate quick", nothing, "quick"),
-    ("targets.parquet --sim --blend -1", nothing, "blend"),
+    ("targets.parquet --sim --blend 1", nothing, "put [play] and below it blend = ... into a file"),
     ("targets.parquet --sim --moonwalk", nothing, "--moonwalk"),
     ("targets.parquet --sim --policy nowhere.onnx", nothing, "there is no policy nowhere.onnx"),
     ("targets.parquet --sim --policy text.onnx", text_file("text.onnx"), "text.onnx is not an ONNX model"),
@@ -207,7 +208,7 @@ BAD = [
     ("text.pt --sim", text_file("text.pt"), "text.pt cannot be read as a pickle of arrays"),
     ("text.FBX --sim", text_file("text.FBX"), "export its motion as BVH"),
     ("text.mvnx --sim", text_file("text.mvnx"), "an Xsens MVN recording, which is not read"),
-    ("text.BVH --sim --up north", text_file("text.BVH"), "north"),
+    ("retarget text.BVH -o a.parquet --up north", text_file("text.BVH"), "north"),
     ("retarget commands.parquet -o a.parquet", commands, "commands.parquet holds commands"),
     ("folder --sim", folder, "folder is a folder; expected a file"),
     ("folder.parquet --sim", lambda here: (here / "folder.parquet").mkdir(), "folder.parquet"),
@@ -235,9 +236,9 @@ BAD = [
     ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
-    ("--text moonwalk --sim", nothing, "has no word 'moonwalk'"),
-    ("--text wave --sim --planner llm", nothing, "--llm-model"),
-    ("--text wave --sim --planner poet", nothing, "poet"),
+    ("--text moonwalk --sim", nothing, "has no word 'moonwalk'; its verbs are step"),
+    ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "llm"'), "llm-model"),
+    ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "poet"'), "planner is 'poet'"),
     ("text.yaml --sim", text_file("text.yaml"), "expected a list of frames"),
     ("fast.yaml --sim", fast_motion, "fast.yaml asks for what this robot cannot do: frame 1: velocity forward is 2"),
     ("view nowhere", nothing, "nowhere"),
@@ -311,13 +312,13 @@ def test_brackets_in_a_name_are_printed_as_they_are(here, capsys):
 
 
 def test_targets_that_someone_else_made_can_be_played(here, targets, capsys):
-    assert main([str(targets), "--sim", "--no-view", "-o", "out", "--hold-last", "0"]) == 0
+    assert main([str(targets), "--sim", "--no-view", "-o", "out", *SHORT]) == 0
     assert "0.5 s in all" in capsys.readouterr().out
 
 
 def test_stored_commands_are_played_with_their_velocity(here):
     commands(here)
-    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", "--hold-last", "0"]) == 0
+    assert main(["commands.parquet", "--sim", "--no-view", "-o", "out", *SHORT]) == 0
     assert {path.name for path in (here / "out").iterdir()} >= {"commands.parquet", "log.parquet", "scene.rrd"}
     assert not (here / "out" / "targets.parquet").exists()
     assert store.load(here / "out" / "log.parquet", RunLog).v_des[:, 0].max() == 0.2
@@ -329,33 +330,30 @@ def test_motion_from_elsewhere_becomes_a_run_like_a_video(here):
     points = {name: np.zeros((60, 3)) + place for name, place in STANDING.items()}
     points["left_wrist"] = points["left_wrist"] + sway * [1.0, 0.0, 1.0]
     np.savez(here / "someone.npz", points=np.stack(list(points.values()), axis=1), names=list(points), fps=50)
-    assert main(["someone.npz", "--sim", "--no-view", "--hold-last", "0"]) == 0
+    assert main(["someone.npz", "--sim", "--no-view", *SHORT]) == 0
     run = here / "runs" / "someone"
     assert {path.name for path in run.iterdir()} >= {"pose.parquet", "targets.parquet", "log.parquet", "scene.rrd"}
     report = json.loads((run / "metrics.json").read_text())["retarget"]
     assert report["pose"]["frames_with_person"] == 60
     assert "unseen" not in report["pose"]
     again = here / "again"
-    assert main([str(run / "pose.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", str(again)]) == 0
+    assert main([str(run / "pose.parquet"), "--sim", "--no-view", *SHORT, "-o", str(again)]) == 0
     one, other = (store.load(folder / "targets.parquet", TargetTrack) for folder in (run, again))
     assert np.array_equal(one.p_BE, other.p_BE)
 
 
 def test_a_sentence_becomes_a_run_whose_key_frames_can_be_played_again(here, capsys):
-    assert (
-        main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", "--hold-last", "0"])
-        == 0
-    )
+    assert main(["--text", "step forward, then stop and wave the left hand", "--sim", "--no-view", *SHORT]) == 0
     assert "grammar: 6 key frames" in capsys.readouterr().out
     run = here / "runs" / "step-forward-then-stop-and-wave"
     assert {path.name for path in run.iterdir()} >= {"motion.yaml", "commands.parquet", "targets.parquet", "scene.rrd"}
     log = store.load(run / "log.parquet", RunLog)
     assert log.v_des[:, 0].max() == 0.25
     assert json.loads((run / "metrics.json").read_text())["standing_share"] > 0.9
-    assert main([str(run / "motion.yaml"), "--sim", "--no-view", "--hold-last", "0", "-o", "again"]) == 0
+    assert main([str(run / "motion.yaml"), "--sim", "--no-view", *SHORT, "-o", "again"]) == 0
     again = store.load(here / "again" / "log.parquet", RunLog)
     np.testing.assert_allclose(again.p_BE_des, log.p_BE_des, atol=1e-3)
-    assert main([str(run / "commands.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", "once more"]) == 0
+    assert main([str(run / "commands.parquet"), "--sim", "--no-view", *SHORT, "-o", "once more"]) == 0
     assert np.array_equal(store.load(here / "once more" / "log.parquet", RunLog).q, log.q)
 
 

@@ -38,15 +38,28 @@ def test_bare_mimic_prints_the_help(capsys):
     assert "Usage: mimic SOURCE --sim" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "command", [[name] for name in COMMANDS] + [[group, name] for group, (_, names) in GROUPS.items() for name in names]
-)
-def test_every_help_has_groups_and_examples_and_no_markup(command, capsys):
+COMMAND_LINES = [[], *([name] for name in COMMANDS), *([g, name] for g, (_, names) in GROUPS.items() for name in names)]
+NO_CONSTANT = {"BUS_URL", "CAN_TIMEOUT", "OPENAI_API_KEY"}
+"""An argument, a parameter of a motor's firmware, and a variable of the environment."""
+
+
+@pytest.mark.parametrize("command", COMMAND_LINES, ids=" ".join)
+def test_every_help_is_examples_and_plain_words(command, capsys):
     assert main([*command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert "Examples:" in shown
     for marker in ("``", ":class:", "--empty-", ":mod:"):
         assert marker not in shown
+    assert re.findall(r"\bNone\b|\bInstead\b", shown) == []
+    assert set(re.findall(r"\b[A-Z]+_[A-Z_]+\b", shown)) <= NO_CONSTANT
+
+
+@pytest.mark.parametrize(("command", "most"), [([], 24), (["batch"], 14)], ids=["mimic", "batch"])
+def test_a_command_has_few_options_besides_help(command, most, capsys):
+    assert main([*command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    options = set(re.findall(r"^│ --(?!no-)([a-z-]+)", shown, re.MULTILINE)) - {"help", "version", "install-completion"}
+    assert 10 < len(options | {"config"}) <= most
 
 
 @pytest.mark.parametrize(
@@ -90,8 +103,8 @@ def test_a_mistyped_command_is_no_file(capsys):
 
 
 def test_several_names_follow_one_option(asked):
-    main(["motion.npz", "--sim", "--names", "left_wrist=LWRA", "right_wrist=RWRA", "--mirror"])
-    _, settings = asked[0][0]
+    main(["retarget", "motion.npz", "-o", "t.parquet", "--names", "left_wrist=LWRA", "right_wrist=RWRA", "--mirror"])
+    settings = asked[0][0][2]
     assert settings.stored.names == ("left_wrist=LWRA", "right_wrist=RWRA")
     assert settings.retarget.mirror
 
@@ -111,35 +124,6 @@ def test_several_snapshots_and_settings_follow_one_option_of_train(asked):
     arguments, options = asked[0]
     assert arguments[2].snapshots == (1.0, 2.5)
     assert options["overrides"] == ["rewards.slip=-0.4", "noise_q=0.02"]
-
-
-def test_options_come_from_a_file_and_the_command_line_wins(asked, tmp_path):
-    (tmp_path / "mimic.toml").write_text("rate = 0.2\nmirror = true\n\n[retarget]\nrate = 0.3\nturns = true\n")
-    main(["clip.mp4", "--sim", "--config", "mimic.toml"])
-    main(["clip.mp4", "--sim", "--config=mimic.toml", "--rate", "0.5"])
-    main(["retarget", "clip.mp4", "-o", "t.parquet", "--config", "mimic.toml"])
-    first, second, third = asked[0][0][1].retarget, asked[1][0][1].retarget, asked[2][0][2].retarget
-    assert (first.rate, first.mirror) == (0.2, True)
-    assert second.rate == 0.5
-    assert (third.rate, third.mirror, third.turns) == (0.3, False, True)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (None, "there is no file mimic.toml"),
-        ("rate = = 2", "is not a TOML file"),
-        ("raet = 0.2", "raet"),
-    ],
-)
-def test_a_bad_file_of_options_is_one_line(text, said, asked, tmp_path, capsys):
-    if text is not None:
-        (tmp_path / "mimic.toml").write_text(text)
-    assert main(["clip.mp4", "--sim", "--config", "mimic.toml"]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-    assert not asked
 
 
 def test_a_bad_mujoco_gl_is_one_line(monkeypatch, capsys):

@@ -55,7 +55,9 @@ def test_the_command_reference_has_every_command_and_every_option(site: ModuleTy
         subcommands = [command[sub] for sub in command if name and not sub.startswith("-")]
         for leaf in subcommands or [command]:
             for argument in (
-                leaf.assemble_argument_collection(default_parameter=DEFAULTS) if leaf.default_command else ()
+                leaf.assemble_argument_collection(default_parameter=DEFAULTS).filter_by(parse=True)
+                if leaf.default_command
+                else ()
             ):
                 for option in argument.names:
                     assert option.startswith("-") is False or option in reference, option

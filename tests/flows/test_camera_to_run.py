@@ -17,6 +17,8 @@ from mimic.view.film.footage import encode_h264, read_frames
 
 pytestmark = pytest.mark.slow
 
+TESTS = Path(__file__).parents[1]
+SHORT = ["--config", str(TESTS / "short.toml")]
 WAVING = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"
 
 
@@ -26,7 +28,7 @@ def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("camera")
     frames = itertools.islice((rgb for _, rgb in read_frames(WAVING)), 60)
     encode_h264(frames, folder / "short.mp4", fps=Fraction(30))
-    quick = ["--stand-up", "1", "--blend", "0.1", "--hold-last", "0.1", "--sit-down", "1.5"]
+    quick = ["--config", str(TESTS / "quick.toml")]
     assert main(["--camera", str(folder / "short.mp4"), "--sim", "--no-view", "-o", str(folder / "run"), *quick]) == 0
     return folder / "run"
 
@@ -63,5 +65,5 @@ def test_what_was_asked_can_be_played_again(run, tmp_path):
     asked = store.load(run / "commands.parquet", CommandTrack)
     assert len(asked.t) > 5
     assert store.load(run / "pose.parquet", PoseTrack).valid.any()
-    command = [str(run / "commands.parquet"), "--sim", "--no-view", "--hold-last", "0", "-o", str(tmp_path / "again")]
+    command = [str(run / "commands.parquet"), "--sim", "--no-view", *SHORT, "-o", str(tmp_path / "again")]
     assert main(command) == 0

@@ -21,6 +21,8 @@ from mimic.retargeting.targets import target_track
 from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 
+TESTS = Path(__file__).parents[1]
+SEEDED, SHORT = (["--config", str(TESTS / name)] for name in ("seeded.toml", "short.toml"))
 WAVING = Path(__file__).parents[2] / "examples" / "videos" / "waving.mp4"
 FILES = {"targets.parquet", "health.parquet", "log.parquet", "joints.parquet", "metrics.json", "scene.rrd"}
 
@@ -52,7 +54,7 @@ def targets(workplace) -> Path:
 @pytest.fixture(scope="module")
 def played(targets, workplace) -> tuple[int, Path]:
     """Exit status and run folder of these targets."""
-    command = [str(targets), "--sim", "--no-view", "-o", str(workplace / "run"), "--seed", "4", "--hold-last", "0.5"]
+    command = [str(targets), "--sim", "--no-view", "-o", str(workplace / "run"), *SEEDED]
     return main(command), workplace / "run"
 
 
@@ -124,7 +126,7 @@ def test_metrics_show_that_the_robot_stood(played):
 
 def test_the_same_seed_plays_the_same_run(played, targets, workplace):
     again = workplace / "again"
-    assert main([str(targets), "--sim", "--no-view", "-o", str(again), "--seed", "4", "--hold-last", "0.5"]) == 0
+    assert main([str(targets), "--sim", "--no-view", "-o", str(again), *SEEDED]) == 0
     one, other = (store.load(run / "log.parquet", RunLog) for run in (played[1], again))
     assert np.array_equal(one.q, other.q)
     assert np.array_equal(one.action, other.action)
@@ -141,7 +143,7 @@ def test_runs_without_a_name_are_numbered(targets, workplace):
     copy = workplace / "arms.parquet"
     copy.write_bytes(targets.read_bytes())
     for _ in range(2):
-        assert main([str(copy), "--sim", "--no-view", "--hold-last", "0"]) == 0
+        assert main([str(copy), "--sim", "--no-view", *SHORT]) == 0
     assert sorted(path.name for path in (workplace / "runs").iterdir()) == ["arms", "arms-2"]
 
 
@@ -187,10 +189,7 @@ def test_the_table_and_the_file_say_what_was_wanted_and_reached(played, workplac
     assert 0.0 < found["apart"] < 10.0
     assert sum(found[part] for part in PARTS) == pytest.approx(found["apart"])
     capsys.readouterr()
-    assert (
-        main([str(targets), "--sim", "--no-view", "-o", str(workplace / "table"), "--seed", "4", "--hold-last", "0.5"])
-        == 0
-    )
+    assert main([str(targets), "--sim", "--no-view", "-o", str(workplace / "table"), *SEEDED]) == 0
     assert f"{found['apart']:.1f} cm apart" in " ".join(capsys.readouterr().out.split())
 
 

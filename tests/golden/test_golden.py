@@ -78,7 +78,11 @@ def options() -> list[str]:
     for words, command in commands(app, ("mimic",)):
         if command.default_command is not None:
             found = command.assemble_argument_collection(default_parameter=DEFAULTS)
-            names = (next((n for n in argument.names if n.startswith("--")), argument.name) for argument in found)
+            names = (
+                next((n for n in argument.names if n.startswith("--")), argument.name)
+                for argument in found
+                if argument.parse
+            )
             lines += [words, *(f"    {name}" for name in names if name != "*")]
     return lines
 

@@ -23,6 +23,7 @@ from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
 from mimic.view.scene.robot import rerun_shapes
 from mimic.view.scene.robot_shapes import body_poses, visual_shapes
+from mimic.view.scene.viewer import start_viewer
 from mimic.view.scene.viewpoint import SIDEWAYS
 
 EVERY = 2
@@ -66,7 +67,8 @@ class LiveView:
         plot = rrb.TimeSeriesView(origin=_LATENCY, name="frame to target [ms]")
         shown = rrb.Blueprint(rrb.Vertical(rrb.Horizontal(*pictures), plot, row_shares=[3, 1]), collapse_panels=True)
         if path is None:
-            self._scene.spawn(default_blueprint=shown)
+            start_viewer("--expect-data-soon")
+            self._scene.connect_grpc(default_blueprint=shown)
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._scene.save(path, default_blueprint=shown)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mimic.errors import AssetError, MimicError
 from mimic.io.store import written_whole
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+_HERE = "127.0.0.1"
+"""Address that only this computer reaches."""
 _LOAD_TIME = 3.0
 """Waiting time before a screenshot, in which the viewer loads and decodes the scene [s]."""
 _MENU_HEIGHT = 37
@@ -49,13 +52,51 @@ def open_viewer(path: Path) -> bool:
     if not display_available():
         log.info("there is no display; open the scene elsewhere with: rerun %s", path)
         return False
+    start_viewer(str(path))
+    return True
+
+
+def start_viewer(*arguments: str) -> None:
+    """Start a viewer that outlives this process and listens on this computer only."""
     subprocess.Popen(
-        [sys.executable, "-m", "rerun", str(path)],
+        [sys.executable, "-m", "rerun", *arguments, "--bind", _HERE],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    return True
+
+
+def serve_scene(path: Path, show: Callable[[str], None]) -> None:
+    """Serve a scene to browsers on this computer until Ctrl-C.
+
+    Args:
+        path: A scene file.
+        show: Receives the address to open.
+
+    Raises:
+        AssetError: If there is no such file.
+        MimicError: If the server ends by itself.
+    """
+    _check(path)
+    options = ["--serve-web", "--bind", _HERE, "--port", "auto", "--web-viewer-port", "0"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rerun", str(path), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    said = ""
+    try:
+        assert process.stdout is not None
+        for line in process.stdout:
+            said += line
+            address = re.search(rf"connect at (http://{re.escape(_HERE)}\S+)", line)
+            if address:
+                show(address[1].replace("localhost", _HERE))
+        raise MimicError(f"the Rerun server ended: {said.strip()[-400:] or 'no output'}")
+    finally:
+        _end(process)
 
 
 def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, int] = (1600, 900)) -> None:
@@ -100,9 +141,9 @@ def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
     from rerun.experimental import ViewerClient
 
     with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind((_HERE, 0))
         port = int(probe.getsockname()[1])
-    options = ["--headless", "--hide-welcome-screen", "--bind", "127.0.0.1", "--port", str(port)]
+    options = ["--headless", "--hide-welcome-screen", "--bind", _HERE, "--port", str(port)]
     with tempfile.TemporaryFile("w+") as output:
         process = subprocess.Popen(
             [sys.executable, "-m", "rerun", *options, "--window-size", f"{size[0]}x{size[1]}"],
@@ -114,7 +155,7 @@ def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
             deadline = time.monotonic() + _START_TIMEOUT
             while True:
                 try:
-                    viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                    viewer = ViewerClient.connect(f"rerun+http://{_HERE}:{port}/proxy")
                     viewer.get_state()
                     break
                 except (OSError, RuntimeError) as error:
@@ -137,7 +178,7 @@ def _no_viewer(output: str) -> MimicError:
     return MimicError(f"the Rerun viewer did not start: {output.strip()[-400:] or 'no output'}")
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[Any]) -> None:
     """End the viewer and its process group, because the command starts another program."""
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)

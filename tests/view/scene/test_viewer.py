@@ -1,13 +1,16 @@
+import socket
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
+import rerun as rr
 
 from mimic.errors import AssetError, MimicError
 from mimic.records import RunLog
 from mimic.robot.description import RobotDescription
 from mimic.view.scene.scene import save_scene
-from mimic.view.scene.viewer import display_available, open_viewer, screenshot
+from mimic.view.scene.viewer import display_available, open_viewer, screenshot, serve_scene
 
 
 def test_display_is_one_of_x11_or_wayland(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,3 +54,35 @@ def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription,
     assert image is not None
     assert image.shape == (400, 640, 3)
     assert image.std() > 20
+
+
+@pytest.mark.slow
+def test_a_scene_is_served_to_browsers_of_this_computer_only(tmp_path: Path) -> None:
+    stream = rr.RecordingStream("test")
+    stream.save(tmp_path / "scene.rrd")
+    stream.log("points", rr.Points3D([[0.0, 0.0, 0.0]]))
+    stream.flush()
+    stream.disconnect()
+    pages = []
+
+    def seen(address: str) -> None:
+        pages.append((address, urllib.request.urlopen(address.partition("?")[0], timeout=10.0).status))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        serve_scene(tmp_path / "scene.rrd", seen)
+    address, status = pages[0]
+    assert address.startswith("http://127.0.0.1:")
+    assert status == 200
+    port = int(address.removeprefix("http://127.0.0.1:").partition("?")[0])
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0, "the server outlives the call"
+
+
+def test_a_viewer_listens_on_this_computer_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr("subprocess.Popen", lambda words, **_: started.append(words))
+    monkeypatch.setattr("mimic.view.scene.viewer.display_available", lambda: True)
+    (tmp_path / "scene.rrd").touch()
+    assert open_viewer(tmp_path / "scene.rrd")
+    assert started[0][-2:] == ["--bind", "127.0.0.1"]

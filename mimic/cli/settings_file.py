@@ -1,0 +1,199 @@
+"""``--config FILE``: settings from a TOML file, a section for each group; ``mimic config`` prints all."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import partial
+from pathlib import Path
+from textwrap import wrap
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from cyclopts import App, Parameter, Token
+from cyclopts.argument import Argument, ArgumentCollection
+from cyclopts.exceptions import UnknownOptionError
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings, ProbeSettings
+from mimic.config.leading import HandSettings, LeadingSettings
+from mimic.config.play import EffectsSettings, RunSettings
+from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
+from mimic.config.retarget import RetargetSettings
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.errors import ConfigError
+
+SECTIONS: Mapping[str, type] = {
+    "retarget": RetargetSettings,
+    "play": RunSettings,
+    "effects": EffectsSettings,
+    "pose": PoseSettings,
+    "mocap": MocapSettings,
+    "text": LanguageSettings,
+    "camera": LiveSettings,
+    "robot": BusSettings,
+    "probe": ProbeSettings,
+    "lead": HandSettings,
+    "answer": LeadingSettings,
+    "calibrate": CalibrateSettings,
+    "log": LogSettings,
+    "emulate": EmulateSettings,
+}
+"""Section of the file -> its settings."""
+
+Given = Mapping[str, Mapping[str, Any]]
+"""Section -> setting -> value."""
+
+
+def read_settings(path: Path) -> Given:
+    """Return the settings that a file gives, each with the type and range of its field.
+
+    Raises:
+        ConfigError: If a section or key is unknown, or a value has a wrong type or is out of range.
+    """
+    if not path.is_file():
+        raise ConfigError(f"there is no file {path}; --config expects a TOML file with settings (see: mimic config)")
+    try:
+        sections = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+        raise ConfigError(f"{path} is not a TOML file: {reason}") from None
+    given: dict[str, dict[str, Any]] = {}
+    for section, values in sections.items():
+        if section not in SECTIONS:
+            what = f"section [{section}]" if isinstance(values, dict) else f"key {section} outside a section"
+            raise ConfigError(f"{path}: unknown {what}; sections are {', '.join(SECTIONS)}")
+        if not isinstance(values, dict):
+            raise ConfigError(f"{path}: {section} is {values!r}; expected a section [{section}]")
+        kind = SECTIONS[section]
+        hints = get_type_hints(kind)
+        names = [f.name for f in fields(kind)]
+        for key, value in values.items():
+            if key not in names:
+                raise ConfigError(f"{path}: [{section}] has no {key}; it has {', '.join(names)}")
+            try:
+                given.setdefault(section, {})[key] = _fitted(value, hints[key])
+            except TypeError:
+                raise ConfigError(f"{path}: [{section}] {key} is {value!r}; expected {_expected(hints[key])}") from None
+        try:
+            kind(**given.get(section, {}))
+        except ConfigError as reason:
+            raise ConfigError(f"{path}: [{section}] {reason}") from None
+    return given
+
+
+def _fitted(value: Any, hint: Any) -> Any:
+    """Return a value of TOML as its field has it; a TypeError if it does not fit."""
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind in (Union, UnionType):
+        for part in parts:
+            try:
+                return _fitted(value, part)
+            except TypeError:
+                pass
+    elif kind is Literal:
+        if value in parts and isinstance(value, str):
+            return value
+    elif kind is tuple and isinstance(value, list):
+        parts = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
+        if len(parts) == len(value):
+            return tuple(_fitted(one, part) for one, part in zip(value, parts, strict=True))
+    elif hint is float and type(value) is int:
+        return float(value)
+    elif hint is Path and isinstance(value, str):
+        return Path(value)
+    elif type(value) is hint:
+        return value
+    raise TypeError
+
+
+def _expected(hint: Any) -> str:
+    """Return what a value must be, in words."""
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind in (Union, UnionType):
+        return " or ".join(_expected(part) for part in parts if part is not NoneType)
+    if kind is Literal:
+        return " or ".join(f'"{one}"' for one in parts)
+    if kind is tuple:
+        many = "several" if parts[-1] is Ellipsis else str(len(parts))
+        return f"a list of {many}, each {_expected(parts[0])}"
+    return {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}.get(
+        hint, "a file name in quotes"
+    )
+
+
+def apply_settings(given: Given, app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """Fill what the command line leaves open; sections that the command does not use are left alone."""
+    typed = {name for argument in arguments if argument.has_tokens for name in argument.names}
+    other_robot = "robot" if "--sim" in typed else "effects" if "--robot" in typed else ""
+    for section, argument in _groups(arguments):
+        values = {} if section == other_robot else given.get(section, {})
+        for child in argument.children:
+            if child.keys[-1] in values and not child.has_tokens:
+                child.parameter = Parameter.combine(child.parameter, Parameter(parse=True))
+                child.append(Token(implicit_value=values[child.keys[-1]], source="--config"))
+
+
+def config_of(path: Path | None) -> tuple[Any, ...]:
+    """Return what the parser calls to fill settings from a file."""
+    return () if path is None else (partial(apply_settings, read_settings(path)),)
+
+
+def _groups(arguments: ArgumentCollection) -> list[tuple[str, Argument]]:
+    """Return each group of settings among the arguments of a command, with its section."""
+    found = []
+    for argument in arguments:
+        kinds: list[type] = [kind for kind in get_args(argument.hint) if isinstance(kind, type) and is_dataclass(kind)]
+        section = next((s for s, kind in SECTIONS.items() if kinds and issubclass(kind, kinds[0])), None)
+        if section is not None:
+            found.append((section, argument))
+    return found
+
+
+def where_to_set(error: UnknownOptionError) -> str | None:
+    """Return how to give an option that is a setting of a file only; None if there is no such setting."""
+    option = error.token.keyword or error.token.value
+    name = re.sub("^--(no-)?", "", option.partition("=")[0]).replace("-", "_")
+    for section, argument in _groups(error.argument_collection):
+        if any(child.keys[-1] == name for child in argument.children):
+            return (
+                f"{option} is a setting, not an option: put [{section}] and below it {name} = ... into a file, and add "
+                "--config FILE (mimic config prints all settings)"
+            )
+    return None
+
+
+def config() -> int:
+    """Print all settings with their defaults as a TOML file, to be edited and given to --config."""
+    print("\n".join(_template()))
+    return 0
+
+
+def _template() -> list[str]:
+    """Return the lines of a file with every setting at its default; those without a default are commented out."""
+    from docstring_parser import parse_from_object
+
+    lines = ["# Settings of mimic, all at their defaults: keep what you change and give the file to --config."]
+    for section, kind in SECTIONS.items():
+        helps = {}
+        for one in reversed(kind.__mro__[:-1]):
+            parsed = parse_from_object(one)
+            helps |= {parameter.arg_name: parameter.description or "" for parameter in parsed.params}
+        lines += ["", *(f"# {line}" for line in wrap(kind.__doc__ or "", 100)), f"[{section}]"]
+        hints, defaults = get_type_hints(kind), kind()
+        for f in fields(kind):
+            lines += [f"# {line}" for line in wrap(" ".join(helps.get(f.name, "").split()), 100)]
+            value = getattr(defaults, f.name)
+            unset = f"# {f.name} = ...  # {_expected(hints[f.name])}"
+            lines.append(unset if value is None else f"{f.name} = {_toml(value)}")
+    return lines
+
+
+def _toml(value: Any) -> str:
+    """Return a default as TOML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return f'"{value}"' if isinstance(value, (str, Path)) else repr(value)
