@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
+from mimic.flows.motion import InputSettings, Motion, as_motion, existing, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -253,9 +253,7 @@ def play_source(
     """
     settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
     reporter = reporter or SilentReporter()
-    file = source if isinstance(source, Path) else None
-    if file is not None and not file.exists():
-        raise SourceError(f"there is no file {file}")
+    file = existing(source) if isinstance(source, Path) else None
     if film is not None and film.suffix != ".mp4":
         raise ConfigError(f"--video is {film}; expected a file name that ends with .mp4")
     if file is not None:
