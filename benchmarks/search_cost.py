@@ -21,7 +21,6 @@ from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.records import FloatArray
 from mimic.robot.description import load_description
-from mimic.sysid.baseline import random_search
 from mimic.sysid.least_squares import fit
 from mimic.sysid.logs import make_blocks
 from mimic.sysid.noise import noise_floor
@@ -30,6 +29,14 @@ from mimic.sysid.residuals import Point, Problem
 
 BATCH = 128
 """Samples between two points of the curve."""
+
+RANGES = {
+    ("coulomb", "level"): (0.0, 0.3),
+    ("viscous", "coefficient"): (0.0, 0.1),
+    ("link_mass", "factor"): (0.8, 1.2),
+    ("delay", "time"): (0.0, 0.03),
+}
+"""Uniform ranges of the samples. Source: Li et al. 2024, section IV; c2_systemid_config.py."""
 
 Curve = list[tuple[int, float]]
 """Replays, held-out error [rad]."""
@@ -63,12 +70,15 @@ def least_squares(problem: Problem, start: Point, steps: int = 5) -> Curve:
 
 def random_samples(problem: Problem, start: Point, samples: int) -> Curve:
     """Return the curve of the best sample so far."""
-    best, curve = np.inf, []
+    rng, best, curve = np.random.default_rng(0), np.inf, []
     for i in range(samples // BATCH):
-        found = random_search(problem, start, BATCH, i, lambda *_: None)
-        squares = float(problem.block_squares(found.residual)[problem.blocks.train].sum())
-        error = held_out(problem, found.residual) if squares < best else curve[-1][1]
-        best = min(best, squares)
+        points = [
+            Point({k: rng.uniform(*RANGES[k], row.shape) for k, row in start.values.items()}) for _ in range(BATCH)
+        ]
+        squares = problem.squares(points)
+        if squares.min() < best:
+            best, residual = float(squares.min()), problem.residuals([points[int(squares.argmin())]])[0]
+            error = held_out(problem, residual)
         curve.append((BATCH * (i + 1), error))
     return curve
 

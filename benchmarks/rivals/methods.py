@@ -260,7 +260,6 @@ LIBRARY: Library = {
     ("load_friction", "ratio"): lambda m, s: np.abs(m.tau) * s,
     ("asymmetric_friction", "coefficient"): lambda m, s: np.abs(m.dq),
     ("quadratic_drag", "coefficient"): lambda m, s: m.dq * np.abs(m.dq),
-    ("position_friction", "slope"): lambda m, s: m.q * s,
 }
 """Terms of the torque of one joint; s is the sign of its velocity."""
 

@@ -34,9 +34,6 @@ NEWTON, EXACT = 10, 1e-9
 """Most steps towards the share of the supply that is left, and by how much it may be off; in single precision by a few
 roundings, below which steps would leave the root again."""
 
-OWN_STATES = {"goal": "target_filter", "integral": "drive_integral", "bristle": "presliding"}
-"""States that only one effect needs."""
-
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
 
@@ -149,10 +146,8 @@ class Law:
             state += ["heat"]
         if self.rotor is not None:
             state += ["theta", "omega", "omega_open", "omega_slope"]
-        state += [name for name, of in OWN_STATES.items() if of in has]
         for name in state:
             self.states[name] = xp.zeros_like(self._zero)
-        self._lag_u = self._lag("target_filter")
         self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
 
     def _lag(self, name: str) -> tuple[Any, Any] | None:
@@ -216,7 +211,6 @@ class Law:
             "omega": dq,
             "omega_open": dq,
             "heat": heat,
-            "goal": q,
         }
         for name, before in self.states.items():
             value = known.get(name)
@@ -230,27 +224,11 @@ class Law:
             q = q - self.get("encoder_offset", "angle")
         if "encoder_scale" in self._has:
             q = q / self.get("encoder_scale", "factor")
-        return self._centred(q)
-
-    def _centred(self, turned: Any) -> Any:
-        """Return the angle that an eccentric encoder reads as this one."""
-        q = turned
-        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
-            q = turned - self._beside(q)
         return q
-
-    def _beside(self, q: Any) -> Any:
-        """Return what an eccentric encoder reads too much."""
-        xp, get = self.xp, self.get
-        angle = self._zero + q
-        cosine = get("encoder_eccentricity", "cosine") * xp.cos(angle)
-        return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
         """Return what the encoders read at link positions q; call it after `step` or `reset`."""
         value = self._position(q)
-        if "encoder_eccentricity" in self._has:
-            value = value + self._beside(value)
         if "encoder_scale" in self._has:
             value = value * self.get("encoder_scale", "factor")
         if "encoder_offset" in self._has:
@@ -270,10 +248,6 @@ class Law:
     def settle(self, dq: Any) -> None:
         """Bring the states to the end of the step just made, whose velocities are dq (N, J)."""
         s, dt = self.states, self.dt
-        if "bristle" in s:
-            sign = self.xp.where(dq < 0, self._zero - 1.0, self._zero + 1.0)
-            left = self.xp.exp(-self.xp.abs(dq) * dt / self.get("presliding", "way"))
-            s["bristle"] = sign + (s["bristle"] - sign) * left
         if self.rotor is not None:
             s["omega"] = s["omega_open"] + s["omega_slope"] * dq
             s["theta"] = s["theta"] + dt * s["omega"]
@@ -310,10 +284,6 @@ class Law:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
-        if self._lag_u is not None:
-            left, held = self._lag_u
-            wanted, ctrl, parts = ctrl, ctrl + held * (s["goal"] - ctrl), ()
-            s["goal"] = wanted + left * (s["goal"] - wanted)
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
             if "heat" in s:
@@ -322,12 +292,6 @@ class Law:
             kp, kd = kp * factor, kd * factor
         if "encoder_step" in has:
             bias = bias - kp * (self._rounded(theta) - theta)
-        error = ctrl - theta
-        if "encoder_eccentricity" in has:
-            more = self._beside(theta)
-            bias, error = bias - kp * more, error - more
-        if has & {"deadband", "drive_integral"}:
-            bias = bias + self._beyond_kp(error, kp)
         if "velocity_before" in s:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:
@@ -357,18 +321,6 @@ class Law:
         return StepInputs(
             ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
         )
-
-    def _beyond_kp(self, error: Any, kp: Any) -> Any:
-        """Return what the drive makes of an error of its position beside kp times the error."""
-        xp, torque = self.xp, self._zero
-        if "deadband" in self._has:
-            width = self._zero + self.get("deadband", "width")
-            inside = xp.minimum(xp.maximum(error, -width), width)
-            torque, error = torque - kp * inside, error - inside
-        if "drive_integral" in self._has:
-            self.states["integral"] = self.states["integral"] + self.dt * error
-            torque = torque + self.get("drive_integral", "gain") * self.states["integral"]
-        return torque
 
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
@@ -456,9 +408,6 @@ class Law:
             level = level + get("load_friction", "ratio") * load
         if "gear_load_friction" in self._has:
             level = level + get("gear_load_friction", "ratio") * xp.abs(tau + self.needed)
-        if "position_friction" in self._has:
-            level = level + (get("position_friction", "slope") + get("position_friction", "curvature") * q) * q
-            level = xp.clip(level, 0.0, None)
         if "asymmetric_friction" in self._has:
             more = get("asymmetric_friction", "level")
             forward, backward = xp.clip(level + more, 0.0, None), xp.clip(level - more, 0.0, None)
@@ -469,8 +418,6 @@ class Law:
         xp, get, has, applied = self.xp, self.get, self._has, self._zero
         if "asymmetric_friction" in has:
             applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
-        if "bristle" in self.states:
-            applied = applied - get("presliding", "level") * self.states["bristle"]
         if "quadratic_drag" in has:
             applied = applied - get("quadratic_drag", "coefficient") * dq * xp.abs(dq)
         if "coupling" in has:

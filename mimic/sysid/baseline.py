@@ -1,22 +1,17 @@
 """The least-squares problem of a log and a model, the fit of the baseline parameters, fits that converge on fine steps
 and correct all coarse ones, and the errors of logs.
-
-Also the paper's way, for comparison: random samples, the one with the least error wins. Source: Li et al. 2024, section
-IV: 8192 samples, friction 0-0.3 N m, damping 0-0.1 N m s/rad; c2_systemid_config.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
-from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
@@ -250,25 +245,23 @@ saves nothing.
 """
 
 
-RANGES = {
-    ("coulomb", "level"): (0.0, 0.3),
-    ("viscous", "coefficient"): (0.0, 0.1),
-    ("link_mass", "factor"): (0.8, 1.2),
-    ("delay", "time"): (0.0, 0.03),
-}
-"""Uniform ranges of the samples."""
-
-
 def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     """Return the problem of logs and a model, as they say (`mimic.dynamics.machine.as_logged`).
 
     Raises:
         CalibrationError: If the log cannot be replayed.
-        MissingExtra: If the device's libraries are not installed.
     """
     together = logs if isinstance(logs, Pool) else pool([logs], machine, step_of([logs], settings))
     log = together.log
-    replay = _replay(together, machine, settings)
+    replay = Replay(
+        machine,
+        log,
+        timestep=together.step,
+        threads=settings.threads,
+        torque=settings.torque,
+        sending=together.sending[0],
+        parts=together.parts,
+    )
     noise = _of_moving(log.q[valid_samples(log)], _noise(log, replay, log.q, valid_samples(log)))
     steps = np.zeros_like(noise)
     if not settings.effects or "encoder_step" in settings.effects:
@@ -302,24 +295,6 @@ def _noise(log: JointLog, replay: Replay, x: FloatArray, known: BoolArray | None
     known = np.ones(len(x), dtype=bool) if known is None else known
     floors = [noise_floor(x[rows], log.part(rows).rate, known[rows]) for rows in (p.slice for p in replay.parts)]
     return np.sqrt(np.mean(np.square(floors), axis=0))
-
-
-def _replay(together: Pool, machine: MachineModel, settings: CalibrateSettings) -> Replay:
-    log = together.log
-    own: dict[str, Any] = {
-        "timestep": together.step,
-        "threads": settings.threads,
-        "torque": settings.torque,
-        "sending": together.sending[0],
-        "parts": together.parts,
-    }
-    if settings.device == "cpu":
-        return Replay(machine, log, **own)
-    try:
-        from mimic.sysid.gpu_replay import WorldReplay
-    except ModuleNotFoundError as missing:
-        raise MissingExtra(str(missing.name), "train") from None
-    return WorldReplay(machine, log, device=settings.device, **own)
 
 
 def fit_sending_times(
@@ -363,32 +338,9 @@ def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: M
     """
     log = problem.replay.log
     share = max(BEGINNING, LEAST_BEGINNING / max(log.duration, 1e-9))
-    if problem.replay.shorter_is_faster and len(problem.replay.parts) == 1 and share <= MOST_BEGINNING:
+    if len(problem.replay.parts) == 1 and share <= MOST_BEGINNING:
         part = problem.of_beginning(int(share * len(log.t)))
         if np.ptp(part.blocks.index) > 0:
             start = fit(part, start, names, joints, most=MOST_STEPS).point
             problem.replay.replays += part.replay.replays
     return fit(problem, start, names, joints, most=MOST_STEPS)
-
-
-def random_search(problem: Problem, start: Point, samples: int, seed: int, report: Callable[[str, int], None]) -> Fit:
-    """Return the best of so many samples over the fitted blocks, each joint with numbers of its own."""
-    rng = np.random.default_rng(seed)
-    best, winner = problem.squares([start])[0], start
-    for begin in range(0, samples, problem.replay.sets_per_batch):
-        points = [_drawn(start, rng) for _ in range(min(problem.replay.sets_per_batch, samples - begin))]
-        squares = problem.squares(points)
-        i = int(np.argmin(squares))
-        if squares[i] < best:
-            best, winner = squares[i], points[i]
-        report("random samples", problem.replay.replays)
-    residual = problem.residuals([winner])[0]
-    return Fit(point=winner, free_parameters=(), residual=residual, columns=(), sums=problem.sums(residual, [], []))
-
-
-def _drawn(start: Point, rng: np.random.Generator) -> Point:
-    values = dict(start.values)
-    for key, row in start.values.items():
-        if key in RANGES:
-            values[key] = rng.uniform(*RANGES[key], row.shape)
-    return Point(values)

@@ -25,7 +25,6 @@ from mimic.sysid.baseline import (
     fit_baseline,
     fit_sending_times,
     problem_of,
-    random_search,
     step_of,
 )
 from mimic.sysid.checks import targets_match_log
@@ -134,7 +133,7 @@ def _calibrated(
     log_matches_model = follows and error < RULES.most
     final, stages = before, before.stages(())[:1]
     residual, coarse = before.fitted.residual, np.zeros(len(machine.joints), dtype=bool)
-    if settings.method == "least-squares" and log_matches_model:
+    if log_matches_model:
         before = final = _refined(before, tick)
         stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
@@ -170,7 +169,7 @@ def _calibrated(
     effects = _effect_set(final, coarse)
     if not log_matches_model:
         said = no_match(why)
-    elif settings.method == "random" or not settings.most_effects:
+    elif not settings.most_effects:
         said = of_baseline(stages, rest, scale, machine.unit)
     else:
         said = sentence(stages, rest, scale, machine, effects)
@@ -216,15 +215,10 @@ def _calibrated(
 
 
 def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str], None]) -> Hypothesis:
-    """Return the baseline parameters, fitted in coarse steps or drawn."""
+    """Return the baseline parameters, fitted in coarse steps."""
     machine = problem.machine
     moves = np.ptp(problem.replay.log.q, axis=0) > 0
     where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
-    if settings.method == "random":
-        tick(f"{settings.samples} random samples")
-        start = Point.of(settings.baseline, machine)
-        drawn = random_search(problem, start, settings.samples, settings.seed, lambda text, count: tick(text))
-        return Hypothesis(problem=problem, fitted=drawn, names=settings.baseline, joints=where)
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
     fitted = fit_baseline(problem, Point.of(names, machine), names, where)

@@ -9,7 +9,7 @@ Longer than 350 lines: one class, whose methods share the segments.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
@@ -73,16 +73,6 @@ class Prediction:
     """Measured - predicted position, single precision."""
     torque_residual: FloatArray | None
     """Measured - predicted torque of the motor, its mean since the reading before, where the log has it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """What `Replay.run` is asked for."""
-
-    replay: Replay
-    parameters: Parameters
-    """Values (count, J) or (count, 1)."""
-    count: int
 
 
 def stretch_starts(t: FloatArray) -> FloatArray:
@@ -185,15 +175,6 @@ def _unheard() -> Iterator[None]:
 class Replay:
     """Replays of one log in one model."""
 
-    longest_fine: float = math.inf
-    """Greatest length of a segment of a finer replay [s]."""
-
-    _elsewhere: Mapping[str, Any] = {}
-    """Arguments beside those of this class, of one that replays on another device."""
-
-    shorter_is_faster: bool = True
-    """Whether a replay of a part of the log takes a part of the time."""
-
     def __init__(
         self,
         machine: MachineModel,
@@ -257,7 +238,6 @@ class Replay:
     def finer(self, times: int, segment: float, count: int = 1) -> Replay:
         """Return this replay in finer steps and segments of another length [s]; counts ``count`` replays."""
         self.replays += times * count
-        segment = min(segment, self.longest_fine)
         fine = self._finer.get((times, segment)) or self._again(self.dt / times, segment)
         if fine.late is not self.late:
             fine = fine.with_late(self.late)
@@ -274,7 +254,6 @@ class Replay:
             torque=self.torque,
             sending=self.sending,
             parts=self.parts,
-            **self._elsewhere,
         )
 
     def _cut(self, part: Part, segment: float) -> IntArray:
@@ -397,10 +376,6 @@ class Replay:
             np.concatenate([p.torque_residual for p in parts if p.torque_residual is not None]) if self.torque else None
         )
         return Prediction(residual=joined, torque_residual=torque)
-
-    def side_by_side(self, jobs: Sequence[Job]) -> list[Prediction]:
-        """Return the predictions of several replays on the device of this one, at once where it has room."""
-        return [job.replay.run(job.parameters, job.count) for job in jobs]
 
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square motor torque since the reading before (T, J), for one parameter set."""

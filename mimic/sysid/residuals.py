@@ -25,7 +25,7 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.logs import Blocks, Sums
 from mimic.sysid.noise import period
-from mimic.sysid.replay import Job, Replay
+from mimic.sysid.replay import Replay
 from mimic.sysid.timing import SendingTimes
 
 Key = tuple[str, str]
@@ -311,8 +311,8 @@ class Problem:
         new = [i for i, pair in enumerate(pairs) if pair is None]
         if new:
             asked = [points[i] for i in new]
-            both = [(self.replay.finer(FINE * more, FINE_SEGMENT, len(asked)), asked) for more in (1, 2)]
-            for i, *pair in zip(new, *self._all_replayed(both), strict=True):
+            both = [self._replayed(self.replay.finer(FINE * more, FINE_SEGMENT, len(asked)), asked) for more in (1, 2)]
+            for i, *pair in zip(new, *both, strict=True):
                 pairs[i] = np.stack(pair)
                 self._fine.append((points[i], (self.replay.late, self.replay.heat), np.stack(pair)))
         found = self._whitened(np.stack([pair for pair in pairs if pair is not None]))
@@ -377,27 +377,17 @@ class Problem:
 
     def _replayed(self, replay: Replay, points: Sequence[Point]) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
-        return self._all_replayed([(replay, points)])[0]
-
-    def _all_replayed(self, asked: Sequence[tuple[Replay, Sequence[Point]]]) -> list[FloatArray]:
-        """Return the residuals of points by a replay (N, T, C), of each that is asked, side by side."""
-        found, places, jobs = [], [], []
-        for replay, points in asked:
-            joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
-            apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
-            for i, point in enumerate(points):
-                apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
-            for rows in apart.values():
-                values = stack([points[i] for i in rows], self.machine)
-                values = values or {("delay", "time"): np.zeros((len(rows), 1))}
-                jobs.append(Job(replay=replay, parameters=values, count=len(rows)))
-                places.append((joined, rows))
-            found.append(joined)
-        for (joined, rows), made in zip(places, self.replay.side_by_side(jobs), strict=True):
+        joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
+        apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
+        for i, point in enumerate(points):
+            apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
+        for rows in apart.values():
+            values = stack([points[i] for i in rows], self.machine)
+            made = replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows))
             joined[rows, :, : self.joints] = made.residual
             if self.channels > self.joints:
                 joined[rows, :, self.joints :] = made.torque_residual
-        return found
+        return joined
 
     def squares(self, points: Sequence[Point]) -> FloatArray:
         """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""

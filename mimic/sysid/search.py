@@ -325,7 +325,7 @@ class Search:
 
     def candidates(self, parent: Hypothesis) -> list[str]:
         """Return the effects that may be added to a set."""
-        allowed = self.settings.effects or tuple(n for n, e in CATALOGUE.items() if not e.by_request)
+        allowed = self.settings.effects or tuple(CATALOGUE)
         machine, out = parent.problem.machine, set(parent.names)
         if any(CATALOGUE[n].random for n in parent.names):  # one law of late targets is enough
             out |= {n for n in allowed if CATALOGUE[n].random}

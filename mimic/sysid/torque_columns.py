@@ -281,9 +281,6 @@ class Columns:
         for share in (0.01, 0.02, 0.05, 0.1, 0.2):
             v0 = np.maximum(share * self._fast, 1.5 * self._slow)
             yield own("stribeck", lambda m, v0=v0: np.exp(-((m.dq / v0) ** 2)) * sign(m), at=(share,))
-        yield own("position_friction", lambda m: m.q * sign(m), lambda m: m.q**2 * sign(m))
-        for share in (0.005, 0.02, 0.06):
-            yield own("presliding", lambda m, s=share * self._span: _dahl(m.q, s) - sign(m), at=(share,))
 
     def _mechanics(self) -> Iterable[Column]:
         own = self._own
@@ -297,7 +294,6 @@ class Columns:
         yield self._links_column("payload", 2, 0.5)
         yield self._read("encoder_offset", lambda m: (-np.ones_like(m.q),))
         yield self._read("encoder_scale", lambda m: (-m.q,))
-        yield self._read("encoder_eccentricity", lambda m: (-np.cos(m.q), -np.sin(m.q)))
         if any(m.on.any() and m.tau.any() for m in self.motions):
             for share in (0.03, 0.07, 0.15, 0.3, 0.5, 0.8):
                 soft = share * self._error / self._hard
@@ -328,22 +324,8 @@ class Columns:
                 lambda m, s=time: -np.asarray(m.machine.drives.kd) * m.on * (m.dq - _lag(m.dq, s, m.t)),
                 at=(time,),
             )
-        for time in (0.01, 0.03, 0.08):
-            yield own(
-                "target_filter",
-                lambda m, s=time: gains[id(m)] * m.on * (m.target - _lag(m.target, s, m.t)),
-                at=(time,),
-            )
         if any(m.later.any() for m in self.motions) and self.joints > 1:
             yield own("joint_delay", lambda m: -m.later)
-        yield own("drive_integral", lambda m: -np.cumsum(asked(m), axis=0) * (m.t[1] - m.t[0]))
-        for share in (0.05, 0.15, 0.4):
-            width = share * self._error
-            yield own(
-                "deadband",
-                lambda m, w=width: m.on * gains[id(m)] * np.clip(m.target - m.q, -w, w),
-                at=(share,),
-            )
         for share in (0.3, 0.45, 0.6, 0.75, 0.9):
             for turns in (np.inf, 2.0, 1.2, 0.8):
                 yield own("torque_speed", lambda m, a=share, b=turns: self._cut(m, a, b)[0], at=(share, turns))
@@ -502,12 +484,3 @@ def _lag(x: FloatArray, time: float, t: FloatArray, start: float | None = None) 
     left = np.exp(-(t[1] - t[0]) / time)
     begin = x[:1] * left if start is None else np.full_like(x[:1], start)
     return lfilter([1.0 - left], [1.0, -left], x, axis=0, zi=begin)[0]
-
-
-def _dahl(q: FloatArray, width: FloatArray) -> FloatArray:
-    """Return friction, of 1, that builds up over a way after each reversal (Dahl 1968)."""
-    z, out, step = np.zeros(q.shape[1]), np.zeros_like(q), np.diff(q, axis=0)
-    for i, d in enumerate(step):
-        z = np.clip(z + (d - np.abs(d) * z) / np.maximum(width, 1e-9), -1.0, 1.0)
-        out[i + 1] = z
-    return out

@@ -1,6 +1,5 @@
 """A whole calibration on a small arm: truth is found, nothing is invented."""
 
-import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -13,7 +12,6 @@ from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import CATALOGUE, UnknownEffect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
-from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.predict import simulate_log
@@ -183,20 +181,6 @@ def test_with_no_effects_to_add_none_is_said_to_be_looked_for(arm: MachineModel)
     assert "No missing effects were searched for" in result.sentence
 
 
-@pytest.mark.slow
-def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) -> None:
-    log = clean_log(arm)
-    random = calibrate(log, arm, settings(method="random", samples=256))
-    ours = clean_result(arm)
-    assert random.replays > 256
-    assert np.sqrt(np.mean(random.stages[0].errors.held_out ** 2)) > 1.5 * np.sqrt(
-        np.mean(ours.stages[0].errors.held_out ** 2)
-    )
-
-    assert "No missing effects were searched for" in random.sentence
-    assert all(not e.intervals for e in random.effects)
-
-
 def test_effects_that_do_not_exist_are_reported_before_anything_is_fitted(arm: MachineModel) -> None:
     told: list[str] = []
     for wrong in (settings(effects=("stribek",)), settings(baseline=("coulom",))):
@@ -252,13 +236,6 @@ def test_baseline_parameters_that_stop_at_a_bound_are_reported(arm: MachineModel
     assert any("viscous.coefficient of shoulder stopped at its bound 0" in line for line in told)
     assert not any("viscous" in line and "elbow" in line for line in told)
     assert clean_result(arm).warnings == ()
-
-
-def test_a_device_whose_libraries_are_missing_is_reported_in_a_line(arm: MachineModel, monkeypatch) -> None:
-    monkeypatch.delitem(sys.modules, "mimic.sysid.gpu_replay", raising=False)
-    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
-    with pytest.raises(MissingExtra, match=r"(torch|mujoco_warp).*pip install 'mimic-retarget\[train\]'"):
-        calibrate(clean_log(arm), arm, settings(device="cuda"))
 
 
 @pytest.mark.slow

@@ -140,31 +140,4 @@ DRIVE = (
         enters="actuator bias at every step",
         source="first-order low-pass in the drive",
     ),
-    Effect(
-        name="drive_integral",
-        title="integral term of the drive",
-        equation="tau = kp e + gain times the integral of e, from 0 at the beginning of the log",
-        parameters=(Parameter(name="gain", unit="N m/(rad s)", neutral=0.0, low=0.0, high=2000.0, step=0.02),),
-        by_request=True,
-        signature="errors under a steady load fade within seconds, and overshoot follows",
-        experiment="hold a loaded pose for seconds, after a step",
-        enters="actuator bias at every step",
-        source="PID drives of hobby and industrial servos",
-    ),
-    Effect(
-        name="deadband",
-        title="deadband of the drive",
-        equation="the Kp term sees e - width, 0 or e + width: nothing while |e| < width",
-        parameters=(
-            Parameter(
-                name="width", unit="rad", neutral=0.0, low=0.0, high=0.2, step=0.004, starts=(2.5, 6.0, 15.0), spread=50
-            ),
-        ),
-        structural=True,
-        by_request=True,
-        signature="a constant error on the side that the load pushes to",
-        experiment="slow reversals with a small load",
-        enters="actuator bias at every step",
-        source="servo registers that stop hunting",
-    ),
 )
