@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from mimic.config.ranges import check_range
 from mimic.errors import ConfigError
@@ -16,6 +17,9 @@ class CalibrateSettings:
     """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
     effects: tuple[str, ...] = ()
     """Effects that may be named; empty for the catalogue but those that are looked for by request only."""
+    drive: Literal["log", "torque", "voltage"] = "log"
+    """What the drives control: as the notes of the log say, torque, or voltage (hobby servos; the notes then have gain,
+    voltage, kt and resistance)."""
     most_effects: int = 5
     """Most effects that are added."""
     torque: bool = True

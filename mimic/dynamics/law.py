@@ -61,6 +61,16 @@ class Drives:
     """[kg m^2]"""
     neighbour: Any
     """Index of the next joint of the chain; of the one before, for the last (J,)."""
+    volts: Any = None
+    """Supply of voltage drives (J,) [V]; None where drives control torque.
+
+    A voltage drive gives tau = kt / R (V duty - kt v), duty = gain e within -1 to 1: Kp is gain kt V / R and Kd is
+    kt^2 / R, and the duty is limited, not the torque.
+    """
+    kt: Any = None
+    """Torque constant of voltage drives, gear included (J,) [N m/A]."""
+    resistance: Any = None
+    """Resistance of their windings (J,) [ohm]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +135,8 @@ class Law:
                 ("torque_speed", "torque"): self._d.torque,
                 ("torque_speed", "flat"): self._d.flat,
                 ("torque_speed", "speed"): self._d.speed,
+                ("motor", "kt"): self._d.kt,
+                ("motor", "resistance"): self._d.resistance,
             }
             return own[name, parameter][None]
         return neutral
@@ -137,6 +149,7 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
+        self._supply: Any = 1.0
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
@@ -185,7 +198,18 @@ class Law:
         ):
             if name in self._has:
                 kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
+        if self._d.volts is not None:
+            more = self._stall() / (self._d.volts * self._d.kt / self._d.resistance)
+            kp, kd = kp * more, kd * more * self.get("motor", "kt") / self._d.kt
         self._kp[:], self._kd[:] = kp, kd
+
+    def _stall(self) -> Any:
+        """Return the torque of voltage drives at rest with full duty (N, J)."""
+        return self._zero + self._d.volts * self.get("motor", "kt") / self.get("motor", "resistance")
+
+    def set_supply(self, share: Any) -> None:
+        """Let voltage drives have this share of their supply from now on, (N, 1) or a number."""
+        self._supply = share
 
     def scale_supply(self, share: Any) -> None:
         """Let the supply have this share of its voltage from now on (N, 1): the torque-speed line moves with it."""
@@ -284,6 +308,8 @@ class Law:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
+        if self._d.volts is not None:
+            kp = kp * self._supply
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
             if "heat" in s:
@@ -363,6 +389,9 @@ class Law:
         slope = torque / (speed - flat)
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
+        if self._d.volts is not None:
+            stall, brake = self._stall() * self._supply, self._kd * omega
+            low, high = xp.maximum(low, -stall - brake), xp.minimum(high, stall - brake)
         if self._most is not None:
             low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
         return low, high

@@ -70,7 +70,8 @@ def calibrate(
     given = [*logs, *held_out]
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
-    names, said = _names(given), _said(notes, given)
+    kind = [] if settings.drive == "log" else [f"drive={settings.drive}"]
+    names, said = _names(given), _said([*notes, *kind], given)
     checks, machines, warnings, read = [], [], [], []
     with reporter.activity("replays") as show:
         for one, called, told in zip(given, names, said, strict=True):
@@ -218,7 +219,7 @@ def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]
 
 def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     """Return a warning where the log lacks gains that its targets need."""
-    lacking = [key for key in ("kp", "kd") if key not in log.metadata]
+    lacking = [key for key in ("kp", "kd") if key not in log.metadata and machine.drives.volts is None]
     if log.q_des is None or not lacking:
         return []
     own = ((key, sorted(set(map(float, getattr(machine.drives, key))))) for key in lacking)

@@ -184,7 +184,7 @@ ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
 PAYLOAD, VOLTAGE = "payload", "voltage"
-"""Metadata: mass at the end of links [kg], and supply voltage [V]."""
+"""Metadata: mass at the end of links [kg], and supply voltage [V], which is a column too."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,9 +279,11 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
     if len(logs) == 1:
         return Pool(log=logs[0], parts=tuple(parts), step=step, sending=times[0])
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
-    keep = {n for log in logs for n in log.extra if n == UNREAD or n.split(".")[0] == ENABLED}
+    keep = {n for log in logs for n in log.extra if n in (UNREAD, VOLTAGE) or n.split(".")[0] == ENABLED}
     extra = {
-        n: np.concatenate([p.extra.get(n, np.full(len(p.t), 0.0 if n == UNREAD else 1.0)) for p in pieces])
+        n: np.concatenate(
+            [p.extra.get(n, np.full(len(p.t), {UNREAD: 0.0, VOLTAGE: np.nan}.get(n, 1.0))) for p in pieces]
+        )
         for n in keep
     }
     whole = JointLog(
@@ -331,7 +333,7 @@ def refuse_contradictions(logs: Sequence[JointLog], names: Sequence[str]) -> Non
         if (first.q_des is None) != (log.q_des is None):
             has, lacks = (one, other) if log.q_des is None else (other, one)
             raise CalibrationError(f"{has} has targets (q_des), but {lacks} has none; calibrate them apart")
-        for key in ("kp", "kd", VOLTAGE):
+        for key in ("kp", "kd", "drive", "gain", VOLTAGE):
             if first.q_des is not None and (key in first.metadata) != (key in log.metadata):
                 has, lacks = (one, other) if key in first.metadata else (other, one)
                 raise CalibrationError(

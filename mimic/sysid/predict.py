@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet
-from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.machine import MachineModel, drive_notes
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
@@ -100,7 +100,6 @@ def simulate_log(
         q = settings.resolution * np.round(q / settings.resolution)
     there = rng.random(len(times)) >= settings.lost_samples
     there[0] = True
-    drives = machine.drives
     return JointLog(
         joints=machine.joints,
         t=times[there],
@@ -108,8 +107,7 @@ def simulate_log(
         q_des=q_des[rows][there],
         tau=tau[there],
         metadata={
-            "kp": dict(zip(machine.joints, map(float, drives.kp), strict=True)),
-            "kd": dict(zip(machine.joints, map(float, drives.kd), strict=True)),
+            **drive_notes(machine),
             "simulated": True,
             SENT: AT_ROW,
         },

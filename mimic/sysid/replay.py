@@ -25,7 +25,7 @@ from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.logs import Part, enabled, rows_of, single
+from mimic.sysid.logs import VOLTAGE, Part, enabled, rows_of, single
 from mimic.sysid.timing import SendingTimes, at_rows
 
 LONGEST_STEP = 0.0025
@@ -146,6 +146,9 @@ def acting(
     return mean, [(first, before), (1.0 - first - last, older), (last, newer)]
 
 
+SEGMENTS, SEGMENT = 24, (1.5, 6.0)
+"""Segments of a log, and the least and greatest length of one [s]: steps in sequence cost more than simulations."""
+
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
@@ -181,7 +184,7 @@ class Replay:
         log: JointLog,
         *,
         timestep: float = 0.001,
-        segment: float = 6.0,
+        segment: float | None = None,
         lead_in: float = 0.8,
         threads: int = 0,
         torque: bool = False,
@@ -194,7 +197,7 @@ class Replay:
             machine: The model, with the gains of the log.
             log: Readings of the machine's joints, in its order.
             timestep: Physics step [s].
-            segment: Length of a segment [s].
+            segment: Length of a segment [s]; by default a share of the log.
             lead_in: Time that a segment runs before its readings count [s].
             threads: Of MuJoCo; 0 takes one for each core.
             torque: Also predict the torque.
@@ -208,6 +211,9 @@ class Replay:
         t = log.t - log.t[0]
         self.total = math.ceil(t[-1] / timestep - 1e-6)
         self._lead = round(lead_in / timestep)
+        if segment is None:
+            total = sum(part.end - part.begin for part in self.parts)
+            segment = float(np.clip(total / SEGMENTS, *SEGMENT))
         cuts = [self._cut(part, segment) for part in self.parts]
         self._part_of = np.repeat(np.arange(len(cuts)), [len(c) - 1 for c in cuts])
         first, last = (np.concatenate([c[a : len(c) + b] for c in cuts]) for a, b in ((0, -1), (1, 0)))
@@ -228,6 +234,7 @@ class Replay:
         on = enabled(log)
         row = np.clip(np.searchsorted(t, np.arange(self.total) * timestep + 1e-9, side="right") - 1, 0, len(t) - 1)
         self._most = None if on.all() else np.where(on[row], UNLIMITED, 0.0)
+        self._supply = self._supply_share()
         self.readings = self._readings()
         self._count = [0]
         self.heat: FloatArray | None = None
@@ -439,8 +446,10 @@ class Replay:
             p["payload", "mass"] = load + p.get(("payload", "mass"), 0.0)
         law = Law(self.machine.drives, p, self.dt, (n, joints), np)
         kp, kd = (np.stack([getattr(part, gain) for part in self.parts])[part_of] for gain in ("kp", "kd"))
+        if self._supply is not None:  # gains at the supply of the first log
+            kp = kp / np.array([part.supply for part in self.parts])[part_of, None]
         law.set_gains(kp, kd)
-        if any(part.supply != 1.0 for part in self.parts):
+        if any(part.supply != 1.0 for part in self.parts) and self.machine.drives.volts is None:
             law.scale_supply(np.array([part.supply for part in self.parts])[part_of, None])
         began = np.array([part.begin for part in self.parts])[part_of]
         batch = self._batch(n)
@@ -471,6 +480,8 @@ class Replay:
         for k, (target, shares) in enumerate(self._acting(begin, shifts, targets, which)):
             now = begin + k
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
+            if self._supply is not None:
+                law.set_supply(self._supply[np.minimum(now, self.total - 1)])
             if self._most is not None:
                 law.limit_torque(self._most[np.minimum(now, self.total - 1)])
             inputs = law.step(q, dq, target, (now * self.dt - began)[:, None], force, shares)
@@ -498,6 +509,16 @@ class Replay:
             before = np.array(reading)
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)
+
+    def _supply_share(self) -> FloatArray | None:
+        """Return the supply of voltage drives over that of the first log in each step (steps, 1); None for others."""
+        if self.machine.drives.volts is None:
+            return None
+        share = rows_of(self.parts, [np.array([part.supply]) for part in self.parts])[:, 0]
+        volts = self.log.extra.get(VOLTAGE, np.full(len(share), np.nan))
+        share = np.where(np.isfinite(volts), volts / float(np.mean(self.machine.drives.volts)), share)
+        at = (np.arange(self.total) + 0.5) * self.dt
+        return np.interp(at, self.log.t - self.log.t[0], share)[:, None]
 
     def _readings(self) -> Readings:
         row = np.flatnonzero(self.counts)

@@ -22,7 +22,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from mimic.dynamics.machine import GRAVITY, MachineModel, as_logged, inertias, tilted_gravity
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.logs import enabled
+from mimic.sysid.logs import VOLTAGE, enabled
 from mimic.sysid.noise import noise_floor
 from mimic.sysid.timing import SendingTimes, at_rows
 
@@ -122,13 +122,19 @@ def motion_of(
     most, flat, speed = (np.asarray(getattr(machine.drives, name)) for name in ("torque", "flat", "speed"))
     slope_down = most / (speed - flat)
     low, high = (-np.clip((speed + dq) * slope_down, 0.0, most), np.clip((speed - dq) * slope_down, 0.0, most))
+    stall = np.inf if machine.drives.volts is None else stall_torque(machine)
     on = (_held(t, log.t - t0, enabled(log).astype(float)) > 0.5).astype(float)
     seen = np.ones((len(t), 1), dtype=bool)
     if rows is not None:
         seen = np.interp(t, log.t - t0, rows.astype(float))[:, None] > 0.99
 
+    full = _full_duty(log, machine, t)
+
     def asked(u: FloatArray) -> FloatArray:
-        return on * np.clip(kp * (u - q_read) - kd * dq + force, low, high)
+        pull = kp * (u - q_read)
+        if full is not None:
+            pull = np.clip(pull * full[:, None], -stall * full[:, None], stall * full[:, None])
+        return on * np.clip(pull - kd * dq + force, low, high)
 
     if log.tau is not None:
         tau, later = on * _at(t, log.t - t0, log.tau), np.zeros_like(q)
@@ -160,6 +166,23 @@ def motion_of(
     object.__setattr__(motion, "need", links.torque(q, dq, ddq))
     object.__setattr__(motion, "bias", links.torque(q, dq, np.zeros_like(q)))
     return motion
+
+
+def stall_torque(machine: MachineModel) -> FloatArray:
+    """Return the torque of voltage drives at rest with full duty (J,) [N m]."""
+    d = machine.drives
+    return np.asarray(d.volts * d.kt / d.resistance)
+
+
+def _full_duty(log: JointLog, machine: MachineModel, t: FloatArray) -> FloatArray | None:
+    """Return the supply of voltage drives over what the notes say (T,); None for other drives."""
+    if machine.drives.volts is None:
+        return None
+    volts = log.extra.get(VOLTAGE)
+    if volts is None or not np.isfinite(volts).any():
+        return np.ones(len(t))
+    known = np.isfinite(volts)
+    return np.interp(t, (log.t - log.t[0])[known], volts[known] / float(np.mean(machine.drives.volts)))
 
 
 class Links:
@@ -264,6 +287,9 @@ class Columns:
             self._own("viscous", lambda m: m.dq),
             self._links_column("link_mass", 0, 0.15),
         ]
+        if self.motions[0].machine.drives.volts is not None:
+            gains = {id(m): np.asarray(m.machine.drives.kp) for m in self.motions}
+            made.append(self._own("motor", lambda m: -m.on * gains[id(m)] * (m.target - m.q), spread=0.3, scales=True))
         if any(m.later.any() for m in self.motions):
             made.append(self._shared("delay", lambda m: -m.later[..., None]))
         return made

@@ -433,10 +433,10 @@ class BaseMotion:
         Args:
             blocks: What the effect leaves, as `blocks` says it; None where torques cannot judge it.
         """
-        if blocks is None or behind(blocks, self.blocks) >= RULES.apart:
+        if blocks is None or behind(blocks, self.blocks) >= RULES.z:
             return ""
         at = " and ".join(f"{f:.2f}" for f in self.frequencies)
-        explains = "more" if behind(self.blocks, blocks) >= RULES.apart else "as much"
+        explains = "more" if behind(self.blocks, blocks) >= RULES.z else "as much"
         return f"one motion of the base at {at} Hz explains {explains}, with {self.numbers} parameters"
 
 
@@ -526,7 +526,7 @@ def moving_base(torques: Torques, frequency: FloatArray, size: FloatArray, there
     search = torques.regression
     base, forces = (search.explained_by(motion.filtered(x.reshape(*x.shape[:2], -1))) for x in (swung, each))
     none = search.score(()).blocks
-    if behind(base, none) < RULES.z or behind(forces, base) >= RULES.apart:
+    if behind(base, none) < RULES.z or behind(forces, base) >= RULES.z:
         return None
     share = 1.0 - np.exp(2.0 * (np.nanmean(base, axis=0) - np.nanmean(none, axis=0)))
     return BaseMotion(frequencies=tuple(sorted(shared.tolist())), numbers=numbers, share=share, blocks=base)

@@ -28,6 +28,19 @@ DRIVE = (
         source="Li et al. 2024, Table II",
     ),
     Effect(
+        name="motor",
+        title="motor constants of a voltage drive",
+        equation="tau = kt / resistance (V duty - kt v), duty = gain e within -1 to 1",
+        parameters=(
+            Parameter(name="kt", unit="N m/A", neutral=MODEL, low=0.001, high=100.0, step=0.01, spread=20),
+            Parameter(name="resistance", unit="ohm", neutral=MODEL, low=0.01, high=1000.0, step=0.1, spread=20),
+        ),
+        signature="as gains and viscous friction together; more torque at a higher supply",
+        experiment="logs with two register gains, and steps that reach full duty",
+        enters="actuator_gainprm, actuator_biasprm, actuator_forcerange at every step",
+        source="DC motor; the drives of hobby servos, as in Duclos et al., bam, 2025",
+    ),
+    Effect(
         name="torque_speed",
         title="torque limit and torque-speed line",
         equation="|tau| <= torque, and <= torque (speed - |v|) / (speed - flat) while driving",
