@@ -239,11 +239,6 @@ MOST_STEPS = 10
 at 1.
 """
 
-BEGINNING, LEAST_BEGINNING, MOST_BEGINNING = 1 / 3, 15.0, 0.5
-"""Share of a log that the first steps are fitted to, the least of it [s], and its greatest share, from which on that
-saves nothing.
-"""
-
 
 def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: CalibrateSettings) -> Problem:
     """Return the problem of logs and a model, as they say (`mimic.dynamics.machine.as_logged`).
@@ -323,24 +318,3 @@ def _left(problem: Problem, fitted: Fit) -> float:
     squares = np.mean(problem.in_floors(fitted.residual).astype(np.float64) ** 2, axis=1)
     parts = [squares[part.slice][counts[part.slice]] for part in problem.replay.parts]
     return float(sum(len(own) * np.log(np.mean(own)) for own in parts if len(own)))
-
-
-def fit_baseline(problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray]) -> Fit:
-    """Return the fit of the baseline parameters.
-
-    The first steps, which only have to lead near, are taken with the beginning of a long log, at a third of the price.
-
-    Args:
-        problem: Log and model.
-        start: Where to begin.
-        names: The baseline effects.
-        joints: Which joints have an effect.
-    """
-    log = problem.replay.log
-    share = max(BEGINNING, LEAST_BEGINNING / max(log.duration, 1e-9))
-    if len(problem.replay.parts) == 1 and share <= MOST_BEGINNING:
-        part = problem.of_beginning(int(share * len(log.t)))
-        if np.ptp(part.blocks.index) > 0:
-            start = fit(part, start, names, joints, most=MOST_STEPS).point
-            problem.replay.replays += part.replay.replays
-    return fit(problem, start, names, joints, most=MOST_STEPS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,7 +24,6 @@ from mimic.sysid.baseline import (
     errors_by_log,
     errors_of,
     errors_of_unseen,
-    fit_baseline,
     fit_sending_times,
     problem_of,
     step_of,
@@ -48,6 +48,9 @@ from mimic.sysid.unexplained import (
     unexplained_residuals,
     weak,
 )
+
+STEP_SHARE = 0.85
+"""Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""
@@ -124,8 +127,11 @@ def _calibrated(
     problem = problem.without(~np.isfinite(first).all(-1))
     nominal = errors_of(problem, first)
 
+    steps = itertools.count(1)
+
     def tick(text: str) -> None:
-        report(text, problem.replay.replays)
+        done = 1.0 - STEP_SHARE ** next(steps)
+        report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
 
     before = _baseline(problem, settings, tick)
     problem = before.problem
@@ -246,7 +252,7 @@ def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str
     where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
-    fitted = fit_baseline(problem, Point.of(names, machine), names, where)
+    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
     problem, fitted = fit_sending_times(problem, fitted, names, where)
     for name in settings.baseline:
         if name not in names:

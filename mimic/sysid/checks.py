@@ -27,6 +27,8 @@ ANSWERED = 0.1
 """A joint that does not read otherwise so long after its target moved does not answer [s]."""
 LEAST_MOTION = 3.0
 """A joint whose positions spread by no more than so many noise floors does not move."""
+JUMP = 1.5
+"""A reading that was frozen goes on so many of the largest usual changes further; a joint that sticks goes on there."""
 FOLLOWS, STRANGER = 0.9, 0.5
 """Correlation of a joint with a target that it certainly follows, and certainly does not."""
 
@@ -152,7 +154,7 @@ def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, move
             f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
             f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
         )
-    early = np.flatnonzero(moves & (lag < -1.5 / log.rate))
+    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -1.5 / log.rate))
     if len(early):
         i = int(early[0])
         yield (
@@ -181,12 +183,15 @@ def stuck(log: JointLog) -> Iterator[str]:
             asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - ANSWERED]
             if seconds < 0.25 or np.ptp(asked_of_it) < 0.1 * np.ptp(wanted):
                 continue
+            goes_on = abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= JUMP * np.quantile(np.abs(np.diff(x)), 0.99)
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where:
                 yield (
                     f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from"
                     f" t = {log.t[start]:.2f} s while its target moves: clipped, or at a stop"
                 )
+            elif goes_on:
+                continue  # it sticks
             else:
                 yield (
                     f"q.{joint} is frozen at {x[start]:.4g} for {seconds:.2f} s from t = {log.t[start]:.2f} s while its"

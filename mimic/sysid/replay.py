@@ -24,7 +24,7 @@ from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
-from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.records import FloatArray, IntArray
 from mimic.sysid.logs import VOLTAGE, Part, enabled, rows_of, single
 from mimic.sysid.timing import SendingTimes, at_rows
 
@@ -284,18 +284,6 @@ class Replay:
         kp, kd = (rows_of(self.parts, [getattr(p, k) for p in self.parts]) * on for k in ("kp", "kd"))
         return kp, kd
 
-    def of_beginning(self, rows: int) -> Replay:
-        """Return the replay of so many of the first readings of one log."""
-        log = self.log.part(slice(rows))
-        return Replay(
-            self.machine,
-            log,
-            timestep=self.dt,
-            threads=self.threads,
-            torque=self.torque,
-            sending=self.sending.of_beginning(len(log.t)),
-        )
-
     @property
     def sent(self) -> IntArray:
         """Rows that first show each target (K,)."""
@@ -360,29 +348,14 @@ class Replay:
             count: How many.
             targets: Those of each of them (count, ...), instead of the log's.
         """
-        parts = [self._run(*part) for part in self._parts(parameters, count, targets)]
-        return self._joined(parts, count)
-
-    def _parts(
-        self, parameters: Parameters, count: int, targets: Targets | None
-    ) -> Iterator[tuple[dict[tuple[str, str], FloatArray], Targets]]:
-        """Yield parameters and targets of as many parameter sets as are best replayed at once."""
-        size = self.sets_per_batch
+        size, made = self.sets_per_batch, []
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
-            values: dict[tuple[str, str], FloatArray] = {
-                k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
-            }
-            own = self._grid if targets is None else targets.some(rows)
-            yield values, own
-
-    def _joined(self, parts: Sequence[Prediction], count: int) -> Prediction:
+            values = {k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()}
+            made.append(self._run(values, self._grid if targets is None else targets.some(rows)))
         self.replays += count
-        joined = np.concatenate([p.residual for p in parts])
-        torque = (
-            np.concatenate([p.torque_residual for p in parts if p.torque_residual is not None]) if self.torque else None
-        )
-        return Prediction(residual=joined, torque_residual=torque)
+        torque = np.concatenate([p.torque_residual for p in made]) if self.torque else None  # type: ignore[misc]
+        return Prediction(residual=np.concatenate([p.residual for p in made]), torque_residual=torque)
 
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square motor torque since the reading before (T, J), for one parameter set."""
@@ -394,24 +367,10 @@ class Replay:
         known = np.isfinite(found)
         return np.where(known, found, np.mean(found, axis=0, where=known))
 
-    def squares(self, parameters: Parameters, count: int, rows: BoolArray, noise: FloatArray) -> FloatArray:
-        """Return the sum of squares (count, J) of the position residuals over some rows (T,), in noise floors (J,).
-
-        Infinite where a simulation blew up.
-        """
-        parts = self._parts(parameters, count, None)
-        found = [self._squares(values, rows & self.counts, noise) for values, _ in parts]
-        self.replays += count
-        return np.concatenate(found)
-
     @property
     def sets_per_batch(self) -> int:
         """How many parameter sets to replay in one batch."""
         return max(1, MOST_SIMULATIONS // self.segments)
-
-    def _squares(self, parameters: dict[tuple[str, str], FloatArray], rows: BoolArray, noise: FloatArray) -> FloatArray:
-        residual = self._run(parameters, self._grid).residual[:, rows] / noise
-        return np.sum(np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2, axis=1)
 
     def _model(self) -> mujoco.MjModel:
         """Return the model with the steps of this replay."""

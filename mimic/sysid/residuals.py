@@ -192,13 +192,13 @@ def normal_equations(
     return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)
 
 
-FINE = 5
+FINE = 3
 """A fine replay has this many times more steps."""
 
-FINE_SEGMENT = 1.0
+FINE_SEGMENT = 0.5
 """Length of its segments [s]; they are few, so that short ones are faster."""
 
-MANY_SEGMENT = 3.0
+MANY_SEGMENT = 1.5
 """That of the many for central differences [s]: less time is spent on settling."""
 
 REMEMBERED = 4
@@ -252,16 +252,6 @@ class Problem:
         self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
-
-    def of_beginning(self, rows: int) -> Problem:
-        """Return the problem of the first readings, with this one's noise floors, scales and blocks."""
-        replay = self.replay.of_beginning(rows)
-        index = np.where(replay.counts, self.blocks.index[:rows], -1)
-        blocks = Blocks(index=index, held_out=self.blocks.held_out[: max(int(index.max()), 0) + 1])
-        torque = self.noise[self.joints :] if self.channels > self.joints else None
-        part = Problem(replay, self.noise[: self.joints], torque, blocks)
-        part.pinned, part.encoder_steps, part._scales = self.pinned, self.encoder_steps, self._scales
-        return part
 
     def changed(self, **fields: Any) -> Problem:
         """Return the problem with other fields; replays in fine steps are remembered together."""
@@ -391,8 +381,8 @@ class Problem:
 
     def squares(self, points: Sequence[Point]) -> FloatArray:
         """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
-        rows = self.blocks.fitted
-        return self.replay.squares(stack(points, self.machine), len(points), rows, self.noise[: self.joints]).sum(1)
+        left = self.uncorrected(points)[:, self.blocks.fitted, : self.joints]
+        return np.sum(np.where(np.isfinite(left), left, np.inf).astype(np.float64) ** 2, axis=(1, 2))
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""

@@ -523,7 +523,7 @@ def _units(model: FittedModel) -> list[Unit]:
     """Return what can be taken out of a model by itself: an effect at one place of all chains, or as a whole."""
     units: list[Unit] = []
     place = model.problem.machine.place
-    for name in model.added:
+    for name in [n for n in model.added if not CATALOGUE[n].random]:  # lateness is judged by other chains
         mask, spec = model.mask(name), CATALOGUE[name]
         if spec.scope == "machine" or spec.chain_shared:
             units.append((name, mask))

@@ -58,11 +58,6 @@ class SendingTimes:
     later: float = 0.0
     """The same for later."""
 
-    def of_beginning(self, rows: int) -> SendingTimes:
-        """Return the times of the targets in so many of the first rows."""
-        kept = self.rows < rows
-        return replace(self, rows=self.rows[kept], at=self.at[kept])
-
     def of_part(self, rows: slice, begin: float) -> SendingTimes:
         """Return the times of the targets in some rows, from their own first row, which is at a time [s]."""
         kept = (self.rows >= rows.start) & (self.rows < rows.stop)

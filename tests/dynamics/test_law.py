@@ -14,6 +14,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import Law
 from mimic.dynamics.machine import SOLREF_STEPS, MachineModel, read_machine
 from mimic.dynamics.servo import Servo, neutral, static_model
+from mimic.errors import ConfigError
 
 INERTIA, ARMATURE = 0.02, 0.003
 
@@ -28,15 +29,24 @@ class Bench:
     """Two shafts that know nothing of each other, each with a drive."""
 
     def __init__(
-        self, folder: Path, effects: dict | None = None, *, kp=30.0, kd=3.0, dt=0.0025, inertia=INERTIA, weight=0.0
+        self,
+        folder: Path,
+        effects: dict | None = None,
+        *,
+        kp=30.0,
+        kd=3.0,
+        dt=0.0025,
+        inertia=INERTIA,
+        weight=0.0,
+        drive: dict | None = None,
     ) -> None:
         path = folder / "bench.xml"
         # a weight of so many N m at q = 0: mass 1 kg on an arm of 0.1 m
         text = BENCH.format(g=10 * weight, arm=-0.1 if weight else 0, mass=1, i=inertia, j=ARMATURE)
         path.write_text(text)
-        machine = read_machine(path, {"kp": kp, "kd": kd})
+        machine = read_machine(path, drive or {"kp": kp, "kd": kd})
         drives = replace(machine.drives, torque=np.full(2, 12.0), flat=np.full(2, 10.0), speed=np.full(2, 30.0))
-        self.machine: MachineModel = replace(machine, drives=drives)
+        self.machine: MachineModel = machine if drive else replace(machine, drives=drives)
         p = {
             (name, key): np.full((1, 1 if CATALOGUE[name].scope == "machine" else 2), value)
             for name, values in (effects or {}).items()
@@ -373,12 +383,51 @@ def test_a_periodic_force_shakes_at_its_frequency(bench):
     assert np.sum(np.diff(np.sign(ddq)) != 0) == pytest.approx(16, abs=1)
 
 
+# ---------------------------------------------------------------------- voltage drives
+
+SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistance": 4.0}
+"""1 N m at rest with full duty, 25 rad/s without a load."""
+
+
+def test_a_voltage_drive_gives_its_full_duty_and_no_more(bench):
+    assert bench(drive=SERVO).run(0.0025, target=lambda t: 0.1)["tau"][0] == pytest.approx(0.5)
+    assert bench(drive=SERVO).run(0.0025, target=lambda t: 3.0)["tau"][0] == pytest.approx(1.0)
+
+
+def test_a_voltage_drive_at_full_duty_runs_up_to_the_supply_over_its_constant(bench):
+    assert bench(drive=SERVO).run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(25.0, rel=1e-3)
+    low = bench(drive=SERVO)
+    low.law.set_supply(0.5)
+    assert low.run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(12.5, rel=1e-3)
+
+
+def test_another_motor_constant_moves_torque_and_speed(bench):
+    made = bench({"motor": {"kt": 0.2, "resistance": 4.0}}, drive=SERVO).run(12.0, target=lambda t: 1e5)
+    assert made["tau"][0] == pytest.approx(0.5)
+    assert made["dq"][-1] == pytest.approx(50.0, rel=1e-2)
+
+
+def test_a_voltage_drive_driven_beyond_its_speed_brakes(bench):
+    made = bench(drive=SERVO).run(0.0025, target=lambda t: 1e4, speed=50.0)
+    assert made["tau"][0] == pytest.approx(-1.0)
+
+
+def test_motor_constants_of_a_drive_that_controls_torque_are_refused(bench):
+    with pytest.raises(ConfigError, match="'motor' is of voltage drives"):
+        neutral("motor", "kt", bench().machine)
+
+
+def test_a_voltage_drive_without_its_numbers_is_refused(bench):
+    with pytest.raises(ConfigError, match=r"needs gain, voltage, kt, resistance .* kt is None"):
+        bench(drive={k: v for k, v in SERVO.items() if k != "kt"})
+
+
 # ---------------------------------------------------------------------- all of them
 
-IN_LAW = [
-    name for name in CATALOGUE if name not in ("delay", "joint_delay", "delay_jitter", "lost_commands", "base_tilt")
-]
-"""Effects but those of the path of commands and of the stand."""
+ELSEWHERE = ("delay", "joint_delay", "delay_jitter", "lost_commands", "base_tilt", "motor")
+"""Effects of the path of commands, of the stand, and of drives that this bench does not have."""
+
+IN_LAW = [name for name in CATALOGUE if name not in ELSEWHERE]
 
 
 def wave(t: float) -> float:

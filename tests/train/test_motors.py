@@ -63,8 +63,8 @@ VALUES: dict[str, dict[str, float]] = {
     "periodic_force": {"cosine": 0.5, "sine": 0.3, "frequency": 3.0},
     "joint_delay": {"time": 0.004},
 }
-ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction"}
-"""Of a stand, drawn by generators that are not the same, or by what the links needed in the physics step before."""
+ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction", "motor"}
+"""Of a stand, of voltage drives, drawn by other generators, or by what the links needed in the physics step before."""
 
 
 def one(name: str, *, exact: bool = True, **values: float) -> EffectValues:
