@@ -291,12 +291,6 @@ def own_baseline(problem: Problem, point: Point) -> Point:
     return Point(values)
 
 
-def expand_to_chains(problem: Problem, name: str, joints: BoolArray) -> BoolArray:
-    """Return joints (J,) with an effect, extended to their chains if the effect is chain-shared."""
-    chain = problem.machine.chain
-    return np.isin(chain, chain[joints]) if CATALOGUE[name].chain_shared else joints
-
-
 def _only_on(model: FittedModel, name: str, joints: BoolArray, point: Point) -> Point:
     """Return a point with an effect on some joints (J,) only."""
     if CATALOGUE[name].scope == "machine":
