@@ -30,7 +30,7 @@ from mimic.io.joint_log import write_log
 from mimic.records import JOINTS
 from mimic.robot.description import load_description
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.checks import check_log
+from mimic.sysid.log.checks import check_log
 from mimic.sysid.predict import simulate_log
 
 HIDDEN = EffectSet(

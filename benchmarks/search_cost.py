@@ -21,11 +21,11 @@ from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.machine import hung_robot, with_gains
 from mimic.records import FloatArray
 from mimic.robot.description import load_description
-from mimic.sysid.least_squares import fit
-from mimic.sysid.logs import make_blocks
-from mimic.sysid.noise import noise_floor
-from mimic.sysid.replay import Replay
-from mimic.sysid.residuals import Point, Problem
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.problem import Point, Problem
+from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.log.pool import make_blocks
 
 BATCH = 128
 """Samples between two points of the curve."""

@@ -25,8 +25,8 @@ from benchmarks.real_logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, ident
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
-from mimic.sysid.torque_columns import Column
-from mimic.sysid.torque_regression import Score, Torques, evidence
+from mimic.sysid.torque.columns import Column
+from mimic.sysid.torque.regression import Score, Torques, evidence
 
 try:
     from numba import njit

@@ -19,12 +19,12 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import MimicError
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
-from mimic.sysid.baseline import problem_of, step_of
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.logs import pool
-from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.torque_columns import Motion
-from mimic.sysid.torque_regression import Torques
+from mimic.sysid.fit.baseline import problem_of, step_of
+from mimic.sysid.fit.problem import Point, Problem
+from mimic.sysid.log.pool import pool
+from mimic.sysid.torque.columns import Motion
+from mimic.sysid.torque.regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")

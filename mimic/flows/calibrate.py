@@ -18,7 +18,7 @@ from mimic.io import store
 if TYPE_CHECKING:
     from mimic.dynamics.machine import MachineModel
     from mimic.io.joint_log import JointLog
-    from mimic.sysid.checks import LogCheck
+    from mimic.sysid.log.checks import LogCheck
     from mimic.sysid.result import Calibration
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
@@ -58,7 +58,7 @@ def calibrate(
     from mimic.dynamics.effect_set import EffectSet
     from mimic.sysid.calibrate import calibrate as explain
     from mimic.sysid.calibrate import check_names
-    from mimic.sysid.logs import refuse_contradictions
+    from mimic.sysid.log.pool import refuse_contradictions
 
     settings, reporter = settings or CalibrateSettings(), reporter or SilentReporter()
     if out is not None:
@@ -186,7 +186,7 @@ def checked_log(
     """
     import numpy as np
 
-    from mimic.sysid.checks import check_log
+    from mimic.sysid.log.checks import check_log
 
     log = _read(log, {})
     machine = machine_of(model, log.metadata)

@@ -18,7 +18,7 @@ from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
-from mimic.sysid.baseline import (
+from mimic.sysid.fit.baseline import (
     MOST_STEPS,
     compared,
     errors_by_log,
@@ -28,15 +28,15 @@ from mimic.sysid.baseline import (
     problem_of,
     step_of,
 )
-from mimic.sysid.checks import targets_match_log
-from mimic.sysid.encoders import as_read, coarse_encoders, with_encoders
-from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
-from mimic.sysid.logs import pool
-from mimic.sysid.residuals import FreeParameter, Point, Problem
+from mimic.sysid.fit.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
+from mimic.sysid.fit.problem import FreeParameter, Point, Problem
+from mimic.sysid.log.checks import targets_match_log
+from mimic.sysid.log.pool import pool
 from mimic.sysid.result import RULES, Calibration, Errors, LogErrors, Traces
-from mimic.sysid.select import FittedModel, Selection
-from mimic.sysid.starts import predicted, starts_of
-from mimic.sysid.torque_regression import Torques, torques_of
+from mimic.sysid.select.encoders import as_read, coarse_encoders, with_encoders
+from mimic.sysid.select.models import FittedModel, Selection
+from mimic.sysid.select.starts import predicted, starts_of
+from mimic.sysid.torque.regression import Torques, torques_of
 from mimic.sysid.unexplained import (
     experiments,
     next_logs,

@@ -13,10 +13,10 @@ from mimic.dynamics.machine import MachineModel, drive_notes
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.logs import valid_samples
-from mimic.sysid.replay import Replay, physics_step
-from mimic.sysid.residuals import FINE
-from mimic.sysid.timing import AT_ROW, SENT, sending_times
+from mimic.sysid.fit.problem import FINE
+from mimic.sysid.fit.replay import Replay, physics_step
+from mimic.sysid.log.pool import valid_samples
+from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
 
 
 def predict(

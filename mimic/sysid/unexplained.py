@@ -15,11 +15,11 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.least_squares import Fit, weak_directions
-from mimic.sysid.residuals import FreeParameter, Problem
+from mimic.sysid.fit.least_squares import Fit, weak_directions
+from mimic.sysid.fit.problem import FreeParameter, Problem
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
-from mimic.sysid.starts import PredictedMotion
-from mimic.sysid.torque_regression import BaseMotion
+from mimic.sysid.select.starts import PredictedMotion
+from mimic.sysid.torque.regression import BaseMotion
 
 BURST_TIME = 0.1
 """Share of the time in which most of the squares are single events."""

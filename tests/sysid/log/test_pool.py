@@ -14,10 +14,10 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.baseline import problem_of
-from mimic.sysid.logs import make_blocks, pool
+from mimic.sysid.fit.baseline import problem_of
+from mimic.sysid.fit.problem import Point
+from mimic.sysid.log.pool import make_blocks, pool
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.residuals import Point
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/><site pos="0 0 -0.15"/></body></worldbody>

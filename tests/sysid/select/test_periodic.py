@@ -7,10 +7,10 @@ from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.baseline import problem_of
 from mimic.sysid.calibrate import calibrate
+from mimic.sysid.fit.baseline import problem_of
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.starts import on_harmonic
+from mimic.sysid.select.starts import on_harmonic
 
 PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.1"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.8"/></body></worldbody>

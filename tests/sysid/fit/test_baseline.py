@@ -12,12 +12,12 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, read_machine
 from mimic.robot.description import load_description
-from mimic.sysid.baseline import MOST_STEPS, problem_of
-from mimic.sysid.least_squares import fit
-from mimic.sysid.logs import make_blocks
+from mimic.sysid.fit.baseline import MOST_STEPS, problem_of
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.problem import Point, Problem
+from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.pool import make_blocks
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay import Replay
-from mimic.sysid.residuals import Point, Problem
 
 ARM = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>

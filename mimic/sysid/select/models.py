@@ -20,13 +20,13 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.baseline import corrected, errors_of, refine_steps, refined
-from mimic.sysid.lateness import Lateness, fit_lateness, late_targets
-from mimic.sysid.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all, of_white_noise
-from mimic.sysid.residuals import FreeParameter, Key, Point, Problem
+from mimic.sysid.fit.baseline import corrected, errors_of, refine_steps, refined
+from mimic.sysid.fit.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all, of_white_noise
+from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
-from mimic.sysid.starts import StartingPoint, predicted, starting_points
-from mimic.sysid.torque_regression import BaseMotion, Torques, asked_for, moving_base
+from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
+from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
+from mimic.sysid.torque.regression import BaseMotion, Torques, asked_for, moving_base
 
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
@@ -312,7 +312,7 @@ class Selection:
     tick: Callable[[str], None]
     """Called with what is being done."""
     torques: Sequence[Torques]
-    """Of the log, see `mimic.sysid.torque_regression.torques_of`."""
+    """Of the log, see `mimic.sysid.torque.regression.torques_of`."""
 
     def run(self, baseline: FittedModel) -> tuple[FittedModel, tuple[Trial, ...]]:
         """Return the best model, and what was tried last where nothing was added to it."""

@@ -23,10 +23,10 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.logs import Blocks, Sums
-from mimic.sysid.noise import period
-from mimic.sysid.replay import Replay
-from mimic.sysid.timing import SendingTimes
+from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.noise import period
+from mimic.sysid.log.pool import Blocks, Sums
+from mimic.sysid.log.timing import SendingTimes
 
 Key = tuple[str, str]
 """(effect, parameter)"""

@@ -7,10 +7,10 @@ import pytest
 
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.logs import make_blocks
-from mimic.sysid.replay import Replay
-from mimic.sysid.residuals import Problem
-from mimic.sysid.select import compare
+from mimic.sysid.fit.problem import Problem
+from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.pool import make_blocks
+from mimic.sysid.select.models import compare
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/></body></worldbody></mujoco>"""

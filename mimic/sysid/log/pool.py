@@ -12,7 +12,7 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.timing import SendingTimes, joined, sending_times
+from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
 SHORT, LEAST_BLOCKS = 9.5, 16
 """A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
@@ -224,7 +224,7 @@ class Pool:
     step: float
     """Physics step of which each begins at a multiple [s]."""
     sending: tuple[SendingTimes, ...]
-    """All that the logs allow (`mimic.sysid.timing.sending_times`)."""
+    """All that the logs allow (`mimic.sysid.log.timing.sending_times`)."""
 
 
 def enabled(log: JointLog) -> BoolArray:

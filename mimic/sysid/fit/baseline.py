@@ -14,11 +14,11 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
-from mimic.sysid.logs import Pool, enabled, make_blocks, pool, valid_samples
-from mimic.sysid.noise import coarse_steps, noise_floor
-from mimic.sysid.replay import Replay, physics_step
-from mimic.sysid.residuals import Key, Point, Problem
+from mimic.sysid.fit.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
+from mimic.sysid.fit.problem import Key, Point, Problem
+from mimic.sysid.fit.replay import Replay, physics_step
+from mimic.sysid.log.noise import coarse_steps, noise_floor
+from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.result import Errors, LogErrors
 
 MOST_CORRECTIONS = 8

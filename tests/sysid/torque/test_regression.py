@@ -13,8 +13,8 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
-from mimic.sysid.timing import at_rows
-from mimic.sysid.torque_regression import Torques, asked_for, torques_of
+from mimic.sysid.log.timing import at_rows
+from mimic.sysid.torque.regression import Torques, asked_for, torques_of
 
 MASS, LENGTH, ROTOR, DRY, VISCOUS, DELAY = 0.8, 0.15, 0.004, 0.12, 0.03, 0.006
 STEP, RATE = 2e-4, 200.0

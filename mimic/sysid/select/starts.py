@@ -14,8 +14,8 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.least_squares import Fit, linear_step
-from mimic.sysid.residuals import Point, Problem
+from mimic.sysid.fit.least_squares import Fit, linear_step
+from mimic.sysid.fit.problem import Point, Problem
 
 LEAST_PERIODS = 1.5
 """Fewest periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""

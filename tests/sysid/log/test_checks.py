@@ -13,9 +13,9 @@ import pytest
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
-from mimic.sysid.checks import check_log, targets_match_log, units
-from mimic.sysid.logs import valid_samples
-from mimic.sysid.noise import find_repeat, following, period
+from mimic.sysid.log.checks import check_log, targets_match_log, units
+from mimic.sysid.log.noise import find_repeat, following, period
+from mimic.sysid.log.pool import valid_samples
 
 JOINTS = ("hip", "knee", "ankle")
 NOISE = 0.0004

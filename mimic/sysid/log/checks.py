@@ -10,8 +10,7 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, UNITS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.logs import at_odd_times, filled, followed, missing, spikes, valid_samples
-from mimic.sysid.noise import (
+from mimic.sysid.log.noise import (
     Following,
     find_repeat,
     following,
@@ -20,6 +19,7 @@ from mimic.sysid.noise import (
     reversals,
     speed,
 )
+from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
 
 GAP = 1.5
 """Two readings further apart than this many usual distances have others missing between them."""

@@ -25,8 +25,8 @@ from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.logs import VOLTAGE, Part, enabled, rows_of, single
-from mimic.sysid.timing import SendingTimes, at_rows
+from mimic.sysid.log.pool import VOLTAGE, Part, enabled, rows_of, single
+from mimic.sysid.log.timing import SendingTimes, at_rows
 
 LONGEST_STEP = 0.0025
 """[s]"""

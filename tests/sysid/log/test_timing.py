@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimic.io.joint_log import JointLog
-from mimic.sysid.timing import sending_times
+from mimic.sysid.log.timing import sending_times
 
 
 def logged(

@@ -11,12 +11,12 @@ from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.least_squares import fit
-from mimic.sysid.logs import make_blocks
+from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.problem import Point, Problem
+from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.pool import make_blocks
 from mimic.sysid.predict import simulate_log
-from mimic.sysid.replay import Replay
-from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.starts import PredictedMotion, starting_points, starts_of
+from mimic.sysid.select.starts import PredictedMotion, starting_points, starts_of
 
 PAIR = """<mujoco><worldbody>
 <body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.logs import Sums
-from mimic.sysid.residuals import FreeParameter, Key, Point, Problem
+from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
+from mimic.sysid.log.pool import Sums
 from mimic.sysid.result import Correlations
 
 DAMPINGS = (0.0, 0.1, 3.0)

@@ -11,7 +11,7 @@ from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.result import Calibration
-from mimic.sysid.torque_regression import base_torques, shared_frequencies
+from mimic.sysid.torque.regression import base_torques, shared_frequencies
 
 ARMS = ("a", "b", "c")
 

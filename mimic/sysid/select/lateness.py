@@ -16,9 +16,9 @@ from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.least_squares import Fit, fit
-from mimic.sysid.replay import Targets
-from mimic.sysid.residuals import Point, Problem, stack
+from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.problem import Point, Problem, stack
+from mimic.sysid.fit.replay import Targets
 
 CERTAIN = 0.25
 """Standard deviation of a lateness, in periods, up to which it says something of its own."""

@@ -22,9 +22,9 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from mimic.dynamics.machine import GRAVITY, MachineModel, as_logged, inertias, tilted_gravity
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.logs import VOLTAGE, enabled
-from mimic.sysid.noise import noise_floor
-from mimic.sysid.timing import SendingTimes, at_rows
+from mimic.sysid.log.noise import noise_floor
+from mimic.sysid.log.pool import VOLTAGE, enabled
+from mimic.sysid.log.timing import SendingTimes, at_rows
 
 BANDWIDTH = 1.2
 """Bandwidth of a comparison over the frequency of the fastest drive: beyond, an acceleration has more noise than the

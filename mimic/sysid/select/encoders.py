@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.baseline import errors_of
+from mimic.sysid.fit.baseline import errors_of
 from mimic.sysid.result import RULES, Candidate, Stage
-from mimic.sysid.select import FittedModel, compare
+from mimic.sysid.select.models import FittedModel, compare
 
 
 def coarse_encoders(model: FittedModel) -> BoolArray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimic.records import FloatArray
-from mimic.sysid.noise import coarse_steps
+from mimic.sysid.log.noise import coarse_steps
 
 NOISE = 0.35e-3
 RATE = 200.0

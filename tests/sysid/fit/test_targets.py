@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
-from mimic.sysid.replay import Replay, acting, on_grid
+from mimic.sysid.fit.replay import Replay, acting, on_grid
 
 PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
 <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/></body></worldbody>

@@ -20,9 +20,9 @@ from mimic.dynamics.machine import MachineModel
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.log.timing import SendingTimes, at_rows
 from mimic.sysid.result import RULES
-from mimic.sysid.timing import SendingTimes, at_rows
-from mimic.sysid.torque_columns import Column, Columns, Motion, motion_of
+from mimic.sysid.torque.columns import Column, Columns, Motion, motion_of
 
 DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04)
 """Delays of the targets that are tried before anything else [s]; the baseline moves between them."""
