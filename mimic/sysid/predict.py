@@ -18,6 +18,9 @@ from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.pool import valid_samples
 from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
 
+PIECE = 6.0
+"""Length of the pieces of a log that is not replayed in one [s]."""
+
 
 def predict(
     log: JointLog, machine: MachineModel, effects: EffectSet, *, whole: bool = False, threads: int = 0
@@ -42,7 +45,7 @@ def predict(
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     p.pop(("lost_commands", "share"), None)
     p = p or {("delay", "time"): np.zeros((1, 1))}
-    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {}
+    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {"segment": PIECE}
     made = []
     for times in (FINE, 2 * FINE):
         step = physics_step(log.rate) / times

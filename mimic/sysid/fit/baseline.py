@@ -21,16 +21,16 @@ from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.result import Errors, LogErrors
 
-MOST_CORRECTIONS = 8
+MOST_CORRECTIONS = 4
 """Most steps of a fit from fine replays."""
 
-MOST_EXTRAPOLATIONS = 3
+MOST_EXTRAPOLATIONS = 2
 """Most times that it finds anew what steps without length would change."""
 
 ENOUGH = 1.0
 """Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
 
-LEAST_FALL = 5e-5
+LEAST_FALL = 5e-4
 """Share by which the sum of squares falls in a step that is worth another."""
 
 
