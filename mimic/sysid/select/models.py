@@ -145,6 +145,8 @@ class Trial:
     """How many it has there."""
     against: Comparison
     """With the model that lacks it."""
+    finished: bool = True
+    """Whether it was fitted to the end: others can only be worse than they seem."""
     lateness: Lateness | None = None
     why: str = ""
     """Why it was not taken though it is better."""
@@ -152,7 +154,7 @@ class Trial:
     @property
     def better(self) -> bool:
         """Whether the model is better with it."""
-        return self.against.better and not self.why
+        return self.finished and self.against.better and not self.why
 
     def score(self, problem: Problem) -> float:
         """Return the log of the probability of left-out blocks, less the price of its numbers."""
@@ -264,14 +266,13 @@ def _candidate(
         odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
         why = "" if best is t else why or "another effect explains more"
         apart = 0.0 if best is t else compare(problem, best.squares, t.squares, best.numbers - t.numbers).z
-    fell = problem.mean_squares(t.fitted.residual, False)
     return Candidate(
         name=t.name,
         gain=t.against.gain,
         z=t.against.z,
         improvement=t.against.share,
         values={p.name: t.fitted.point.values[t.name, p.name] for p in spec.parameters},
-        joints=tuple(np.array(machine.joints)[t.joints]) if spec.scope == "joint" and len(fell) else (),
+        joints=tuple(np.array(machine.joints)[t.joints]) if spec.scope == "joint" else (),
         accepted=best is t,
         why=why,
         odds=odds,
@@ -409,7 +410,8 @@ class Selection:
         again = {s.name: s for s in starts}
         fits = self._finished(model, [again[t.name] for t in strong], [t.fitted for t in strong])
         done = self._judged(model, [again[t.name] for t in strong], refined(problem, fits))
-        return [*(t for t in quick if t.name not in [d.name for d in done]), *done]
+        names_done = [t.name for t in done]
+        return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
 
     def _finished(self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit]) -> list[Fit]:
         """Return quick fits fitted to the end, the better of two where baseline parameters may be bent."""
@@ -447,10 +449,11 @@ class Selection:
                 squares = squares.copy()
                 for c in np.unique(chain):
                     mine, count = of == c, sum(chain[k.joint] == c for k in own)
-                    price = 0.5 * count * np.log(_independent(problem) * mine.sum()) / _independent(problem)
+                    readings = _independent(problem) * mine.sum()
+                    price = 0.5 * count * np.log(readings) / readings
                     good, bad = ((x[:, mine] + noise).sum(0) for x in (squares, model.squares))
                     if count and 0.5 * np.log(bad / good).sum() > price:
-                        joints |= s.joints & (chain == c)
+                        joints[[k.joint for k in own if chain[k.joint] == c]] = True
                         numbers += count
                     else:
                         squares[:, mine] = model.squares[:, mine]
@@ -547,14 +550,13 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         return None
     _, name, part, with_it = least
     names, where, point = _bare(model, name, part)
-    problem, fitted = refine_steps(problem, fit(problem, point, names, where, most=3))
+    fitted = fit(problem, point, names, where, most=3)
     whole = name not in names
     at = "" if whole else f" in {', '.join(np.array(problem.machine.joints)[part])}"
     why = with_it.why_not or "its number is that of none"
     note = f"{CATALOGUE[name].title} was found and taken out again{at}: {why}"
     return replace(
         model,
-        problem=problem,
         fitted=fitted,
         names=tuple(names),
         joints=where,
@@ -613,6 +615,9 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         alike = [t for t in m.tried if t is not best and t.better and t.name not in model.names and t.lateness is None]
         alike = [t for t in alike if not compare(m.problem, best.squares, t.squares, best.numbers - t.numbers).better]
         if not alike or best.lateness is not None:
+            continue
+        if len(model.added) == 1:  # nothing was added since
+            groups[best.name] = tuple(t.name for t in alike)
             continue
         tick(f"comparing {CATALOGUE[best.name].title} with {', '.join(CATALOGUE[t.name].title for t in alike)}")
         names, where, point = _bare(model, best.name, model.mask(best.name))
