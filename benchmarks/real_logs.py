@@ -3,15 +3,15 @@
     python benchmarks/real_logs.py ../shared/data/logs OUT
 
 writes OUT/emps.parquet, emps_pulses.parquet, emps.xml, go2.parquet, its halves go2_first and go2_second.parquet,
-go2.xml, four servo_MOTION.parquet and servo.xml, eight xl330_NAME.parquet and xl330.xml, and prints what the EMPS data say about their own controller and how
-well the published parameters replay in closed loop.
+go2.xml, four servo_MOTION.parquet and servo.xml, eight xl330_NAME.parquet and xl330.xml, and prints what the EMPS data
+say about their own controller and how well the published parameters replay in closed loop.
 
 EMPS: a DC motor and a ball screw at 1 kHz. Source: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019.
 Go2: a Unitree Go2 hung up, at 200 Hz. Source: iit-DLSLab/sim2real-robot-identification, BSD-3-Clause.
 STS3250: a pendulum on a hobby servo, four motions of 6 s at about 47 Hz. Source: Rhoban/bam, data_raw_feetech,
 Apache-2.0.
-XL330: the same for a Dynamixel XL330, a voltage drive, at 150 to 290 Hz and two gains. Source: Rhoban/bam, data.bak/raw,
-Apache-2.0.
+XL330: the same for a Dynamixel XL330, a voltage drive, at 150 to 290 Hz and two gains. Source: Rhoban/bam,
+data.bak/raw, Apache-2.0.
 """
 
 from __future__ import annotations
