@@ -345,7 +345,9 @@ class Selection:
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
         wanted, seen = asked_for(self.torques, names, model.added)
-        tried += self._tried(model, [n for n in names if n in wanted or CATALOGUE[n].structural])
+        first = [n for n in names if n in wanted]
+        for some in (first, [n for n in names if n not in first and CATALOGUE[n].structural]):
+            tried += self._tried(model, some) if some and not any(t.better for t in tried) else []
         tried.sort(key=lambda t: -t.score(model.problem))
         base = self._base(next((t for t in tried if t.name == "periodic_force"), None))
         if base is not None:
