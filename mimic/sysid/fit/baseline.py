@@ -30,8 +30,8 @@ MOST_EXTRAPOLATIONS = 2
 ENOUGH = 1.0
 """Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
 
-LEAST_FALL = 5e-4
-"""Share by which the sum of squares falls in a step that is worth another."""
+LEAST_FALL = 2e-3
+"""Share by which what noise does not explain falls in a step that is worth another."""
 
 
 def corrected(problem: Problem, point: Point) -> Problem:
@@ -154,7 +154,7 @@ def _enough(problem: Problem, fitted: Fit) -> float:
     """Return the fall of the sum of squares in a step that is worth another."""
     readings = max(int(problem.blocks.fitted.sum()) * problem.channels, 1)
     cost = _cost(problem, fitted)
-    return max(ENOUGH**2 * max(cost / readings, 1.0), LEAST_FALL * cost)
+    return max(ENOUGH**2 * max(cost / readings, 1.0), LEAST_FALL * max(cost - readings, 0.0))
 
 
 LEAST_LOGS = 3

@@ -345,7 +345,7 @@ class Selection:
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
         wanted, seen = asked_for(self.torques, names, model.added)
-        first = [n for n in names if n in wanted]
+        first = list(wanted)
         for some in (first, [n for n in names if n not in first and CATALOGUE[n].structural]):
             tried += self._tried(model, some) if some and not any(t.better for t in tried) else []
         tried.sort(key=lambda t: -t.score(model.problem))
@@ -404,8 +404,10 @@ class Selection:
         starts = starting_points(problem, model.fitted, names, predicted(problem, model.fitted))
         asked = [self._fitting(model, s, s.point, 2, model.fitted) for s in starts]
         quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
-        strong = sorted((t for t in quick if t.numbers), key=lambda t: -t.score(problem))[: RULES.finished]
-        strong = [t for t in strong if t.against.gain >= RULES.gain]
+        asked_first = list(names[:2])  # by gain and by z
+        strong = sorted((t for t in quick if t.numbers or t.name in asked_first), key=lambda t: -t.score(problem))
+        strong.sort(key=lambda t: t.name not in asked_first)
+        strong = [t for t in strong if t.against.gain >= RULES.gain or t.name in asked_first][: RULES.finished]
         if not strong:
             return quick
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")

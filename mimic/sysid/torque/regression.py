@@ -363,7 +363,7 @@ def evidence(difference: FloatArray) -> tuple[float, float]:
 def asked_for(
     torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = ()
 ) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
-    """Return the effects that torques ask for, best first, and those that they cannot judge; and how each does.
+    """Return the effects that torques ask for, best by gain and by z in turn, and those that they cannot judge.
 
     Args:
         torques: Of the same logs, as they were measured and as the drives were asked for; without, none can be judged.
@@ -379,7 +379,8 @@ def asked_for(
             found.setdefault(s.names[0], []).append(s)
     by_gain = sorted(found, key=lambda n: -max(s.gain for s in found[n]))
     by_z = sorted(found, key=lambda n: -max(s.z for s in found[n]))
-    chosen = [n for n in by_gain if n in by_gain[: RULES.shortlist] or n in by_z[: RULES.shortlist]]
+    chosen = list(dict.fromkeys(n for both in zip(by_gain, by_z, strict=True) for n in both))
+    chosen = [n for n in chosen if n in by_gain[: RULES.shortlist] or n in by_z[: RULES.shortlist]]
     names = (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
     return names, {n: scores[0].blocks for n, scores in found.items()}
 
