@@ -281,6 +281,8 @@ def _torques(h: FittedModel) -> tuple[Torques, ...]:
     logs, rows, sent = [], [], []
     for part in replay.parts:
         own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}
+        if machine.drives.volts is not None:
+            own_gains = {k: values["motor", k] for k in ("kt", "resistance") if ("motor", k) in values}
         gains = {k: dict(zip(machine.joints, row, strict=True)) for k, row in own_gains.items()}
         own = replay.log.part(part.slice)
         logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(machine, part.payload)))

@@ -212,13 +212,21 @@ class FittedModel:
     @property
     def explained(self) -> bool:
         """Whether no remaining error is large enough to look for more."""
-        return bool(np.all(self.problem.mean_squares(self.fitted.residual, False) < RULES.enough**2))
+        left = self.problem.mean_squares(self.fitted.residual, False)
+        if self.trial is not None and self.trial.lateness is not None:
+            left = self.trial.squares.sum(0) / max(int(self.problem.blocks.fitted.sum()), 1)
+        return bool(np.all(left < RULES.enough**2))
 
     @property
     def score(self) -> float:
-        """Log of the probability of blocks that were left out, less the price of each number."""
-        count = _independent(self.problem)
-        size = np.maximum(self.squares.sum(0) / max(int(self.problem.blocks.fitted.sum()), 1), 1e-12)
+        """Log of the probability of blocks that were left out, less the price of each number.
+
+        Of late targets that is what the other chains show of them: each target has a lateness of its own.
+        """
+        count, squares = _independent(self.problem), self.squares
+        if self.trial is not None and self.trial.lateness is not None:
+            squares = self.trial.squares
+        size = np.maximum(squares.sum(0) / max(int(self.problem.blocks.fitted.sum()), 1), 1e-12)
         numbers = len(self.fitted.free_parameters)
         return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
 
@@ -347,7 +355,8 @@ class Selection:
         wanted, seen = asked_for(self.torques, names, model.added)
         first = list(wanted)
         for some in (first, [n for n in names if n not in first and CATALOGUE[n].structural]):
-            tried += self._tried(model, some) if some and not any(t.better for t in tried) else []
+            if some and not any(t.better and t.lateness is None for t in tried):
+                tried += self._tried(model, some)
         tried.sort(key=lambda t: -t.score(model.problem))
         base = self._base(next((t for t in tried if t.name == "periodic_force"), None))
         if base is not None:

@@ -288,8 +288,7 @@ class Columns:
             self._links_column("link_mass", 0, 0.15),
         ]
         if self.motions[0].machine.drives.volts is not None:
-            gains = {id(m): np.asarray(m.machine.drives.kp) for m in self.motions}
-            made.append(self._own("motor", lambda m: -m.on * gains[id(m)] * (m.target - m.q), spread=0.3, scales=True))
+            made.append(self._own("armature", lambda m: m.ddq))
         if any(m.later.any() for m in self.motions):
             made.append(self._shared("delay", lambda m: -m.later[..., None]))
         return made
