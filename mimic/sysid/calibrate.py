@@ -282,7 +282,9 @@ def _torques(h: FittedModel) -> tuple[Torques, ...]:
     for part in replay.parts:
         own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}
         if machine.drives.volts is not None:
-            own_gains = {k: values["motor", k] for k in ("kt", "resistance") if ("motor", k) in values}
+            d, volts = machine.drives, machine.drives.volts * part.supply
+            own_gains = {"voltage": volts, "gain": part.kp * d.resistance / (d.kt * volts)}
+            own_gains |= {k: values.get(("motor", k), getattr(d, k)) for k in ("kt", "resistance")}
         gains = {k: dict(zip(machine.joints, row, strict=True)) for k, row in own_gains.items()}
         own = replay.log.part(part.slice)
         logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(machine, part.payload)))

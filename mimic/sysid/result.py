@@ -47,7 +47,7 @@ class Thresholds:
     shortlist: int = 5
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
     the worst was fifth of either (benchmarks/torque_screen)."""
-    finished: int = 4
+    finished: int = 3
     """Effects of each model that are fitted to the end, most of the cost of a search."""
     beam: int = 2
     """Models that are kept of each size: one more than a search of one effect at a time, at twice its cost."""

@@ -427,18 +427,20 @@ class Selection:
         return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
 
     def _finished(self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit]) -> list[Fit]:
-        """Return quick fits fitted to the end, the better of two where baseline parameters may be bent."""
-        problem, asked = model.problem, []
+        """Return quick fits fitted to the end, the better of two where a threshold may have bent the baseline."""
+        problem, asked, of = model.problem, [], []
         bent = float(np.mean(problem.mean_squares(model.fitted.residual, False))) > POORLY_EXPLAINED
-        for s, f in zip(starts, quick, strict=True):
+        for i, (s, f) in enumerate(zip(starts, quick, strict=True)):
             points = [_apart_from_shared(f.point, s)]
-            if bent:
+            if bent and CATALOGUE[s.name].structural:
                 points.append(own_baseline(problem, points[0]))
             asked += [self._fitting(model, s, p, MOST_STEPS, every=2) for p in points]
-        fits, each = fit_all(problem, asked), 2 if bent else 1
+            of += [i] * len(points)
+        fits = fit_all(problem, asked)
         squares = [float(problem.block_squares(f.residual)[problem.blocks.train].sum()) for f in fits]
-        best = [each * i + int(np.argmin(squares[each * i : each * (i + 1)])) for i in range(len(starts))]
-        return [fits[i] for i in best]
+        return [
+            fits[min((k for k in range(len(of)) if of[k] == i), key=squares.__getitem__)] for i in range(len(starts))
+        ]
 
     def _fitting(
         self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 1
