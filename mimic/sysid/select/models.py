@@ -362,7 +362,9 @@ class Selection:
         if base is not None:
             tried = [replace(t, why=base.instead_of(seen.get(t.name))) if t.better else t for t in tried]
         grown: list[FittedModel] = []
-        for t in [t for t in tried if t.better][: RULES.beam]:
+        good = [t for t in tried if t.better]
+        good = [t for t in good if t is good[0] or not self._surely(model, good[0], t)]  # a beam of what is as good
+        for t in good[: RULES.beam]:
             child = self._with(model, t, tried)
             numbers = len(child.fitted.free_parameters) - len(model.fitted.free_parameters)
             channels = child.channels(t.joints, t.name)
@@ -371,6 +373,10 @@ class Selection:
             if grown and grown[0].explained:
                 break
         return grown, tuple(tried), base
+
+    def _surely(self, model: FittedModel, one: Trial, other: Trial) -> bool:
+        """Return whether a model is surely better with one effect than with another."""
+        return compare(model.problem, one.squares, other.squares, one.numbers - other.numbers).better
 
     def candidates(self, model: FittedModel) -> list[str]:
         """Return the effects that may be added to a model."""
