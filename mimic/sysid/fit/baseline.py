@@ -34,6 +34,11 @@ LEAST_FALL = 2e-3
 """Share by which what noise does not explain falls in a step that is worth another."""
 
 
+COARSE = 400.0
+"""Mean square of what is left, in noise floors, from which on fits need not converge in fine steps: what these change is
+a fraction of a noise floor."""
+
+
 def corrected(problem: Problem, point: Point) -> Problem:
     """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
     return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
@@ -64,6 +69,10 @@ def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Pr
     Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
     others by a few hundredths, and steps were too short and what they did not reach seemed sure.
     """
+    if float(np.mean(problem.mean_squares(fitted.residual, False))) > COARSE:
+        residual = problem.in_fine_steps(fitted.point)
+        changed = problem.changed(correction=residual - problem.uncorrected([fitted.point])[0])
+        return changed, _summed(problem, replace(fitted, residual=residual))
     timed = [k for k in fitted.free_parameters if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
     fine = problem.columns_in_fine_steps(fitted.point, timed, every)
     known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
