@@ -35,8 +35,8 @@ LEAST_FALL = 2e-3
 
 
 COARSE = 400.0
-"""Mean square of what is left, in noise floors, from which on fits need not converge in fine steps: what these change is
-a fraction of a noise floor."""
+"""Mean square of what is left, in noise floors, from which on fits need not converge in fine steps, which change a
+fraction of a noise floor."""
 
 
 def corrected(problem: Problem, point: Point) -> Problem:
