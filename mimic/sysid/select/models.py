@@ -352,9 +352,10 @@ class Selection:
         tried = [self._late(model, x) for x in late_targets(model.problem, model.fitted, random)] if random else []
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
-        wanted, seen = asked_for(self.torques, names, model.added)
-        first = list(wanted)
-        for some in (first, [n for n in names if n not in first and CATALOGUE[n].structural]):
+        nearly = bool(np.all(model.problem.mean_squares(model.fitted.residual, False) < RULES.explained**2))
+        wanted, seen = asked_for(self.torques, names, model.added, RULES.z if nearly and self.torques else 0.0)
+        first, rest = list(wanted), [n for n in names if n not in wanted and CATALOGUE[n].structural and not nearly]
+        for some in (first, rest):
             if some and not any(t.better and t.lateness is None for t in tried):
                 tried += self._tried(model, some)
         tried.sort(key=lambda t: -t.score(model.problem))

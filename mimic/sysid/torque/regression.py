@@ -361,7 +361,7 @@ def evidence(difference: FloatArray) -> tuple[float, float]:
 
 
 def asked_for(
-    torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = ()
+    torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = (), least: float = 0.0
 ) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
     """Return the effects that torques ask for, best by gain and by z in turn, and those that they cannot judge.
 
@@ -369,6 +369,7 @@ def asked_for(
         torques: Of the same logs, as they were measured and as the drives were asked for; without, none can be judged.
         effects: To choose from.
         given: Effects that are in the model by now.
+        least: Standard errors by which they must be asked for; above 0 none that torques cannot judge.
 
     Returns:
         Names, and the log error of each judged effect in each left-out block and joint, of the first torques (B, J).
@@ -382,6 +383,8 @@ def asked_for(
     chosen = list(dict.fromkeys(n for both in zip(by_gain, by_z, strict=True) for n in both))
     chosen = [n for n in chosen if n in by_gain[: RULES.shortlist] or n in by_z[: RULES.shortlist]]
     names = (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
+    if torques and least > 0.0:
+        names = tuple(n for n in chosen if max(s.z for s in found[n]) >= least)
     return names, {n: scores[0].blocks for n, scores in found.items()}
 
 
