@@ -350,11 +350,16 @@ class Selection:
         names = self.candidates(model)
         random = [n for n in names if CATALOGUE[n].random]
         tried = [self._late(model, x) for x in late_targets(model.problem, model.fitted, random)] if random else []
+        if len(tried) == 2:  # whole periods are fewer numbers than a lateness of each target
+            lost, jitter = sorted(tried, key=lambda t: t.name != "lost_commands")
+            if lost.better and not self._surely(model, jitter, lost):
+                tried = [lost, replace(jitter, why="lost commands explain as much with fewer numbers")]
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
         nearly = bool(np.all(model.problem.mean_squares(model.fitted.residual, False) < RULES.explained**2))
         wanted, seen = asked_for(self.torques, names, model.added, RULES.z if nearly and self.torques else 0.0)
-        first, rest = list(wanted), [n for n in names if n not in wanted and CATALOGUE[n].structural and not nearly]
+        first = [n for n in wanted if n in names]
+        rest = [n for n in names if n not in wanted and CATALOGUE[n].structural and not nearly]
         for some in (first, rest):
             if some and not any(t.better and t.lateness is None for t in tried):
                 tried += self._tried(model, some)
