@@ -229,6 +229,8 @@ def _no_worse(final: FittedModel, before: FittedModel) -> FittedModel:
     ]
     if final is before or not left[1] > left[0]:
         return final
+    if not final.added:
+        return before
     titles = " and ".join(CATALOGUE[n].title for n in final.added)
     note = f"{titles} made the prediction of held-out blocks worse, so that the baseline stays"
     return replace(before, notes=(*final.notes, note), base=final.base)

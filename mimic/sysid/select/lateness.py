@@ -112,7 +112,11 @@ def late_targets(problem: Problem, fitted: Fit, names: Sequence[str]) -> list[La
     if had is not None:
         left += _applied(problem, responses, had / period if near else np.minimum(had / period, gaps), slice(None))
     normal = [_normal(problem, responses, left, g) for g in groups]
-    weights = [1.0 / max(float(np.mean(left[inside[:, 0]][:, g] ** 2)), 1.0) for g in groups]
+    weights = [1.0] * len(groups)
+    for _ in range(3):  # what lateness leaves of each says how much it counts
+        value = _solved([(bands * w, right * w) for (bands, right), w in zip(normal, weights, strict=True)]).value
+        rest = [(left[:, g] - _applied(problem, responses, value, g))[inside[:, 0]] for g in groups]
+        weights = [1.0 / max(float(np.mean(r**2)), 1.0) for r in rest]
     normal = [(bands * w, right * w) for (bands, right), w in zip(normal, weights, strict=True)]
     whole, found = _solved(normal), []
     for name in names:
