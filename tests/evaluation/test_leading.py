@@ -50,5 +50,5 @@ def test_an_evaluation_repeats_and_has_every_figure():
 
 
 def test_an_evaluation_that_is_too_short_is_refused():
-    with pytest.raises(ConfigError, match="seconds is 20 s; it must be from 31 to 600 s"):
+    with pytest.raises(ConfigError, match="seconds is 20 s; it must be from 31 to 629 s"):
         LeadSettings(seconds=20.0)
