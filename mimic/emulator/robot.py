@@ -179,13 +179,13 @@ class EmulatedRobot:
     @property
     def next_event(self) -> float:
         """Time of the next event if no host sends anything [s]."""
-        times = min(self.imu.next_sample, self._next_check, *(bus.next_event for bus in self.buses))
+        soonest = min(self.imu.next_sample, self._next_check, *(bus.next_event for bus in self.buses))
         if self._late:
-            times = min(times, self._late[0][0])
+            soonest = min(soonest, self._late[0][0])
         for i, fault in enumerate(self._faults):
             if i not in self._happened and not fault.after_release:
-                times = min(times, fault.start)
-        return times
+                soonest = min(soonest, fault.start)
+        return soonest
 
     def advance(self, until: float, *, waiting: Host | None = None) -> None:
         """Advance time to ``until`` [s], or only until a waiting host receives a frame."""

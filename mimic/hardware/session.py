@@ -8,6 +8,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mimic.config.hardware import CheckSettings, DriveSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.errors import ConfigError, PlantError
@@ -18,7 +20,7 @@ from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import Check, before_moving, preflight, refuse
-from mimic.hardware.step_budget import PARTS, step_budget
+from mimic.hardware.step_budget import step_budget
 from mimic.hardware.stock.plant import StockRobot
 from mimic.hardware.stock.session import board_session
 from mimic.hardware.stock.wiring import BOARDS
@@ -158,7 +160,9 @@ def robot_session(
         with board_session(settings, description, report=report, go=go, suspended=suspended) as board:
             yield board
         return
-    wiring = wiring_of(bus_url, settings)
+    wiring, dt = wiring_of(bus_url, settings), description.dt
+    parts = round(float(np.max(rate_hz)) * dt)
+    budget = None if inference is None else step_budget(wiring, dt, parts, inference)
     wanted = settings.watchdog and allows_second_socket(bus_url) and not dry_run
     with bus_lock(bus_url) as lock, ExitStack() as stack:
         watchdog = WatchdogProcess(bus_url, wiring.path, keep=lock) if wanted else None
@@ -176,7 +180,9 @@ def robot_session(
                     homing=robot.homing,
                     trust_zeros=settings.zeroed,
                     suspended=suspended,
-                    budget=None if inference is None else step_budget(wiring, description.dt, PARTS, inference),
+                    budget=None
+                    if inference is None
+                    else step_budget(wiring, dt, round(np.max(rate_hz) * dt), inference),
                 )
 
             with before_moving():
