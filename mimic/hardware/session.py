@@ -180,9 +180,7 @@ def robot_session(
                     homing=robot.homing,
                     trust_zeros=settings.zeroed,
                     suspended=suspended,
-                    budget=None
-                    if inference is None
-                    else step_budget(wiring, dt, round(np.max(rate_hz) * dt), inference),
+                    budget=budget,
                 )
 
             with before_moving():
