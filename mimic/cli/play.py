@@ -37,7 +37,7 @@ def play(
     language: Annotated[o.Language, o.only("language")] = None,
     live: Annotated[o.Live, o.only("live")] = None,
     bus: Annotated[
-        o.Bus, o.only("bus", "wiring", "interface", "zeroed", "watchdog", "yes", "dry_run", "tether", "hold")
+        o.Bus, o.only("bus", "wiring", "interface", "zeroed", "yes", "dry_run", "tether", "hold")
     ] = None,
 ) -> int:
     """Play human motion on the robot.
