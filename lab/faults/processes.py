@@ -1,6 +1,6 @@
 """Runs of both emulated robots with real processes and sockets, in real time.
 
-`mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog or sending process others, and a proxy stands
+`mimic emulate` is one process, `mimic TARGETS --robot` with its sending process others, and a proxy stands
 between them: over TCP for socketcand, over multicast for LCM. What the motors did at the end is what the emulator says
 when it ends. Needs root or user namespaces, for a network and a small disk of its own.
 """
@@ -38,8 +38,8 @@ from mimic.robot.description import load_description
 
 ROOT = Path(__file__).parents[2]
 
-HELPERS = {"can": "mimic.hardware.watchdog", "stock": "mimic.hardware.stock.process"}
-"""Module of the second process of a run."""
+HELPER = "mimic.hardware.robot.process"
+"""Module of the process that sends."""
 
 CUT_OFF = ("host_killed", "both_killed", "disk_full", "disk_small")
 """After these the process could write no more."""
@@ -198,7 +198,7 @@ def _fill(disk: Path) -> None:
 
 def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.Generator) -> dict[str, Any]:
     """Do what the kind says; return what is known of it."""
-    own, helper = host.process.pid, _helper(host.process.pid, HELPERS[scene.kind])
+    own, helper = host.process.pid, _helper(host.process.pid, HELPER)
     lasts = float(rng.choice([0.05, 0.2, 1.0, 1e9]))
     known: dict[str, Any] = {"lasts": lasts, "helper": helper, "at": time.monotonic()}
     if CASES[kind].place == "messages":

@@ -91,9 +91,7 @@ def robot_on_can(link: Link, wiring: Wiring, description: RobotDescription, **op
     return Robot(EmulatedSenderLink(CanDriver(link, wiring, description, **options), description), description)
 
 
-def robot_on_board(
-    bus: Bus, wiring: BoardWiring, description: RobotDescription, *, suspended: bool = False
-) -> Robot:
+def robot_on_board(bus: Bus, wiring: BoardWiring, description: RobotDescription, *, suspended: bool = False) -> Robot:
     """Return the plant of an emulated stock robot."""
     link = EmulatedSenderLink(StockDriver(bus, wiring, description), description)
     return Robot(link, description, suspended=suspended)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mimic.config.hardware import LookSettings, DriveSettings, ProbeSettings, WiringSettings
+from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -82,11 +82,11 @@ def zero_robot(
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
+    from mimic.hardware.can.driver import homing_file
     from mimic.hardware.homing import home, uneven
     from mimic.hardware.listening import look_first
     from mimic.hardware.preflight import at_rest
     from mimic.hardware.robot.checks import refuse
-    from mimic.hardware.can.driver import homing_file
     from mimic.hardware.session import open_session
     from mimic.robot.description import load_description
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mimic.config.hardware import LookSettings
-from mimic.errors import BusError, PlantError
+from mimic.errors import BusError
 from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
 

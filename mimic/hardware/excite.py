@@ -134,6 +134,8 @@ class _Rows:
         """Last target sent to each motor [rad]."""
         self._row: tuple[float, list[int], BoolArray] | None = None
         """The row whose answers may still come: its time [s], joints asked, and joints of legs that moved."""
+        self._busy: list[tuple[float, FloatArray]] = []
+        """Time and how long each bus was busy so far [s], at the first recorded row and at the last."""
         self.t = 0.0
         """Time of the plant [s]."""
 
@@ -182,6 +184,7 @@ class _Rows:
         )
         for column, value in zip(self._columns.values(), row, strict=True):
             column.append(value)
+        self._busy = [*self._busy[:1], (float(report["t"]), np.array(report["busy"]))]
 
     def result(self) -> ProbeResult:
         columns = {name: np.array(values) for name, values in self._columns.items()}
@@ -221,7 +224,10 @@ class _Rows:
             | self._held(asked),
         )
         expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz * asked.mean(axis=0))
-        return ProbeResult(log=log, ended=ended, missing=missing, load=self._robot.load(), expected=expected)
+        (start, before), (stop, after) = self._busy
+        load = (after - before) / (stop - start)
+        load = load[np.isfinite(load)]
+        return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
 
     def _held(self, asked: BoolArray) -> dict[str, Any]:
         """Return the metadata by which a reader carries readings of held joints forward."""

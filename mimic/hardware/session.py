@@ -51,9 +51,7 @@ def wiring_of(bus_url: str, settings: WiringSettings) -> Wiring:
 
 
 @contextmanager
-def open_session(
-    bus_url: str, settings: WiringSettings, *, zeros: bool, locked: bool = True
-) -> Iterator[BusSession]:
+def open_session(bus_url: str, settings: WiringSettings, *, zeros: bool, locked: bool = True) -> Iterator[BusSession]:
     """Open buses, and close them at the end; meanwhile no other program of mimic may use them.
 
     Args:
@@ -70,9 +68,7 @@ def open_session(
         homing = read_homing(homing_file(wiring)) if zeros else None
         link = open_buses(bus_url, wiring)
         try:
-            yield BusSession(
-                link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing
-            )
+            yield BusSession(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
         finally:
             link.close()
 

@@ -16,6 +16,7 @@ from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError
 from mimic.flows import commissioning
 from mimic.hardware import session
@@ -26,13 +27,13 @@ from mimic.hardware.cybergear.codec import Codec
 from mimic.hardware.cybergear.messages import Enable, GetDeviceId, Mode, Operation, ReadParameter, SetZero, Stop
 from mimic.hardware.listening import look_first
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import preflight
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.wiring import load_wiring
 from mimic.records import PHASES, JointCommand
 
 CODEC = Codec()
-BUSES = BusSettings(zeroed=True, yes=True, watchdog=False)
+BUSES = BusSettings(zeroed=True, yes=True)
 
 
 @pytest.fixture(autouse=True)
@@ -57,8 +58,8 @@ def hold(description) -> JointCommand:
     return JointCommand(q_des=q, dq_des=zeros, kp=np.full(12, 30.0), kd=np.full(12, 3.0), tau_ff=zeros)
 
 
-def driven(robot, description, steps: int = 5) -> CanRobot:
-    plant = CanRobot(EmulatedLink(robot), load_wiring(), description)
+def driven(robot, description, steps: int = 5) -> Robot:
+    plant = robot_on_can(EmulatedLink(robot), load_wiring(), description)
     plant.start()
     for _ in range(steps):
         plant.step(hold(description))
@@ -82,7 +83,7 @@ def sent_by_hosts(robot: EmulatedRobot) -> list[CanFrame]:
 class Beside:
     """A link whose waiting lets another program drive the robot too, once in each control step."""
 
-    def __init__(self, robot: EmulatedRobot, plant: CanRobot, description) -> None:
+    def __init__(self, robot: EmulatedRobot, plant: Robot, description) -> None:
         self._link, self._robot, self._plant, self._command = EmulatedLink(robot), robot, plant, hold(description)
 
     def receive(self, timeout: float):
@@ -315,10 +316,10 @@ def test_an_adapter_that_echoes_is_no_other_program(robot, description):
     found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
     assert found["other programs"].verdict == "note"
     assert "the adapter echoes" in found["other programs"].text
-    plant = CanRobot(link, load_wiring(), description)
+    plant = robot_on_can(link, load_wiring(), description)
     plant.start()
     for _ in range(5):
         tick = plant.step(hold(description))
     assert tick.health.foreign == 0
     assert tick.health.missed.max() == 0
-    assert plant.motor_bus.echoes >= 5 * 12
+    assert plant.link.driver.motor_bus.echoes >= 5 * 12

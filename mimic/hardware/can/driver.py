@@ -37,6 +37,9 @@ DEAD = 0.3
 REOPEN_EVERY = 0.2
 """Time between two attempts to open a bus [s]."""
 
+_LOOK = 0.002
+"""How often to look for orders while a bus fails [s]."""
+
 OPEN_TRIES = 3
 """How many attempts to open the buses are made at first: a busy server may miss the time for its greeting."""
 
@@ -78,8 +81,7 @@ class CanDriver:
         self._report = no_report()
         self._failures = self._sent = self._asked_count = 0
         self._taken = self._heard = link.now()
-        self._next_question, self._began = -np.inf, link.now()
-        self._bits = self.motor_bus.bits.copy()
+        self._next_question = -np.inf
         self._waits: tuple[float, tuple[int, ...]] | None = None
         self._damped = -np.inf
         self._tries, self._left, self._on = 0, list(ALL), False
@@ -102,8 +104,8 @@ class CanDriver:
         report["heard"] = max(motor_bus.came.max(), report["imu_came"])
         report["errors"], report["foreign"] = motor_bus.errors + self._failures, motor_bus.foreign
         report["voltage"], report["round_trip"] = motor_bus.voltage(), motor_bus.round_trip
-        bits = (motor_bus.bits - self._bits) / motor_bus.wiring.bitrate / max(now - self._began, self._description.dt)
-        report["load"][: len(bits)] = bits
+        busy = motor_bus.bits / motor_bus.wiring.bitrate
+        report["busy"][: len(busy)] = busy
         return report
 
     def now(self) -> float:
@@ -151,7 +153,6 @@ class CanDriver:
             off = [JOINTS[j] for j, f in enumerate(newest) if f is not None and f.mode != MotorMode.RUNNING]
             if off:
                 raise PlantError(f"{', '.join(off)} did not switch on; to see why, run: mimic robot check")
-        self._began, self._bits = self.now(), motor_bus.bits.copy()
 
     def _need(self, silent: list[int]) -> None:
         if silent:
@@ -168,6 +169,9 @@ class CanDriver:
         sent = None
         try:
             motor_bus.drain()
+        except BusError as reason:
+            self._fail(reason)
+        try:
             if self._dry:
                 self._stop(joints)
                 sent = command
@@ -209,7 +213,8 @@ class CanDriver:
             self._heard = self.now()
         except BusError as reason:
             self._fail(reason)
-            link.sleep(max(min(until - self.now(), 0.002), 0.0))
+            left = max(until - self.now(), 0.0)
+            link.sleep(left if wake is None else min(left, _LOOK))
         if self._complete():
             self._waits, self.problem = None, ""
             return True

@@ -99,7 +99,13 @@ def pose_check(
 
 
 def imu_checks(
-    quat_WB: FloatArray, omega_B: FloatArray, q: FloatArray, description: RobotDescription, *, suspended: bool, text: str
+    quat_WB: FloatArray,
+    omega_B: FloatArray,
+    q: FloatArray,
+    description: RobotDescription,
+    *,
+    suspended: bool,
+    text: str,
 ) -> list[Check]:
     """Check that a robot at rest does not turn, lies level, and that its feet agree with its IMU.
 

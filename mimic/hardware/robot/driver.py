@@ -52,15 +52,15 @@ REPORT = np.dtype(
         ("gap", "f8"),
         ("voltage", "f8"),
         ("round_trip", "f8"),
-        ("load", "f8", BUSES),
+        ("busy", "f8", BUSES),
     ]
 )
 """The newest readings of a robot, in joint order and sign, and when each came on the monotonic clock [s].
 
 ``sent`` counts messages, ``heard`` is when anything came, ``imu_valid`` is -1 where the IMU does not say, ``readings``
 counts full sets of readings where each is worth a sample, ``errors`` counts what made no sense, ``foreign`` commands of
-other programs, ``err_flag`` and ``gap`` [s] are a motion board's, ``load`` is the share of each bus's time since the
-start (NaN where there is no bus)."""
+other programs, ``err_flag`` and ``gap`` [s] are a motion board's, ``busy`` is for how long each bus was busy so far
+[s] (NaN where there is no bus)."""
 
 
 def no_report() -> Any:
@@ -70,7 +70,7 @@ def no_report() -> Any:
         report[name] = NEVER
     for name in (
         *("q", "dq", "tau", "temperature", "q_sent", "kp_sent", "kd_sent", "quat_WB", "omega_B"),
-        *("voltage", "round_trip", "load"),
+        *("voltage", "round_trip", "busy"),
     ):
         report[name] = np.nan
     report["imu_valid"] = -1

@@ -46,6 +46,7 @@ class Robot:
         self._missed = np.zeros(len(JOINTS), dtype=np.int64)
         self._err_flag, self._gap = 0, 0.0
         self._began = self._ended = self._due = link.now()
+        self._busy: FloatArray | None = None
         self._started = self._closed = False
         self.ending = "nothing was switched on"
         """How the robot was left, as a sentence without its full stop."""
@@ -67,7 +68,7 @@ class Robot:
         link.start(suspended=self._suspended)
         self._missed[:] = 0
         self._began = self._ended = self._due = link.now()
-        self.report["t"] = self._began
+        self.report["t"], self._busy = self._began, None
         return self.step(idle_command(np.clip(self.report["q"], d.q_min, d.q_max))).state
 
     def step(self, command: JointCommand, dt: float | None = None, joints: Sequence[int] = ALL) -> Tick:
@@ -124,6 +125,7 @@ class Robot:
             if report["readings"] > self.report["readings"]:
                 self._samples.append(report)
             self.report = report
+            self._busy = np.array(report["busy"]) if self._busy is None else self._busy
             if report["err_flag"] > 0:
                 self._err_flag |= int(report["err_flag"])
                 self._gap = max(self._gap, float(report["gap"]))
@@ -191,8 +193,8 @@ class Robot:
 
     def load(self) -> FloatArray:
         """Return the share of time that each bus was busy since the start (buses,); empty for a motion board."""
-        load = np.array(self.report["load"])
-        return load[np.isfinite(load)]
+        busy = np.array(self.report["busy"]) - (np.nan if self._busy is None else self._busy)
+        return busy[np.isfinite(busy)] / max(float(self.report["t"]) - self._began, self._description.dt)
 
     def close(self) -> None:
         """Damp the robot until it rests, then switch its motors off. Safe to call twice; never raises MimicError."""

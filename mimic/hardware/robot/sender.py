@@ -157,7 +157,8 @@ class Sender:
         driver = self.driver
         self._send(driver.now())
         due = self._due if self.state in (State.DRIVE, State.DAMP, State.ENDING) else np.inf
-        report_at = self._reported + (driver.period if driver.repeats else REPORT_PERIOD)
+        every = self._pause if driver.repeats or self.state != State.DRIVE else REPORT_PERIOD
+        report_at = self._reported + every
         complete = driver.listen(min(until, due, report_at), wake)
         now = driver.now()
         if not complete and now < report_at - 1e-9:

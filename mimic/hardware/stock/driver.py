@@ -27,7 +27,7 @@ from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
 from mimic.hardware.stock.preflight import LYING_TOLERANCE, board_preflight
 from mimic.hardware.stock.readings import NO_ERR_FLAG, Readings
 from mimic.hardware.stock.wiring import BoardWiring, load_board
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import JOINTS, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 PERIOD = 0.002
@@ -207,7 +207,9 @@ class StockDriver:
     def _problems(self, suspended: bool) -> list[str]:
         """Return what stands against moving of what is known only in motor mode, or may have changed meanwhile."""
         report, found = self.report, []
-        found += [f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits]
+        found += [
+            f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits
+        ]
         warmest = int(np.argmax(report["temperature"]))
         if report["temperature"][warmest] >= HOT:
             found.append(f"motor {JOINTS[warmest]} is at {report['temperature'][warmest]:.0f} degC; let it cool")
