@@ -12,7 +12,7 @@ from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
 from mimic.hardware.step_budget import SPARE, StepBudget
-from mimic.records import JOINTS, FloatArray
+from mimic.records import DOUBLED, JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 
 WARM = 45.0
@@ -129,7 +129,10 @@ def _others(motor_bus: MotorBus) -> Check:
 def _motors(motor_bus: MotorBus) -> Check:
     names = motor_bus.motors.fault_names
     faults = [f"{JOINTS[j]}: {names(f.faults)}" for j, f in enumerate(motor_bus.feedback) if f is not None and f.faults]
-    faults += [f"{JOINTS[j]}: fault report" for j in np.flatnonzero(motor_bus.faults)]
+    faults += [
+        f"{JOINTS[j]}: {'two motors have its id' if motor_bus.faults[j] & DOUBLED else 'fault report'}"
+        for j in np.flatnonzero(motor_bus.faults)
+    ]
     if faults:
         text = f"faults: {', '.join(faults)}; fix the cause, then switch the power off and on"
         return Check(name="motors", verdict="stop", text=text)

@@ -67,6 +67,10 @@ class JointSamples(Record):
     """Desired positions as they were sent [rad]."""
 
 
+DOUBLED = 128
+"""Fault bit that stands for two motors that answer as one."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Health:
     """How far the readings of one control step can be trusted, and what a robot says about itself."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,13 +25,22 @@ from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
 from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, GetDeviceId, Mode, Operation, ReadParameter, SetZero, Stop
+from mimic.hardware.cybergear.messages import (
+    Enable,
+    Feedback,
+    GetDeviceId,
+    Mode,
+    Operation,
+    ReadParameter,
+    SetZero,
+    Stop,
+)
 from mimic.hardware.listening import look_first
 from mimic.hardware.motor_bus import MotorBus
 from mimic.hardware.preflight import preflight
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.wiring import load_wiring
-from mimic.records import PHASES, JointCommand
+from mimic.records import DOUBLED, PHASES, JointCommand
 
 CODEC = Codec()
 BUSES = BusSettings(zeroed=True, yes=True)
@@ -323,3 +333,33 @@ def test_an_adapter_that_echoes_is_no_other_program(robot, description):
     assert tick.health.foreign == 0
     assert tick.health.missed.max() == 0
     assert plant.link.driver.motor_bus.echoes >= 5 * 12
+
+
+class DoublingLink(EmulatedLink):
+    """A bus on which a second motor answers as the one with id 2, 0.4 rad away."""
+
+    def __init__(self, robot: EmulatedRobot) -> None:
+        super().__init__(robot)
+        self._second: list[Received] = []
+
+    def receive(self, timeout: float) -> Received | None:
+        if self._second:
+            return self._second.pop(0)
+        received = super().receive(timeout)
+        if received is not None and received.frame.extended:
+            message = CODEC.decode(received.frame)
+            if isinstance(message, Feedback) and message.motor == 2:
+                self._second.append(received._replace(frame=CODEC.encode(replace(message, q=message.q + 0.4))))
+        return received
+
+
+def test_two_motors_with_one_id_are_found_before_the_start_and_while_it_runs(robot, description):
+    plant = robot_on_can(DoublingLink(robot), load_wiring(), description)
+    plant.start()
+    bits = [int(plant.step(hold(description)).health.faults[1]) for _ in range(10)]
+    assert bits[-1] & DOUBLED
+    motor_bus = plant.link.driver.motor_bus
+    plant.close()
+    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    assert found["motors"].verdict == "stop"
+    assert "FL_hip: two motors have its id" in found["motors"].text

@@ -113,7 +113,7 @@ class Sender:
             else:
                 self.damp("")
             raise
-        self.state, self._ordered, self._due = State.DRIVE, self.driver.now(), np.inf
+        self.state, self._ordered, self._due = State.DRIVE, np.inf, np.inf  # without gains they may wait for an order
 
     def order(self, order: Order) -> None:
         """Take an order; one that is not finite damps the robot."""

@@ -433,7 +433,7 @@ def test_a_sender_that_hangs_ends_the_run_within_a_fifth_of_a_second(made, descr
     steps(plant, description)
     plant.link.halted = True
     begin = robot.now
-    with pytest.raises(SenderError, match="hangs: it said nothing for 0.2"):
+    with pytest.raises(SenderError, match="hangs: it said nothing"):
         steps(plant, description, 20)
     assert robot.now - begin <= 0.22 + 1e-6
     plant.link.halted = False
@@ -448,7 +448,7 @@ def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
         plant.step(hold(description, description.poses["four"]))
     plant.link.wait(robot.now + 0.14)
     assert {motor.drive.kp for motor in robot.motors} == {0.0}
-    with pytest.raises(SenderError, match="damped the robot: no order for 0.10 s"):
+    with pytest.raises(SenderError, match=r"damped the robot: no order for 0\.10 s"):
         plant.step(hold(description))
     plant.close()
     assert modes(robot) == {Mode.RESET}
