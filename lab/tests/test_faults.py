@@ -28,7 +28,7 @@ AFTER = {
     "power_cycle": {"motor_off sit_down", "joint_impossible sit_down"},
     "sigterm": {"terminated damp"},
     "sink_raises": {"exception damp"},
-    "unplugged": {"motor_silent damp"},
+    "unplugged": {"bus_errors damp", "motor_silent damp"},
 }
 """One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
 

@@ -22,6 +22,7 @@ from mimic.errors import BusError, PlantError
 from mimic.flows import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can import driver
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
 from mimic.hardware.cybergear.codec import Codec
@@ -148,7 +149,8 @@ def test_damping_switches_off_what_a_program_left_on(reached, description):
 @pytest.mark.parametrize("call", [commissioning.scan_robot, commissioning.zero_robot, commissioning.check_robot])
 def test_no_command_speaks_beside_a_program_that_drives(call, robot, description, monkeypatch):
     plant = driven(robot, description)
-    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: Beside(robot, plant, description))
+    for module in (session, driver):
+        monkeypatch.setattr(module, "open_buses", lambda *_, **__: Beside(robot, plant, description))
     frames = sent_by_hosts(robot)
     try:
         found = [check.text for check in call("can0", BUSES) if check.verdict == "stop"]

@@ -28,6 +28,9 @@ ORDER_TIMEOUT = 0.1
 REPORT_PERIOD = 0.0025
 """Longest time between two reports of a robot that is not sent to all the time [s]."""
 
+_MOMENT = 1e-6
+"""Times that differ by less are the same [s]."""
+
 GIVE_UP = 30.0
 """A robot that nothing reaches is tried for this long [s]."""
 
@@ -161,7 +164,7 @@ class Sender:
         report_at = self._reported + every
         complete = driver.listen(min(until, due, report_at), wake)
         now = driver.now()
-        if not complete and now < report_at - 1e-9:
+        if not complete and now < report_at - _MOMENT:
             return None
         self._reported = now
         report = driver.report.copy()
@@ -179,7 +182,7 @@ class Sender:
     def _send(self, now: float) -> None:
         if self.state == State.DRIVE and now - self._ordered > ORDER_TIMEOUT:
             self.damp(f"no order for {now - self._ordered:.2f} s")
-        if now < self._due or self.state in (State.LISTEN, State.DONE):
+        if now < self._due - _MOMENT or self.state in (State.LISTEN, State.DONE):
             return
         if self.state == State.DRIVE:
             self._drive(now)
@@ -203,7 +206,7 @@ class Sender:
             self.damp(str(reason))
             return
         begin, period = order.begin, driver.period
-        self._due = begin + (np.floor((now - begin) / period + 1e-6) + 1.0) * period
+        self._due = begin + (np.floor((now - begin + _MOMENT) / period) + 1.0) * period
         if not driver.repeats and self._due > begin + command.ramp - 0.5 * period:
             self._due = np.inf  # that was the last part
 
@@ -215,7 +218,7 @@ class Sender:
         if ramp <= 0.0 or self._from is None:
             return target
         period = self.driver.period
-        slot = np.floor((now - order.begin) / period + 1e-6) + 1.0
+        slot = np.floor((now - order.begin + _MOMENT) / period) + 1.0
         share = min(max(slot * period / ramp, 0.0), 1.0)
         return self._from + share * (target - self._from)
 
