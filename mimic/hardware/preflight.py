@@ -235,9 +235,9 @@ def set_host_timeout(motor_bus: MotorBus) -> bool:
 def _timeout(motor_bus: MotorBus) -> Check:
     register = motor_bus.motors.facts.registers.get(Register.HOST_TIMEOUT, "a host timeout")
     if set_host_timeout(motor_bus):
-        text = f"the motors accepted {register}: they stop by themselves without a host"
+        text = f"the motors accepted {register}: they stop by themselves if both processes of mimic end"
         return Check(name="own timeout", verdict="ok", text=text)
-    text = f"the motors do not accept {register}: without a host they continue with their last command"
+    text = f"the motors do not accept {register}: if both processes of mimic end, they continue with their last command"
     return Check(name="own timeout", verdict="note", text=text)
 
 
