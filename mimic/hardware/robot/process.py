@@ -196,6 +196,8 @@ class SenderProcess:
                 data = self._ours.recv(_LARGEST)
             except BlockingIOError:
                 return
+            except ConnectionResetError:
+                continue  # said once; what came before is still there
             except OSError:
                 data = b""
             if not data:
