@@ -179,13 +179,17 @@ def _no_viewer(output: str) -> MimicError:
 
 
 def _end(process: subprocess.Popen[Any]) -> None:
-    """End the viewer and its process group, because the command starts another program."""
+    """End the viewer and its process group, because the command starts another program; return when both are gone."""
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)
-    else:
+        process.wait(timeout=10)
+        return
+    for kind in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-    process.wait(timeout=10)
+            os.killpg(process.pid, kind)
+        with suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=5)  # to the end of the output, which all of the group write to
+            return
 
 
 def _check(path: Path) -> None:
