@@ -50,6 +50,8 @@ def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription,
     try:
         screenshot(scene, picture, time_s=0.5, size=(640, 400))
     except MimicError as error:
+        if "no Vulkan driver" not in str(error):
+            raise
         pytest.skip(str(error))
     image = cv2.imread(str(picture))
     assert image is not None
