@@ -110,9 +110,9 @@ COMMANDS = {
     "train": (
         "mimic.cli.train:train",
         "Train a low-level policy.",
-        "mimic train out/ --minutes 40",
-        "mimic train out/ --worlds 16 --iterations 2 --device cpu",
-        "mimic train out/ --minutes 9 --set rewards.slip=-0.4",
+        "mimic train out/",
+        "mimic train out/ --set worlds=16 iterations=2 device=cpu",
+        "mimic train out/ --recipe own.toml --set minutes=9",
     ),
     "calibrate": (
         "mimic.cli.calibrate:calibrate",

@@ -20,7 +20,7 @@ START = dataclasses.replace(
 )
 """The robot as described, at the paper's random starts."""
 
-PUSH_INTERVAL = TRAINING_RANDOMISATION.push_interval
+PUSH_INTERVAL = 4.0
 """Time between two pushes [s]."""
 
 World = tuple[Randomisation, Disturbance]

@@ -1,4 +1,4 @@
-"""Evaluating and training policies."""
+"""Evaluating policies."""
 
 from __future__ import annotations
 
@@ -15,9 +15,6 @@ from mimic.config.evaluation import (
     StandUpSettings,
     TableSettings,
 )
-from mimic.config.play import EffectsSettings
-from mimic.config.training import LearnSettings, MdpSettings
-from mimic.errors import AssetError, MissingExtra
 from mimic.flows.play import warn_of_stand_effects
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -131,45 +128,3 @@ def task_of(policy: Path) -> str:
     from mimic.robot.description import load_description
 
     return Policy(policy, load_description()).contract.task
-
-
-def train(
-    out: Path,
-    mdp: MdpSettings | None = None,
-    learn: LearnSettings | None = None,
-    *,
-    resume: Path | None = None,
-    recipe: str | None = None,
-    overrides: list[str] | None = None,
-    report: Callable[[int, dict[str, float]], None] | None = None,
-    reporter: Reporter | None = None,
-) -> Path:
-    """Train a policy with PPO in MuJoCo Warp and return its ONNX file.
-
-    Args:
-        out: Folder for checkpoints, TensorBoard files and policy.onnx.
-        mdp: The worlds, rewards and randomisation.
-        learn: PPO and the length of the training.
-        resume: Checkpoint (.pt) or policy (.onnx) to go on from.
-        recipe: Settings of a shipped policy by its name, stand_track, or a TOML file; overrides come after it.
-        overrides: "name=value" for any other setting, such as rewards.slip=-0.4.
-        report: Called after each update with its number and its figures.
-        reporter: Receives warnings.
-
-    Raises:
-        MissingExtra: If the extra ``train`` is not installed.
-        AssetError: If there is no such checkpoint.
-        ConfigError: If an override names no setting, or there is no such recipe.
-    """
-    try:
-        from mimic.train.learn import train as learn_policy
-        from mimic.train.overrides import recipe as words_of
-        from mimic.train.overrides import with_overrides
-    except ModuleNotFoundError as missing:
-        raise MissingExtra(str(missing.name), "train") from None
-    words = [*(words_of(recipe) if recipe else []), *(overrides or [])]
-    mdp, learn = with_overrides(mdp or MdpSettings(), learn or LearnSettings(), words)
-    warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
-    if resume is not None and not resume.is_file():
-        raise AssetError(f"there is no checkpoint {resume}")
-    return learn_policy(out, mdp, learn, resume=resume, report=report or (lambda update, row: None))

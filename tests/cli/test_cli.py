@@ -247,11 +247,11 @@ BAD = [
 ]
 
 BAD_TRAINING = [
-    ("train new --worlds 0", "worlds is 0"),
+    ("train new --set worlds=0", "worlds is 0"),
     ("train new --set colour=red", "there is no setting 'colour'"),
     ("train new --set rewards.mood=1", "there is no setting 'rewards.mood'"),
     ("train new --set worlds=many", "expected a whole number"),
-    ("train new --effects nowhere.toml", "nowhere.toml cannot be read"),
+    ("train new --set effects=nowhere.toml", "nowhere.toml cannot be read"),
     ("train new --resume nowhere.pt", "there is no checkpoint nowhere.pt"),
 ]
 
