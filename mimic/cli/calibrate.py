@@ -28,8 +28,8 @@ def calibrate(
     Parameters
     ----------
     logs
-        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; see
-        docs/manual/log-format.md.
+        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; the
+        manual's page on the log format has the others.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
     held_out
