@@ -105,7 +105,7 @@ COMMANDS = {
         "Evaluate a policy over many episodes.",
         "mimic evaluate",
         "mimic evaluate sit_down",
-        "mimic evaluate out/policy.onnx --table",
+        "mimic evaluate out/policy.onnx table",
     ),
     "train": (
         "mimic.cli.train:train",
@@ -132,7 +132,7 @@ COMMANDS = {
     ),
     "doctor": (
         "mimic.cli.doctor:doctor",
-        "Say what this computer has for mimic, and how to mend what is missing.",
+        "Say what this computer has for mimic, and how to fix what is missing.",
         "mimic doctor",
     ),
     "config": (

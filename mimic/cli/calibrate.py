@@ -35,8 +35,7 @@ def calibrate(
     held_out
         Further logs of the machine, which are only predicted.
     note
-        What is said of the logs beside their metadata: KEY=VALUE of all, or FILE:KEY=VALUE of one, such as kp=20 or
-        b.csv:payload=0.5.
+        Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one, such as kp=20 or b.csv:payload=0.5.
     out
         Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
     """

@@ -71,7 +71,7 @@ def play_on_robot(
     view: bool | None,
 ) -> int:
     """Play on a real robot, print the figures, and return the exit status."""
-    from mimic.cli.play import open_scene, show_figures
+    from mimic.cli.rows import open_scene, show_figures
     from mimic.flows.robot import play_on_robot as play
 
     done = play(

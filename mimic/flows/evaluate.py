@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
 from typing import Any
 
 from mimic.config.evaluation import (
     CalmSettings,
+    EpisodeSettings,
     EvaluateSettings,
     LeadSettings,
     RobustnessSettings,
@@ -20,20 +21,21 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 
-AnyEvaluation = (
-    EvaluateSettings
-    | SitDownEvaluateSettings
-    | TableSettings
-    | StandUpSettings
-    | CalmSettings
-    | LeadSettings
-    | RobustnessSettings
-)
+KINDS: dict[str, tuple[type[EpisodeSettings], str]] = {
+    "stand_track": (EvaluateSettings, "policy:evaluate"),
+    "sit_down": (SitDownEvaluateSettings, "sit_down:evaluate_sit_down"),
+    "table": (TableSettings, "paper_table:evaluate_table"),
+    "stand-up": (StandUpSettings, "stand_up:evaluate_stand_up"),
+    "calm": (CalmSettings, "calm:evaluate_calm"),
+    "lead": (LeadSettings, "leading:evaluate_leading"),
+    "robustness": (RobustnessSettings, "robustness:evaluate_robustness"),
+}
+"""Kinds of evaluation: settings and the function in mimic.evaluation; the first two are chosen by a policy's task."""
 
 
 def evaluate(
     policy: str | Path | None = None,
-    settings: AnyEvaluation | None = None,
+    settings: EpisodeSettings | None = None,
     *,
     out: Path | None = None,
     reporter: Reporter | None = None,
@@ -61,13 +63,13 @@ def evaluate(
 
     reporter = reporter or SilentReporter()
     path = policy_path(policy)
-    if settings is None:
-        settings = SitDownEvaluateSettings() if task_of(path) == "sit_down" else EvaluateSettings()
+    settings = settings or KINDS[task_of(path)][0]()  # type: ignore[call-arg]
     if out is not None:
         store.check_writable(out.parent)
     warn_of_stand_effects(settings.robot, reporter)
     plant_options(settings.robot)  # refused before there is a progress bar
-    run = _evaluation(settings)
+    module, _, name = next(where for kind, where in KINDS.values() if kind is type(settings)).partition(":")
+    run = getattr(importlib.import_module(f"mimic.evaluation.{module}"), name)
     with reporter.progress("episodes") as progress:
         result = run(path, settings, progress=progress)
     if out is not None:
@@ -75,36 +77,6 @@ def evaluate(
         inputs |= {} if settings.robot.effects is None else {"effects": Path(settings.robot.effects)}
         store.save_json({**result, "provenance": provenance(settings, inputs)}, out)
     return result
-
-
-def _evaluation(settings: AnyEvaluation) -> Callable[..., dict[str, Any]]:
-    if isinstance(settings, TableSettings):
-        from mimic.evaluation.paper_table import evaluate_table
-
-        return evaluate_table
-    if isinstance(settings, RobustnessSettings):
-        from mimic.evaluation.robustness import evaluate_robustness
-
-        return evaluate_robustness
-    if isinstance(settings, CalmSettings):
-        from mimic.evaluation.calm import evaluate_calm
-
-        return evaluate_calm
-    if isinstance(settings, LeadSettings):
-        from mimic.evaluation.leading import evaluate_leading
-
-        return evaluate_leading
-    if isinstance(settings, StandUpSettings):
-        from mimic.evaluation.stand_up import evaluate_stand_up
-
-        return evaluate_stand_up
-    if isinstance(settings, SitDownEvaluateSettings):
-        from mimic.evaluation.sit_down import evaluate_sit_down
-
-        return evaluate_sit_down
-    from mimic.evaluation.policy import evaluate as evaluate_tracking
-
-    return evaluate_tracking
 
 
 def policy_path(policy: str | Path | None) -> Path:

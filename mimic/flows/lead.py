@@ -56,7 +56,7 @@ def lead(
         robot: Which robot is simulated.
         seed: Of the start.
         film: Also write a film in which the pull is drawn (.mp4).
-        interactive: Open MuJoCo's viewer instead, in which the mouse pulls; ends when it is closed.
+        interactive: Open MuJoCo's viewer, in which the mouse pulls; ends when it is closed.
         reporter: Receives warnings and progress.
 
     Raises:
