@@ -27,7 +27,7 @@ KINDS: dict[str, tuple[type[EpisodeSettings], str]] = {
     "table": (TableSettings, "paper_table:evaluate_table"),
     "stand-up": (StandUpSettings, "stand_up:evaluate_stand_up"),
     "calm": (CalmSettings, "calm:evaluate_calm"),
-    "lead": (LeadSettings, "leading:evaluate_leading"),
+    "lead": (LeadSettings, "led_by_hand:evaluate_leading"),
     "robustness": (RobustnessSettings, "robustness:evaluate_robustness"),
 }
 """Kinds of evaluation: settings and the function in mimic.evaluation; the first two are chosen by a policy's task."""

@@ -14,7 +14,7 @@ from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.flows import robot as flow
+from mimic.flows import robot_run as flow
 from mimic.flows.operator import Operator
 from mimic.flows.reporter import SilentReporter
 from mimic.hardware import session
