@@ -231,7 +231,7 @@ def test_smooth_friction_moves_the_robot_as_dry_friction_does(description):
 
     def moved(speed: float, friction: float) -> np.ndarray:
         ranges = dataclasses.replace(NOMINAL, joint_friction=(friction, friction))
-        lying = {"upright_share": 0.0, "upright_share_at_first": 0.0}
+        lying = {"upright_share": 0.0, "upright_share_at_first": 0.0, "timestep": 0.0025}
         env = make(description, worlds=24, friction_speed=speed, randomisation=ranges, solver_iterations=50, **lying)
         for step in range(10):
             env.step(0.3 * actions(step, 24))
