@@ -15,7 +15,8 @@ STANDS, TRACKS = 2.7, 1.0
 
 AFTER = {
     "ctrl_c": {"interrupt sit_down"},
-    "watchdog_gone": {"watchdog_ended sit_down"},
+    "sender_stopped": {"sender sit_down"},
+    "sender_killed": {"sender sit_down", "sender damp"},
     "encoder_frozen": {"encoder_frozen sit_down"},
     "imu_frozen": {"imu_frozen damp"},
     "imu_invalid": {"imu_invalid damp"},
@@ -27,7 +28,7 @@ AFTER = {
     "power_cycle": {"motor_off sit_down", "joint_impossible sit_down"},
     "sigterm": {"terminated damp"},
     "sink_raises": {"exception damp"},
-    "unplugged": {"exception damp"},
+    "unplugged": {"bus_errors damp", "motor_silent damp"},
 }
 """One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
 

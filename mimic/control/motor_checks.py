@@ -9,7 +9,7 @@ import numpy as np
 from mimic.control.alert import Alert
 from mimic.control.safety_limits import Limits
 from mimic.control.step_history import StepHistory, StepReport
-from mimic.records import JOINTS
+from mimic.records import DOUBLED, JOINTS
 
 
 def _failed(joint: int, text: str) -> Alert:
@@ -35,7 +35,10 @@ def motor_fault(report: StepReport, history: StepHistory, limits: Limits) -> Ite
     history.failed.update(map(int, faulty))
     for joint in faulty:
         bits = int(report.health.faults[joint])
-        yield _failed(int(joint), f"motor {JOINTS[joint]} reports fault bits {bits:#04x}")
+        text = f"motor {JOINTS[joint]} reports fault bits {bits:#04x}"
+        if bits & DOUBLED:
+            text = f"two motors answer as {JOINTS[joint]}: they have one id"
+        yield _failed(int(joint), text)
 
 
 def motor_off(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:

@@ -94,10 +94,12 @@ def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iter
         yield Alert(outcome="RUN", text=f"the bus had {history.new_errors} errors")
 
 
-def watchdog_ended(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """A watchdog that is gone."""
-    if not report.health.guarded:
-        yield Alert(outcome="SIT_DOWN", text="the watchdog process has ended", needs_upright=False)
+def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A process that sends to the robot, and has said nothing for a while."""
+    silent = report.health.sender_age
+    if silent > limits.sender_age:
+        text = f"the process that sends to the robot has said nothing for {silent:.2f} s"
+        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
 
 
 def board_error(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
@@ -222,7 +224,12 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
         "log; damp",
     ),
     (bus_errors, lambda L: f"any; {L.bus_errors} within 0.1 s", "0.1 s", "log; damp"),
-    (watchdog_ended, lambda L: "it has ended", "1 tick", "sit down"),
+    (
+        sender,
+        lambda L: f"it says nothing for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
+        "1 tick",
+        "sit down; damp",
+    ),
     (
         board_error,
         lambda L: "stock robot: its firmware reports 0x01, a command later than 10 ms; 0x02, none for 500 ms",

@@ -126,9 +126,9 @@ def play_on_robot(
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
     from mimic.hardware.hold_to_run import hold_to_run
-    from mimic.hardware.plant import CanRobot
-    from mimic.hardware.session import robot_session
+    from mimic.hardware.session import robot_session, wiring_of
     from mimic.hardware.step_budget import PARTS
+    from mimic.hardware.stock.wiring import BOARDS
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
 
@@ -183,8 +183,8 @@ def play_on_robot(
         with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
-        if isinstance(plant, CanRobot):
-            load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
+        if bus_url not in BOARDS:
+            load = tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")

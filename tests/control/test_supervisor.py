@@ -442,8 +442,9 @@ def test_some_bus_errors_are_logged_and_a_burst_damps(drive):
     assert outcome(drive([{"bus_errors": 4 * n} for n in range(5)])) == ("bus_errors", SafetyMode.DAMP)
 
 
-def test_without_its_watchdog_it_sits_down(drive):
-    assert outcome(drive([{}, {"guarded": False}])) == ("watchdog_ended", SafetyMode.SIT_DOWN)
+def test_after_a_pause_of_the_process_that_sends_it_sits_down(drive):
+    assert drive([{}, {"sender_age": 0.05}]).mode == SafetyMode.RUN
+    assert outcome(drive([{}, {"sender_age": 0.08}])) == ("sender", SafetyMode.SIT_DOWN)
 
 
 # ---------------------------------------------------------------------- what holds for all of them

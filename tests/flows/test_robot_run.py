@@ -24,7 +24,7 @@ from mimic.policy.runtime import load_policy
 from mimic.records import TargetTrack
 from mimic.robot.description import load_description
 
-BUS = BusSettings(zeroed=True, yes=True, watchdog=False, ramp=0.5)
+BUS = BusSettings(zeroed=True, yes=True, ramp=0.5)
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 
