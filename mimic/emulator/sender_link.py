@@ -85,6 +85,9 @@ class EmulatedSenderLink:
             self.sender.cycle(end)
         return self.sender.ending
 
+    def close(self) -> None:
+        """There is no process to end."""
+
 
 def robot_on_can(link: Link, wiring: Wiring, description: RobotDescription, **options: Any) -> Robot:
     """Return the plant of an emulated robot on CAN; options are those of CanDriver."""

@@ -68,13 +68,14 @@ class RobotRun:
     def finished(self) -> bool:
         """Whether it stood and ended as it should: by itself, or by Ctrl-C where it was endless."""
         rule = "finished" if self.decisive is None else self.decisive.rule
-        ended = rule == "finished" or (self.endless and rule == "interrupt" and not self.worse)
+        asked = rule == "asked_to_end" and self.decisive is not None and self.decisive.mode.name == "SIT_DOWN"
+        ended = rule == "finished" or (self.endless and asked and not self.worse)
         return ended and self.shortfall is None
 
     @property
     def worse(self) -> list[Event]:
         """Events that ended the run and should not have happened."""
-        fine = ("interrupt", "finished", "at_rest")
+        fine = ("asked_to_end", "finished", "at_rest")
         return [event for event in self.saved.run.events if event.mode > 0 and event.rule not in fine]
 
     @property
@@ -120,7 +121,6 @@ def play_on_robot(
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
     from mimic.control.recorder import RunRecorder
-    from mimic.control.safety_rules import DRY_RULES, RULES
     from mimic.control.signals import Signals
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
@@ -149,7 +149,7 @@ def play_on_robot(
     inference = max(_inference(one) for one in (policy, sit_down))
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
-    supervisor = Supervisor(description, rules=DRY_RULES if bus.dry_run else RULES, strict=bus.tether)
+    supervisor = Supervisor(description, strict=bus.tether, moves=not bus.dry_run)
     signals = Signals()
     what = _announcement(None if standing else name, bus)
     commands: CommandTrack | LiveCommands = motion.commands

@@ -20,7 +20,7 @@ import numpy as np
 
 from mimic.config.hardware import ProbeSettings
 from mimic.control.safety_limits import limits_for
-from mimic.control.safety_rules import SUSPENDED_RULES
+from mimic.control.safety_rules import FAILURE, SUSPENDED_RULES
 from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
@@ -96,7 +96,7 @@ def probe(
     except _Ended:
         pass
     except (PlantError, KeyboardInterrupt) as reason:
-        supervisor.decide("exception", SafetyMode.DAMP, str(reason) or type(reason).__name__, rows.t)
+        supervisor.decide(FAILURE, SafetyMode.DAMP, str(reason) or type(reason).__name__, rows.t)
     finally:
         robot.close()
     return rows.result()

@@ -236,7 +236,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
 
     result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, signals, wiring=WIRING, progress=press)
     assert result.ended is not None
-    assert result.ended.rule == "interrupt"
+    assert result.ended.rule == "asked_to_end"
     assert 100 <= len(result.log.t) <= 103
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
 

@@ -11,7 +11,6 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import TETHER_RAMP, TETHER_TORQUE, BusSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
-from mimic.control.safety_rules import DRY_RULES
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import parse_fault
@@ -37,9 +36,7 @@ def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     monkeypatch.setattr(driver, "open_buses", lambda bus_url, wiring, **quick: EmulatedLink(robot))
 
     def process(settings, description, *, keep=()):
-        made = EmulatedSenderLink(driver.open_can_driver(settings), description)
-        made.close = lambda: None
-        return made
+        return EmulatedSenderLink(driver.open_can_driver(settings), description)
 
     monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -53,7 +50,7 @@ def ready(description, settings: BusSettings):
 
 
 def rehearse(plant, description):
-    safety = Safety(supervisor=Supervisor(description, rules=DRY_RULES), ramp=0.4)
+    safety = Safety(supervisor=Supervisor(description, moves=False), ramp=0.4)
     track = command_script(description, 0.3, np.random.default_rng(0))
     sitter = load_policy(None, description, task="sit_down")
     return run_policy(plant, load_policy(None, description), track, SHORT, sit_down=sitter, safety=safety)

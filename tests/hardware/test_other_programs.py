@@ -215,7 +215,7 @@ def test_the_lock_is_let_go_when_opening_fails(monkeypatch):
 def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, ticks: int = 12) -> Supervisor:
     """Hold a lying robot while another host sends frames in every so many ticks, and return the supervisor."""
     plant, other = driven(robot, description), EmulatedLink(robot)
-    supervisor = Supervisor(description, rules=[rule for rule in RULES if rule.name == "foreign_commands"])
+    supervisor = Supervisor(description, rules=[rule for rule in RULES if rule.name == "other_program"])
     for tick in range(ticks):
         if tick >= 2 and (tick - 2) % every == 0:
             for frame in frames:
@@ -240,7 +240,7 @@ def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, tick
 def test_a_command_of_another_program_makes_the_robot_sit_down(message, robot, description):
     supervisor = play(robot, description, [CODEC.encode(message)])
     assert supervisor.decisive is not None
-    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("foreign_commands", SafetyMode.SIT_DOWN)
+    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("other_program", SafetyMode.SIT_DOWN)
 
 
 def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):

@@ -32,9 +32,7 @@ def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
         return link
 
     def process(settings, description, *, keep=()):
-        made = EmulatedSenderLink(driver.open_can_driver(settings), description)
-        made.close = lambda: None
-        return made
+        return EmulatedSenderLink(driver.open_can_driver(settings), description)
 
     for module in (session, driver):
         monkeypatch.setattr(module, "open_buses", opened)

@@ -38,6 +38,9 @@ END_WITHIN = GIVE_UP + 12.0
 HANGS = 0.2
 """A sender that has reported nothing for this long hangs [s]."""
 
+READ_WITHIN = 1.0
+"""The loop takes the last word within this, or never [s]."""
+
 BEHIND = 0.1
 """A computer whose clocks part by more than this has slept [s]."""
 
@@ -289,7 +292,7 @@ class _Server:
                 self._told = True
                 self._say(_TAKEN_OVER, json.dumps(sender.reason).encode())
         if self._orders is not None:
-            self._orders.setblocking(True)
+            self._orders.settimeout(READ_WITHIN)
             self._say(_ENDING, json.dumps(sender.ending).encode())
 
     def _say(self, kind: bytes, content: bytes) -> None:

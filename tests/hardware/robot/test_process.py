@@ -20,9 +20,11 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError, MimicError, SenderError
 from mimic.flows.watching import watch_robot
-from mimic.hardware.robot.driver import CheckOptions, DriverSettings
+from mimic.hardware.robot import process
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings, open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.sender import Sender
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.wiring import load_board
@@ -111,10 +113,10 @@ def served(request):
 
 @pytest.fixture
 def link(served, description):
-    process = SenderProcess(served.settings, description)
+    made = SenderProcess(served.settings, description)
     with real_time(LOOP):
-        yield process
-    process.close()
+        yield made
+    made.close()
 
 
 def eventually(reached, patience: float = PATIENCE) -> bool:
@@ -195,6 +197,24 @@ def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served, descr
     begin = time.monotonic()
     assert eventually(lambda: not served.gains())
     assert time.monotonic() - begin < BUSY * 0.15
+
+
+@pytest.mark.slow
+def test_a_computer_that_has_slept_damps_the_robot(motors, description, monkeypatch):
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setblocking(False)
+    driver = open_driver(motors.settings)
+    sender, asleep = Sender(driver, description), [0.0]
+    sender.start()
+    monkeypatch.setattr(process, "_clocks_apart", lambda: asleep[0])
+    served = threading.Thread(target=process._Server(theirs, sender).run, daemon=True)
+    served.start()
+    asleep[0] = 3.0  # as after a lid was closed
+    served.join(30.0)
+    ours.close()
+    driver.close()
+    assert sender.reason == "this computer slept for 3.0 s"
+    assert sender.ending == "the robot was damped and all motors are off"
 
 
 @pytest.mark.parametrize(

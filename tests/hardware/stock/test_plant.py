@@ -239,11 +239,11 @@ def test_the_shipped_policy_stands_up_holds_and_sits_down(made, description):
 @pytest.mark.parametrize(
     ("fault", "rule"),
     [
-        ("motor_fault:RL_knee=8@+6", "motor_fault"),
-        ("motor_hot:FR_hip=90@+6", "motor_hot"),
+        ("motor_fault:RL_knee=8@+6", "motor_failed"),
+        ("motor_hot:FR_hip=90@+6", "too_hot"),
         ("imu_silent@+6", "imu_silent"),
-        ("imu_frozen@+6", "imu_frozen"),
-        ("imu_tilted=0.6@+6", "imu_contradicts_itself"),
+        ("imu_frozen@+6", "imu_silent"),
+        ("imu_tilted=0.6@+6", "imu_contradiction"),
         ("frames_lost=1@+6-6.3", "motor_silent"),
         ("bus_off@+6", "motor_silent"),
     ],
@@ -264,7 +264,7 @@ def test_another_program_makes_a_standing_robot_sit_down(made, description):
     bus.hook = lambda t: abs(t - 7.0) < 1e-6 and bus.foreign(MOTOR_CTRL.encode())
     done = play(plant, description)
     decisive = next(event for event in done.events if event.mode > SafetyMode.RUN)
-    assert (decisive.rule, decisive.mode) == ("foreign_commands", SafetyMode.SIT_DOWN)
+    assert (decisive.rule, decisive.mode) == ("other_program", SafetyMode.SIT_DOWN)
     assert abs(upright(done.log)[-1]) < 0.1
 
 
