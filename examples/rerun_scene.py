@@ -13,7 +13,7 @@ import rerun as rr
 
 import mimic
 from mimic.view.scene.layout import time_column
-from mimic.view.scene.robot import draw_robot
+from mimic.view.scene.robot_drawing import draw_robot
 from mimic.view.scene.timing import shared_time
 
 MOTION = Path(__file__).parent / "motions" / "step_and_wave.yaml"

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from mimic.flows.motion import motion_from_text as motion_from_text
     from mimic.flows.motion import retarget as retarget
     from mimic.flows.motion import track_video as track_video
-    from mimic.flows.play import Run as Run
     from mimic.flows.play import load_policy as load_policy
     from mimic.flows.play import load_robot as load_robot
     from mimic.flows.play import load_run as load_run
     from mimic.flows.play import play as play
     from mimic.flows.play import play_source as play_source
     from mimic.flows.reporter import Reporter as Reporter
+    from mimic.flows.run_folder import Run as Run
     from mimic.flows.run_folder import SavedRun as SavedRun
     from mimic.io.joint_log import JointLog as JointLog
     from mimic.io.joint_log import read_log as read_log
@@ -89,9 +89,9 @@ _OWNERS = {
         "retarget",
         "track_video",
     ),
-    "mimic.flows.play": ("Run", "load_policy", "load_robot", "load_run", "play", "play_source"),
+    "mimic.flows.play": ("load_policy", "load_robot", "load_run", "play", "play_source"),
     "mimic.flows.reporter": ("Reporter",),
-    "mimic.flows.run_folder": ("SavedRun",),
+    "mimic.flows.run_folder": ("Run", "SavedRun"),
     "mimic.io.joint_log": ("JointLog", "read_log"),
     "mimic.policy.runtime": ("Policy",),
     "mimic.records": (

@@ -32,6 +32,22 @@ def contract(description: RobotDescription) -> PolicyContract:
 
 
 @pytest.fixture(scope="session")
+def short_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small video of a second and a half in which a person waves."""
+    import cv2
+
+    path = tmp_path_factory.mktemp("clip") / "clip.mp4"
+    capture = cv2.VideoCapture(str(Path(__file__).parents[1] / "examples" / "videos" / "waving.mp4"))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (640, 360))
+    for _ in range(45):
+        seen, picture = capture.read()
+        assert seen
+        writer.write(cv2.resize(picture, (640, 360)))
+    writer.release()
+    return path
+
+
+@pytest.fixture(scope="session")
 def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
     """Return a function that writes an ONNX policy which ignores what it sees."""
     onnx = pytest.importorskip("onnx", reason="writing an ONNX file needs the extra 'train'")

@@ -28,7 +28,7 @@ def test_the_library_runs_without_the_libraries_of_the_command_line():
     code = (
         "import sys, mimic\n"
         "for name in mimic.__all__: getattr(mimic, name)\n"
-        "import mimic.flows.robot, mimic.flows.commissioning, mimic.flows.batch, "
+        "import mimic.flows.robot_run, mimic.flows.commissioning, mimic.flows.batch, "
         "mimic.flows.emulate, mimic.flows.camera\n"
         "print([m for m in ('rich', 'cyclopts') if m in sys.modules])"
     )

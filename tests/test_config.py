@@ -77,8 +77,3 @@ def test_training_covers_what_the_judge_draws():
 def test_what_grows_at_the_end_of_a_training_needs_time_to_grow():
     with pytest.raises(ConfigError, match="finish-steps is 5, 5; expected the first to be smaller"):
         MdpSettings(finish_steps=(5.0, 5.0))
-
-
-def test_how_long_reaching_is_shown_is_a_share_of_the_training():
-    with pytest.raises(ConfigError, match=r"reaching-share is 0; it must be from 0\.001 to 1"):
-        LearnSettings(reaching_share=0.0)

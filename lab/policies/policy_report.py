@@ -154,10 +154,10 @@ def stand_up_table(result: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", type=Path, default=Path("policies/stand_track.onnx"))
-    parser.add_argument("--table", type=Path, help="JSON of mimic evaluate --table")
-    parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate --stand-up")
-    parser.add_argument("--calm", type=Path, help="JSON of mimic evaluate --calm")
-    parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate --robustness")
+    parser.add_argument("--table", type=Path, help="JSON of mimic evaluate POLICY table")
+    parser.add_argument("--stand-up", type=Path, help="JSON of mimic evaluate POLICY stand-up")
+    parser.add_argument("--calm", type=Path, help="JSON of mimic evaluate POLICY calm")
+    parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate POLICY robustness")
     parser.add_argument("--write", type=Path, help="folder of both pages; their measured parts are replaced")
     given = parser.parse_args()
     cached_policy(str(given.policy))
@@ -189,7 +189,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
         [
             f"Policy `{given.policy.name}`, SHA-256 `{digest[:12]}…`, on {robot}.",
             "## The paper's Table III",
-            f"`mimic evaluate {given.policy} --table`, {episodes} episodes a row, all of the paper's terminations.",
+            f"`mimic evaluate {given.policy} table`, {episodes} episodes a row, all of the paper's terminations.",
             paper_table(table),
             "## Walking",
             "The robot as described, three walks each, 3 to 12 s after the start. Faster than "
@@ -198,16 +198,16 @@ def report(given: argparse.Namespace, robot: str) -> None:
             "On the spot, the same for turns:",
             walking_table(table["turning"], "rad_s"),
             "## Calm",
-            f"`mimic evaluate {given.policy} --calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
+            f"`mimic evaluate {given.policy} calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
             "100 for each push.",
             calm_table(calm),
             "## Standing up and standing still",
-            f"`mimic evaluate {given.policy} --stand-up`, {rise['summary']['starts']} starts, "
+            f"`mimic evaluate {given.policy} stand-up`, {rise['summary']['starts']} starts, "
             f"{rise['summary']['still_episodes']} nominal robots that stand still.",
             stand_up_table(rise),
         ]
     )
-    asked = f"`mimic evaluate {given.policy} --robustness`, {points} episodes at each point."
+    asked = f"`mimic evaluate {given.policy} robustness`, {points} episodes at each point."
     pages = {"policy.md": text, "robustness.md": f"{asked}\n\n{robustness_table(robust)}"}
     for name, measured in pages.items():
         if given.write is None:

@@ -105,14 +105,14 @@ COMMANDS = {
         "Evaluate a policy over many episodes.",
         "mimic evaluate",
         "mimic evaluate sit_down",
-        "mimic evaluate out/policy.onnx --table",
+        "mimic evaluate out/policy.onnx table",
     ),
     "train": (
         "mimic.cli.train:train",
         "Train a low-level policy.",
-        "mimic train out/ --minutes 40",
-        "mimic train out/ --worlds 16 --iterations 2 --device cpu",
-        "mimic train out/ --minutes 9 --set rewards.slip=-0.4",
+        "mimic train out/",
+        "mimic train out/ --set worlds=16 iterations=2 device=cpu",
+        "mimic train out/ --recipe own.toml --set minutes=9",
     ),
     "calibrate": (
         "mimic.cli.calibrate:calibrate",
@@ -132,7 +132,7 @@ COMMANDS = {
     ),
     "doctor": (
         "mimic.cli.doctor:doctor",
-        "Say what this computer has for mimic, and how to mend what is missing.",
+        "Say what this computer has for mimic, and how to fix what is missing.",
         "mimic doctor",
     ),
     "config": (

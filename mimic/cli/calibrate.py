@@ -28,15 +28,14 @@ def calibrate(
     Parameters
     ----------
     logs
-        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; see
-        docs/manual/log-format.md.
+        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; the
+        manual's page on the log format has the others.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
     held_out
         Further logs of the machine, which are only predicted.
     note
-        What is said of the logs beside their metadata: KEY=VALUE of all, or FILE:KEY=VALUE of one, such as kp=20 or
-        b.csv:payload=0.5.
+        Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one, such as kp=20 or b.csv:payload=0.5.
     out
         Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
     """

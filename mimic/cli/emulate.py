@@ -40,7 +40,7 @@ def emulate(
         Wiring file; by default the one that ships with the robot.
     fault
         Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
-        emulation, or with + since the first motor was switched on. docs/manual/robot.md lists the kinds.
+        emulation, or with + since the first motor was switched on. The message on an unknown kind lists all.
     fault_seed
         Also inject a random fault, drawn with this seed.
     seconds

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE
 from mimic.config.evaluation import (
     CalmSettings,
-    EvaluateSettings,
+    EpisodeSettings,
     LeadSettings,
     RobustnessSettings,
     SitDownEvaluateSettings,
     StandUpSettings,
     TableSettings,
 )
-from mimic.errors import ConfigError
 
 WIDE = 120
 """Columns of a terminal in which the paper's table fits with its standard deviations."""
@@ -24,13 +23,9 @@ WIDE = 120
 
 def evaluate(
     policy: str = "stand_track",
+    kind: Literal["table", "stand-up", "calm", "lead", "robustness"] | None = None,
     /,
     *,
-    table: Annotated[bool, o.Flag] = False,
-    robustness: Annotated[bool, o.Flag] = False,
-    stand_up: Annotated[bool, o.Flag] = False,
-    calm: Annotated[bool, o.Flag] = False,
-    lead: Annotated[bool, o.Flag] = False,
     out: o.Out = None,
     episodes: int | None = None,
     seconds: float | None = None,
@@ -46,62 +41,43 @@ def evaluate(
     ----------
     policy
         ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
-    table
-        The columns of the paper's Table III, beside the paper's.
-    robustness
-        Share of survived episodes along each disturbance, with a heat map.
-    stand_up
-        Standing up from 500 lying starts, and standing still for 20 s.
-    calm
-        Standing for 60 s without a command, with and without noise: planted feet, heat, drift; pushes, pulls.
-    lead
-        Being led by the hand: a pull on a front toe, 5 m at 0.2 m/s in any direction.
+    kind
+        What else to measure. table: the columns of the paper's Table III, beside the paper's. stand-up: 500 lying
+        starts, and standing still for 20 s. calm: standing for 60 s, with and without noise; pushes, pulls. lead: led
+        by a front toe, 5 m at 0.2 m/s in any direction. robustness: survived share along each disturbance, with a heat
+        map.
     out
-        JSON file for all figures; by default evaluation-NAME.json, table-NAME.json, robustness-NAME.json,
-        stand-up-NAME.json, calm-NAME.json or lead-NAME.json in the current folder. The heat map goes beside it.
+        JSON file for all figures; by default KIND-NAME.json or evaluation-NAME.json in the current folder. The heat
+        map goes beside it.
     episodes
-        Randomised episodes: 200; with --table 50 for each of three seeds; with --robustness 40 at each point; with
-        --stand-up 500 starts; with --calm 20; with --lead 40; 500 switches to a policy that sits down.
+        Randomised episodes: 200; table 50 for each of three seeds; stand-up 500 starts; calm 20; lead 40; robustness
+        40 at each point; 500 switches to a policy that sits down.
     seconds
-        Length of a randomised episode: 20 s; with --robustness 10 s; of a start with --stand-up 3 s; with --calm
-        60 s, with --lead 32 s; latest policy switch: 10 s.
+        Length of a randomised episode: 20 s; stand-up 3 s; calm 60 s; lead 32 s; robustness 10 s; latest policy
+        switch: 10 s.
     seed
-        Seed of the first episode: 1; with --table, --calm and --lead one that no policy was chosen with.
+        Seed of the first episode: 1; table, calm and lead take one that no policy was chosen with.
     workers
         Processes; 0 takes one for each core.
     """
     from mimic.cli.console import ConsoleReporter
+    from mimic.flows.evaluate import KINDS, policy_path, task_of
     from mimic.flows.evaluate import evaluate as run
-    from mimic.flows.evaluate import policy_path, task_of
 
-    if table + robustness + stand_up + calm + lead > 1:
-        raise ConfigError(
-            "--table, --robustness, --stand-up, --calm and --lead are different evaluations; give one of them"
-        )
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     path = policy_path(policy)
-    kinds = {
-        "table": (table, TableSettings, _show_table),
-        "robustness": (robustness, RobustnessSettings, _show_robustness),
-    }
-    kinds["stand-up"] = (stand_up, StandUpSettings, _show_stand_up)
-    kinds["calm"] = (calm, CalmSettings, _show_calm)
-    kinds["lead"] = (lead, LeadSettings, _show_lead)
-    name, kind, show = "evaluation", EvaluateSettings, _show_tracking
-    for word, (chosen, settings_class, printer) in kinds.items():
-        if chosen:
-            name, kind, show = word, settings_class, printer
-    settings: Any = kind(**options)
-    if name == "evaluation" and task_of(path) == "sit_down":
-        settings, show = SitDownEvaluateSettings(**options), _show_sit_down
-    file = out or Path(f"{name}-{path.stem}.json")
+    what = kind or "stand_track"
+    settings: Any = KINDS[what][0](**options)
+    if kind is None and task_of(path) == "sit_down":
+        what, settings = "sit_down", KINDS["sit_down"][0](**options)
+    file = out or Path(f"{kind or 'evaluation'}-{path.stem}.json")
     result = run(path, settings, out=file, reporter=ConsoleReporter())
-    show(path, result, settings, file)
+    SHOW[what](path, result, settings, file)
     return DONE
 
 
-def _show_tracking(policy: Path, result: dict[str, Any], settings: EvaluateSettings, out: Path) -> None:
+def _show_tracking(policy: Path, result: dict[str, Any], settings: EpisodeSettings, out: Path) -> None:
     from mimic.cli.console import table
 
     s = result["summary"]
@@ -292,3 +268,15 @@ def _figures(columns: dict[str, dict[str, float]], spread: bool) -> dict[str, st
         digits = 1 if name in ("episode_reward", "steps") else 3
         cells[name] = f"{value['mean']:.{digits}f}" + (f"±{value['std']:.{digits}f}" if spread else "")
     return cells
+
+
+SHOW = {
+    "stand_track": _show_tracking,
+    "sit_down": _show_sit_down,
+    "table": _show_table,
+    "stand-up": _show_stand_up,
+    "calm": _show_calm,
+    "lead": _show_lead,
+    "robustness": _show_robustness,
+}
+"""What prints the figures of each kind."""

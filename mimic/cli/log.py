@@ -112,7 +112,7 @@ def salvage(run: Path, /) -> int:
         Folder of the run.
     """
     from mimic.cli.console import note
-    from mimic.flows.robot import salvage as recover
+    from mimic.flows.robot_run import salvage as recover
 
     path, ticks = recover(run)
     note(f"salvaged     {ticks} ticks into {path}")

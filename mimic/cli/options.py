@@ -20,7 +20,6 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
-from mimic.config.training import LearnSettings
 
 OUTPUT = Group("Output", sort_key=1)
 
@@ -51,7 +50,6 @@ Drive = Annotated[DriveSettings | None, _group("Robot", 3)]
 Look = Annotated[LookSettings | None, _group("Robot", 3)]
 WiringFile = Annotated[WiringSettings | None, _group("Robot", 3)]
 Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]
-Learn = Annotated[LearnSettings | None, _group("Learning", 3)]
 Calibrate = Annotated[CalibrateSettings | None, _group("Calibration", 2)]
 SimulatedLog = Annotated[LogSettings | None, _group("Readings", 3)]
 Emulate = Annotated[EmulateSettings | None, _group("Emulated robot", 2)]

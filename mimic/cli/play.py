@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from mimic.cli import options as o
-from mimic.cli.exit_status import DONE, STOPPED
+from mimic.cli.exit_status import DONE
 from mimic.errors import AssetError, ConfigError
 
 if TYPE_CHECKING:
     from mimic.flows.motion import InputSettings
-    from mimic.flows.run_folder import SavedRun
 
 
 def play(
@@ -102,6 +101,7 @@ def play(
     if source is None and text is None:
         raise ConfigError("say what to play: a file, --text with a sentence, or --camera 0")
     from mimic.cli.console import ConsoleReporter
+    from mimic.cli.rows import show_simulated
     from mimic.flows.play import play_source
 
     played: Path | str = source if text is None else text  # type: ignore[assignment]
@@ -129,42 +129,6 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
         raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 
 
-def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:
-    """Print the figures of a simulated run, open its scene, and return the exit status."""
-    from mimic.cli.console import warn
-
-    show_figures(saved, title, rows)
-    result = saved.run.result
-    if result.error is not None:
-        raise result.error
-    if saved.run.shortfall is not None:
-        warn(f"stopped: {saved.run.shortfall}")
-    open_scene(saved.folder, view)
-    return STOPPED if saved.run.shortfall is not None or result.interrupted else DONE
-
-
-def show_figures(
-    saved: SavedRun, title: str, rows: dict[str, str] | None = None, more: dict[str, str] | None = None
-) -> None:
-    """Print the figures of a run, with further rows before and after those of the robot."""
-    from mimic.cli.console import table
-    from mimic.cli.rows import metric_rows, target_rows
-
-    motion = saved.run.motion
-    figures = target_rows(None if motion is None else motion.targets) | (rows or {})
-    figures |= metric_rows(dict(saved.metrics)) | (more or {}) | {"run folder": str(saved.folder)}
-    table(title, figures | ({"film": str(saved.film)} if saved.film else {}))
-
-
-def open_scene(folder: Path, view: bool | None) -> None:
-    """Open the scene of a run folder if asked for, or by default where there is a display."""
-    from mimic.flows.run_folder import SCENE
-    from mimic.view.scene.viewer import display_available, open_viewer
-
-    if view or (view is None and display_available()):
-        open_viewer(folder / SCENE)
-
-
 def _play_camera(
     camera: str,
     settings: InputSettings,
@@ -176,6 +140,7 @@ def _play_camera(
     view: bool | None,
 ) -> int:
     from mimic.cli.console import ConsoleReporter, warn
+    from mimic.cli.rows import show_simulated
     from mimic.flows.camera import play_camera
     from mimic.view.scene.viewer import display_available
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from mimic.control.supervisor import Event
     from mimic.flows.motion import InputSettings
-    from mimic.flows.robot import RobotRun
+    from mimic.flows.robot_run import RobotRun
     from mimic.flows.watching import Watched
     from mimic.hardware.robot.checks import Check
 
@@ -71,8 +71,8 @@ def play_on_robot(
     view: bool | None,
 ) -> int:
     """Play on a real robot, print the figures, and return the exit status."""
-    from mimic.cli.play import open_scene, show_figures
-    from mimic.flows.robot import play_on_robot as play
+    from mimic.cli.rows import open_scene, show_figures
+    from mimic.flows.robot_run import play_on_robot as play
 
     done = play(
         bus_url,

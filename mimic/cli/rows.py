@@ -1,13 +1,16 @@
-"""Figures of a run, a row each, as the commands print them."""
+"""What commands print of a run: its figures, a row each."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mimic.cli.console import number
+from mimic.cli.console import number, table, warn
+from mimic.cli.exit_status import DONE, STOPPED
 from mimic.metrics import PARTS
 
 if TYPE_CHECKING:
+    from mimic.flows.run_folder import SavedRun
     from mimic.records import TargetTrack
 
 
@@ -69,3 +72,34 @@ def metric_rows(m: dict[str, Any]) -> dict[str, str]:
         if hot < 1e4
         else "no motor above its continuous rating",
     }
+
+
+def show_simulated(saved: SavedRun, title: str, view: bool | None, rows: dict[str, str] | None = None) -> int:
+    """Print the figures of a simulated run, open its scene, and return the exit status."""
+    show_figures(saved, title, rows)
+    result = saved.run.result
+    if result.error is not None:
+        raise result.error
+    if saved.run.shortfall is not None:
+        warn(f"stopped: {saved.run.shortfall}")
+    open_scene(saved.folder, view)
+    return STOPPED if saved.run.shortfall is not None or result.interrupted else DONE
+
+
+def show_figures(
+    saved: SavedRun, title: str, rows: dict[str, str] | None = None, more: dict[str, str] | None = None
+) -> None:
+    """Print the figures of a run, with further rows before and after those of the robot."""
+    motion = saved.run.motion
+    figures = target_rows(None if motion is None else motion.targets) | (rows or {})
+    figures |= metric_rows(dict(saved.metrics)) | (more or {}) | {"run folder": str(saved.folder)}
+    table(title, figures | ({"film": str(saved.film)} if saved.film else {}))
+
+
+def open_scene(folder: Path, view: bool | None) -> None:
+    """Open the scene of a run folder if asked for, or by default where there is a display."""
+    from mimic.flows.run_folder import SCENE
+    from mimic.view.scene.viewer import display_available, open_viewer
+
+    if view or (view is None and display_available()):
+        open_viewer(folder / SCENE)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from cyclopts import App, Parameter, Token
 from cyclopts.argument import Argument, ArgumentCollection
@@ -23,6 +21,7 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.config.values import expected, fitted, read_toml
 from mimic.errors import ConfigError
 
 SECTIONS: Mapping[str, type] = {
@@ -55,10 +54,7 @@ def read_settings(path: Path) -> Given:
     """
     if not path.is_file():
         raise ConfigError(f"there is no file {path}; --config expects a TOML file with settings (see: mimic config)")
-    try:
-        sections = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
-        raise ConfigError(f"{path} is not a TOML file: {reason}") from None
+    sections = read_toml(path)
     given: dict[str, dict[str, Any]] = {}
     for section, values in sections.items():
         if section not in SECTIONS:
@@ -73,54 +69,14 @@ def read_settings(path: Path) -> Given:
             if key not in names:
                 raise ConfigError(f"{path}: [{section}] has no {key}; it has {', '.join(names)}")
             try:
-                given.setdefault(section, {})[key] = _fitted(value, hints[key])
+                given.setdefault(section, {})[key] = fitted(value, hints[key])
             except TypeError:
-                raise ConfigError(f"{path}: [{section}] {key} is {value!r}; expected {_expected(hints[key])}") from None
+                raise ConfigError(f"{path}: [{section}] {key} is {value!r}; expected {expected(hints[key])}") from None
         try:
             kind(**given.get(section, {}))
         except ConfigError as reason:
             raise ConfigError(f"{path}: [{section}] {reason}") from None
     return given
-
-
-def _fitted(value: Any, hint: Any) -> Any:
-    """Return a value of TOML as its field has it; a TypeError if it does not fit."""
-    kind, parts = get_origin(hint), get_args(hint)
-    if kind in (Union, UnionType):
-        for part in parts:
-            try:
-                return _fitted(value, part)
-            except TypeError:
-                pass
-    elif kind is Literal:
-        if value in parts and isinstance(value, str):
-            return value
-    elif kind is tuple and isinstance(value, list):
-        parts = parts[:1] * len(value) if parts[-1] is Ellipsis else parts
-        if len(parts) == len(value):
-            return tuple(_fitted(one, part) for one, part in zip(value, parts, strict=True))
-    elif hint is float and type(value) is int:
-        return float(value)
-    elif hint is Path and isinstance(value, str):
-        return Path(value)
-    elif type(value) is hint:
-        return value
-    raise TypeError
-
-
-def _expected(hint: Any) -> str:
-    """Return what a value must be, in words."""
-    kind, parts = get_origin(hint), get_args(hint)
-    if kind in (Union, UnionType):
-        return " or ".join(_expected(part) for part in parts if part is not NoneType)
-    if kind is Literal:
-        return " or ".join(f'"{one}"' for one in parts)
-    if kind is tuple:
-        many = "several" if parts[-1] is Ellipsis else str(len(parts))
-        return f"a list of {many}, each {_expected(parts[0])}"
-    return {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}.get(
-        hint, "a file name in quotes"
-    )
 
 
 def apply_settings(given: Given, app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
@@ -185,7 +141,7 @@ def _template() -> list[str]:
         for f in fields(kind):
             lines += [f"# {line}" for line in wrap(" ".join(helps.get(f.name, "").split()), 100)]
             value = getattr(defaults, f.name)
-            unset = f"# {f.name} = ...  # {_expected(hints[f.name])}"
+            unset = f"# {f.name} = ...  # {expected(hints[f.name])}"
             lines.append(unset if value is None else f"{f.name} = {_toml(value)}")
     return lines
 

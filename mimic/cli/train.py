@@ -3,53 +3,47 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from mimic.cli import options as o
 from mimic.cli.exit_status import DONE
-from mimic.config.training import ENDLESS, LearnSettings, MdpSettings
 
 
 def train(
     out: Path,
     /,
     *,
-    recipe: str | None = None,
-    resume: Path | None = None,
-    task: Literal["stand-track", "sit-down"] = "stand-track",
-    worlds: int = MdpSettings().worlds,
+    recipe: str = "stand_track",
     set: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
-    robot: o.Effects = None,
-    learn: o.Learn = None,
+    resume: Path | None = None,
 ) -> int:
     """Train the low-level policy: minutes on a GPU; on a CPU with few worlds to try it out.
+
+    On several GPUs: torchrun --nproc-per-node 2 -m mimic train OUT; each then has its own worlds.
 
     Parameters
     ----------
     out
-        Folder for checkpoints, TensorBoard files and policy.onnx.
+        Folder for checkpoints, TensorBoard files, settings.json and policy.onnx.
     recipe
-        Settings of a shipped policy by its name, stand_track, or a TOML file; it goes before --worlds and the like.
+        Settings: stand_track, sit_down, or a TOML file; what it leaves out has the default, as in stand_track.
+    set
+        NAME=VALUE for single settings, such as minutes=9 worlds=4096 rewards.slip=-0.4 effects=effects.toml.
     resume
         Checkpoint (.pt) to go on from, or a policy (.onnx), whose critic is then learned anew.
-    task
-        What is learned: to stand up, walk and bring the front toes to goals, or to sit down.
-    worlds
-        Robots simulated at once.
-    set
-        NAME=VALUE for any other setting, such as rewards.slip=-0.4 or randomisation.push=[0,0.5].
     """
     from mimic.cli.console import ConsoleReporter, console, note
-    from mimic.flows.evaluate import train as train_policy
+    from mimic.config.training import ENDLESS
+    from mimic.flows.reporter import SilentReporter
+    from mimic.flows.train import train as train_policy
+    from mimic.flows.train import training_settings
 
-    learn = learn or LearnSettings()
-    around = {"effects": robot.effects, "timestep": robot.timestep} if robot and robot.effects else {}
-    mdp = replace(MdpSettings(), worlds=worlds, task=task.replace("-", "_"), **around)
-    figure, unit = ("track/toe_error_cm", "cm toes") if task == "stand-track" else ("sit_down/lying", "lying")
+    mdp, learn = training_settings(recipe, set)
+    first = os.environ.get("RANK", "0") == "0"  # of the processes that torchrun starts
+    figure, unit = ("track/toe_error_cm", "cm toes") if mdp.task == "stand_track" else ("sit_down/lying", "lying")
 
     def report(update: int, row: dict[str, float]) -> None:
         if update % 10 == 0 or update == learn.updates - 1:
@@ -58,10 +52,11 @@ def train(
                 f"reward {row['reward']:7.1f}  episode {row['episode']:5.0f}  {row.get(figure, math.nan):5.2f} {unit}"
             )
 
-    length = f"{learn.minutes:g} minutes" if learn.updates == ENDLESS else f"at most {learn.updates} updates"
-    note(f"{worlds} worlds, {length}; TensorBoard: tensorboard --logdir {out}")
-    path = train_policy(
-        out, mdp, learn, resume=resume, recipe=recipe, overrides=list(set), report=report, reporter=ConsoleReporter()
-    )
-    note(f"wrote {path}; evaluate it with: mimic evaluate {path}")
+    if first:
+        length = f"{learn.minutes:g} minutes" if learn.updates == ENDLESS else f"at most {learn.updates} updates"
+        note(f"{mdp.worlds} worlds, {length}; TensorBoard: tensorboard --logdir {out}")
+    reporter = ConsoleReporter() if first else SilentReporter()
+    path = train_policy(out, mdp, learn, resume=resume, report=report, reporter=reporter)
+    if first:
+        note(f"wrote {path}; evaluate it with: mimic evaluate {path}")
     return DONE

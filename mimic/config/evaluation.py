@@ -26,6 +26,8 @@ class EpisodeSettings:
     """Processes; 0 takes one for each core."""
     robot: EffectsSettings = AS_DESCRIBED
     """Which robot is simulated."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    """Ranges that its variations are drawn from."""
 
     def check_episodes(self, shortest: float, longest: float = 600.0) -> None:
         """Raise a ConfigError unless these settings are in their ranges; the length from shortest to longest [s]."""
@@ -42,7 +44,6 @@ class EvaluateSettings(EpisodeSettings):
     """Randomised episodes from the lying start."""
     seconds: float = 20.0
     """Length of an episode [s]."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
 
     def __post_init__(self) -> None:
         self.check_episodes(2.0)
@@ -57,8 +58,7 @@ class SitDownEvaluateSettings(EpisodeSettings):
     seconds: float = 10.0
     """Latest policy switch after the start [s]."""
     tracker: str | None = None
-    """Policy that stands and tracks before the switch; None takes the shipped one."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
+    """Policy that stands and tracks before the switch; by default the shipped one."""
 
     def __post_init__(self) -> None:
         self.check_episodes(2.0)
@@ -80,7 +80,6 @@ class TableSettings(EpisodeSettings):
     """What the policy senses; each is a row of its own. The first one counts."""
     walks: int = 3
     """Walks at each asked speed, with still and with moving arms; no more than ``episodes``."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
 
     def __post_init__(self) -> None:
         check_range("seeds", self.seeds, 1, 1000)
@@ -104,7 +103,6 @@ class CalmSettings(EpisodeSettings):
     """Robots that are pushed or pulled once, of each kind."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
 
     def __post_init__(self) -> None:
         self.check_episodes(5.0, 3600.0)
@@ -125,7 +123,6 @@ class LeadSettings(EpisodeSettings):
     """How the robot answers."""
     seed: int = FRESH_SEED
     """Seed of the first episode."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
 
     def __post_init__(self) -> None:
         self.check_episodes(self.hand.end + 2.0, self.hand.end + LONGEST_WATCH)

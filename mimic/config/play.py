@@ -127,7 +127,7 @@ class Solver:
     """Shape of the friction cones."""
     impratio: float = 1.0
     """How much stiffer contacts are against sliding than against sinking; pyramidal cones make the ground soft where
-    friction is high, a large ratio mends that."""
+    friction is high, a large ratio prevents that."""
 
     def __post_init__(self) -> None:
         check_range("timestep", self.timestep, 1e-4, 0.02, "s")

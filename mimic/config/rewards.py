@@ -1,4 +1,4 @@
-"""Weights of the reward terms, and how they change during a training."""
+"""Weights of the reward terms of stand_track, and how they change during a training."""
 
 from __future__ import annotations
 
@@ -7,37 +7,61 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RewardWeights:
-    """Weight of each reward term, per control step; see mimic.train.rewards for the terms."""
+    """Weight of each reward term: the reward of a control step is their sum times mimic.train.rewards.REWARD_SCALE.
+
+    A weight is per unit of its term, which the docstring names; a term without a unit lies between 0 and 1.
+    """
 
     alive: float = 0.5
+    """1 in each control step."""
     height: float = 0.6
+    """Base at the height of now."""
     upright: float = 1.0
+    """Trunk at the lean of now."""
     velocity: float = 5.0
-    heading: float = 2.0
-    toes: float = 6.0
-    toes_fine: float = 3.0
-    gait: float = 12.0
-    drift: float = 0.0
-    """Off: not shown to be good for anything (lab/results/training.md)."""
+    """Base velocity as asked."""
+    heading: float = 4.0
+    """Heading as asked."""
+    toes: float = 8.0
+    """Front toes near their goals, felt from 20 cm on."""
+    toes_fine: float = 4.0
+    """The same within 3 cm."""
+    gait: float = 16.0
+    """Hind feet that step with the clock, or stand planted while the robot is asked to stand."""
+    drift: float = -25.0
+    """Way from where the robot came to rest [per m]."""
     slip: float = -4.0
+    """Squared speed and turning of toes on the ground [per m^2/s^2]."""
     foot_shift: float = -8.0
+    """Way of the hind toes from where they began, while standing up [per m]."""
     terminations: float = -4.0
+    """Each of the paper's terminations that holds."""
     flight: float = -0.5
+    """Both hind toes in the air."""
     low: float = -0.3
+    """Each front leg or hind knee on or near the ground."""
     action_rate: float = -0.012
-    unrest: float = -0.5
-    """Changes of the hind legs' action while the robot is asked to stand and does not topple."""
-    shuffle: float = 0.0
-    """Speed of hind toes on the ground meanwhile [m/s]. Off: tried once, in a training that went wrong."""
+    """Squared change of the action [per (unit of action)^2]."""
+    unrest: float = -2.0
+    """The same of the hind legs while the robot is asked to stand and does not topple [per (unit of action)^2]."""
+    shuffle: float = -30.0
+    """Speed of hind toes on the ground meanwhile [per m/s]."""
     torque: float = -2e-4
+    """Sum of squared torques [per N^2 m^2]."""
     heat: float = -0.015
-    """Sum of the squares of all torques, which heats the windings."""
+    """The same up to a limit [per N^2 m^2]: it heats the windings."""
     overload: float = -0.01
+    """Squared torque beyond the rated one [per N^2 m^2]."""
     joint_velocity: float = -3e-4
+    """Sum of squared joint velocities [per rad^2/s^2]."""
     joint_speed: float = -0.02
+    """Joint speed beyond the robot's limit [per rad/s]."""
     joint_acceleration: float = -1e-7
+    """Sum of squared joint accelerations [per rad^2/s^4]."""
     limits: float = -6.0
+    """Joint positions beyond their limits less a margin [per rad]."""
     fall: float = -2.0
+    """The episode ends in a fall."""
 
 
 REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
@@ -65,36 +89,10 @@ class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 
     velocity: float = 5.0
+    """Of the weight of that name, as all here."""
     heading: float = 2.5
-    toes: float = 1.0
-    toes_fine: float = 2.0
-    slip: float = 7.0
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SitDownWeights:
-    """Weight of each reward term of sitting down, per control step; see mimic.train.sit_down for the terms."""
-
-    height: float = 1.6
-    level: float = 0.8
-    roll: float = -1.0
-    pose: float = 2.0
-    pose_fine: float = 1.0
-    still: float = 0.6
-    sinking: float = -15.0
-    fast: float = -2.0
-    tumbling: float = -0.05
-    jolt: float = -2.0
-    landing: float = -5.0
-    trunk: float = -1.0
-    thighs: float = -0.2
-    head_low: float = -4.0
-    slip: float = -0.25
-    beyond: float = -1.0
-    action_rate: float = -0.008
-    torque: float = -2e-4
-    joint_velocity: float = -4e-4
-    joint_speed: float = -0.02
-    joint_acceleration: float = -1e-7
-    limits: float = -2.0
-    fail: float = -10.0
+    """Walking straight."""
+    toes_fine: float = 3.0
+    """Reaching exactly."""
+    slip: float = 5.0
+    """Sliding little."""

@@ -18,7 +18,7 @@ class CalibrateSettings:
     baseline: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
     """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
     effects: tuple[str, ...] = ()
-    """Effects that may be named; empty for the catalogue but those that are looked for by request only."""
+    """Effects that may be reported; by default all but those that must be named here."""
     most_effects: int = 5
     """Most effects that are added."""
     torque: bool = True

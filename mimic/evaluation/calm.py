@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,10 @@ import numpy as np
 
 from mimic.config.evaluation import CalmSettings
 from mimic.config.play import NO_DISTURBANCE, Disturbance, Solver
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, standing_track, stands_at_end
 from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy
 from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples
 from mimic.robot.description import RobotDescription, load_description
@@ -181,15 +180,8 @@ def _jobs(s: CalmSettings) -> Iterator[_Job]:
 
 
 def evaluate_calm(policy_path: Path, settings: CalmSettings, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Evaluate standing without commands, pushes and pulls meanwhile; the same seeds give the same figures.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
-    """
-    cached_policy(str(policy_path))
-    plant_options(settings.robot)
-    play = partial(_play, policy_path=str(policy_path))
-    rows = run_all(play, list(_jobs(settings)), workers=settings.workers, progress=progress)
+    """Evaluate standing without commands, pushes and pulls meanwhile; the same seeds give the same figures."""
+    rows = play_all(_play, list(_jobs(settings)), policy_path, settings, progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 

@@ -20,14 +20,14 @@ START = dataclasses.replace(
 )
 """The robot as described, at the paper's random starts."""
 
-PUSH_INTERVAL = TRAINING_RANDOMISATION.push_interval
+PUSH_INTERVAL = 4.0
 """Time between two pushes [s]."""
 
 World = tuple[Randomisation, Disturbance]
 """Ranges that a robot is drawn from, and its disturbance."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Axis:
     """A disturbance with one parameter."""
 
@@ -78,16 +78,6 @@ def _axes() -> dict[str, Axis]:
     delay = (1e3 * t.delay[0], 1e3 * t.delay[1])
     lost = (1e2 * d.lost_share[0], 1e2 * d.lost_share[1])
 
-    def axis(
-        unit: str,
-        nominal: float,
-        points: tuple[float, ...],
-        asked: tuple[float, float],
-        trained: tuple[float, float] | None,
-        apply: Callable[[World, float], World],
-    ) -> Axis:
-        return Axis(unit=unit, nominal=nominal, points=points, asked=asked, trained=trained, apply=apply)
-
     friction = (0.2, 0.3, 0.4, 0.5, 0.6, 1.0, 2.0, 3.0)
     delays = (0.0, 5.0, 15.0, 25.0, 35.0, 40.0, 50.0, 60.0)
     masses = (-2.0, -1.5, -1.0, 0.0, 1.0, 1.5, 2.0, 3.0)
@@ -97,25 +87,25 @@ def _axes() -> dict[str, Axis]:
     tilts, pulls = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0)
     tilt, pull = _disturb(imu_tilt=1.0), _disturb(drag=1.0)
     worst = {
-        "imu_pitch": axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, _worst(tilt, imu_axis="pitch")),
-        "toe_drag_sideways": axis("N", 0.0, pulls, (0.0, 15.0), d.drag, _worst(pull, drag_way="sideways")),
+        "imu_pitch": Axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, _worst(tilt, imu_axis="pitch")),
+        "toe_drag_sideways": Axis("N", 0.0, pulls, (0.0, 15.0), d.drag, _worst(pull, drag_way="sideways")),
     }
     return {
-        "ground_friction": axis("", 1.0, friction, (0.4, 3.0), t.ground_friction, _range("ground_friction")),
-        "delay": axis("ms", 15.0, delays, (0.0, 40.0), delay, _range("delay", scale=1e-3)),
-        "base_mass": axis("kg", 0.0, masses, (-1.5, 1.5), t.base_mass, _range("base_mass")),
-        "kp": axis("x", 1.0, gains, (0.7, 1.3), d.kp, _range("kp")),
-        "kd": axis("x", 1.0, gains, (0.7, 1.3), d.kd, _range("kd")),
-        "joint_friction": axis("N m", 0.05, dry, (0.0, 0.3), t.joint_friction, _range("joint_friction")),
-        "toe_payload": axis("kg", 0.0, payload, (0.0, 0.3), d.toe_payload, _disturb(toe_payload=1.0)),
-        "push": axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
-        "noise": axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),
-        "imu_tilt": axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, tilt),
-        "slope": axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), d.slope, _disturb(slope=1.0)),
-        "lost_commands": axis(
+        "ground_friction": Axis("", 1.0, friction, (0.4, 3.0), t.ground_friction, _range("ground_friction")),
+        "delay": Axis("ms", 15.0, delays, (0.0, 40.0), delay, _range("delay", scale=1e-3)),
+        "base_mass": Axis("kg", 0.0, masses, (-1.5, 1.5), t.base_mass, _range("base_mass")),
+        "kp": Axis("x", 1.0, gains, (0.7, 1.3), d.kp, _range("kp")),
+        "kd": Axis("x", 1.0, gains, (0.7, 1.3), d.kd, _range("kd")),
+        "joint_friction": Axis("N m", 0.05, dry, (0.0, 0.3), t.joint_friction, _range("joint_friction")),
+        "toe_payload": Axis("kg", 0.0, payload, (0.0, 0.3), d.toe_payload, _disturb(toe_payload=1.0)),
+        "push": Axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
+        "noise": Axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),
+        "imu_tilt": Axis("deg", 0.0, tilts, (0.0, 3.0), d.imu_tilt, tilt),
+        "slope": Axis("deg", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 5.0), d.slope, _disturb(slope=1.0)),
+        "lost_commands": Axis(
             "%", 0.0, (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0), (0.0, 5.0), lost, _disturb(lost_share=0.01)
         ),
-        "toe_drag": axis("N", 0.0, pulls, (0.0, 15.0), d.drag, pull),
+        "toe_drag": Axis("N", 0.0, pulls, (0.0, 15.0), d.drag, pull),
     } | {name: dataclasses.replace(one, alone=True) for name, one in worst.items()}
 
 

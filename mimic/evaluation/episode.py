@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
 
+from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
@@ -13,8 +17,13 @@ from mimic.control.safety_rules import FALLEN, TIPPING, Alert, Rule
 from mimic.control.step_history import StepHistory, StepReport
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
-from mimic.policy.runtime import Policy
+from mimic.jobs.local import Progress, run_all
+from mimic.policy.runtime import Policy, cached_policy
 from mimic.records import CommandTrack
+from mimic.simulation.plant import plant_options
+
+J = TypeVar("J")
+R = TypeVar("R")
 
 
 def _sits_down(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
@@ -66,3 +75,35 @@ def play_episode(
     if result.interrupted:
         raise KeyboardInterrupt
     return result
+
+
+def play_all(
+    play: Callable[[J, str], R],
+    jobs: Sequence[J],
+    policy: Path,
+    settings: EpisodeSettings,
+    progress: Progress | None = None,
+) -> list[R]:
+    """Play a job for each episode, in parallel; return what each gives, in order.
+
+    Args:
+        play: Plays a job with the policy of a file.
+        jobs: What to play.
+        policy: ONNX file.
+        settings: Processes, and the simulated robot.
+        progress: Called with the episodes done and in all.
+
+    Raises:
+        AssetError, ContractError: If the policy cannot be run on this robot.
+        ConfigError: If the effects of the robot cannot be used.
+    """
+    cached_policy.cache_clear()  # by now another policy may be in the file
+    cached_policy(str(policy))
+    plant_options(settings.robot)
+    return run_all(
+        partial(_with_policy, play=play, policy=str(policy)), jobs, workers=settings.workers, progress=progress
+    )
+
+
+def _with_policy(job: J, play: Callable[[J, str], R], policy: str) -> R:
+    return play(job, policy)

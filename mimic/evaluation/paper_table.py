@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from mimic.config.evaluation import TableSettings
 from mimic.config.play import RunSettings
 from mimic.dynamics.ground_contacts import GroundFacts, ground_facts, ground_parts
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.paper_columns import (
     COLUMNS,
     PAPER,
@@ -34,7 +33,7 @@ from mimic.evaluation.policy import command_script
 from mimic.evaluation.senses import SENSES, SensingPolicy
 from mimic.evaluation.walking import evaluate_walking
 from mimic.geometry import heading_from_quat, wrap_angle
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy
 from mimic.records import JOINTS, LEGS, CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
@@ -235,21 +234,14 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
     ``table`` and ``episodes`` hold, for each of the settings' senses and then the statue, each set of terminations.
     ``walking`` holds the speed reached by speed asked, as the velocity column does not show walking: a policy that
     ignores the command beats the paper's; ``turning`` the same for turns on the spot.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
     """
-    cached_policy(str(policy_path))
-    plant_options(settings.robot)
     jobs = [
         _Job(group=group, seed=settings.seed + group * SEEDS_APART + i, senses=senses, settings=settings)
         for senses in settings.senses
         for group in range(settings.seeds)
         for i in range(settings.episodes)
     ]
-    play = partial(_play, policy_path=str(policy_path))
-    found = run_all(play, jobs, workers=settings.workers, progress=progress)
-    rows = [row for each in found for row in each]
+    rows = [row for each in play_all(_play, jobs, policy_path, settings, progress) for row in each]
     table: dict[str, Any] = {}
     episodes: dict[str, Any] = {}
     for senses in (*settings.senses, STATUE):
@@ -261,5 +253,5 @@ def evaluate_table(policy_path: Path, settings: TableSettings, *, progress: Prog
             episodes[senses][kinds] = [asdict(found[kinds]) | {"group": group} for group, found in played]
     paper = {name: {"mean": mean, "std": std} for name, (mean, std) in PAPER.items()}
     seeds = range(settings.seed, settings.seed + min(settings.walks, settings.episodes))
-    walking = evaluate_walking(policy_path, seeds, settings.robot, workers=settings.workers, progress=progress)
+    walking = evaluate_walking(policy_path, seeds, settings, progress=progress)
     return {"policy": policy_path.name, "paper": paper, "table": table, **walking, "episodes": episodes}

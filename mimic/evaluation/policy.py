@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,9 @@ import numpy as np
 from mimic.config.evaluation import EvaluateSettings
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
 from mimic.control.loop import RunResult
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.geometry import heading_from_quat, wrap_angle
-from mimic.jobs.local import run_all
+from mimic.jobs.local import Progress
 from mimic.metrics import run_metrics, standing
 from mimic.policy.runtime import Policy, cached_policy
 from mimic.records import CommandTrack, FloatArray, RunLog
@@ -160,41 +159,22 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     return figures
 
 
-def _jobs(settings: EvaluateSettings) -> Iterator[_Job]:
-    seconds, robot = settings.seconds, settings.robot
-    for i in range(settings.episodes):
-        yield _Job(
-            kind="randomised", seed=settings.seed + i, seconds=seconds, ranges=settings.randomisation, robot=robot
-        )
+def _jobs(s: EvaluateSettings) -> Iterator[_Job]:
+    def nominal(kind: str, i: int, seconds: float, speed: float = 0.0, turn: float = 0.0) -> _Job:
+        return _Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=NOMINAL, speed=speed, turn=turn, robot=s.robot)
+
+    for i in range(s.episodes):
+        yield _Job(kind="randomised", seed=s.seed + i, seconds=s.seconds, ranges=s.randomisation, robot=s.robot)
     for i in range(TOE_EPISODES):
-        yield _Job(
-            kind="toes", seed=settings.seed + i, seconds=seconds, ranges=NOMINAL, speed=0.0, turn=0.0, robot=robot
-        )
+        yield nominal("toes", i, s.seconds)
     for i in range(COMMAND_EPISODES):
-        for speed in (-0.3, 0.3):
-            yield _Job(
-                kind="walk", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=speed, turn=0.0, robot=robot
-            )
-        for turn in TURNS:
-            yield _Job(
-                kind="turn", seed=settings.seed + i, seconds=12.0, ranges=NOMINAL, speed=0.0, turn=turn, robot=robot
-            )
+        yield from (nominal("walk", i, 12.0, speed=speed) for speed in (-0.3, 0.3))
+        yield from (nominal("turn", i, 12.0, turn=turn) for turn in TURNS)
 
 
-def evaluate(
-    policy_path: Path, settings: EvaluateSettings, *, progress: Callable[[int, int], None] | None = None
-) -> dict[str, Any]:
-    """Evaluate a policy, episodes in parallel; the same seeds give the same figures on one machine.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
-        ConfigError: If its effects cannot be read.
-    """
-    Policy(policy_path, load_description())
-    plant_options(settings.robot)
-    jobs = list(_jobs(settings))
-    play = partial(_figures, policy_path=str(policy_path))
-    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
+def evaluate(policy_path: Path, settings: EvaluateSettings, *, progress: Progress | None = None) -> dict[str, Any]:
+    """Evaluate a policy, episodes in parallel; the same seeds give the same figures on one machine."""
+    rows = play_all(_figures, list(_jobs(settings)), policy_path, settings, progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 

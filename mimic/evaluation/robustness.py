@@ -21,9 +21,9 @@ from mimic.config.play import NO_DISTURBANCE, EffectsSettings, Randomisation, So
 from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
 from mimic.evaluation.disturbance_axes import AXES, START, World, all_at_once
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, command_script, stands_at_end
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy
 from mimic.records import SIDES
 from mimic.robot.description import load_description
@@ -127,18 +127,10 @@ def holds(shares: dict[float, float], nominal: float) -> tuple[float, float] | N
 def evaluate_robustness(
     policy_path: Path, settings: RobustnessSettings, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Return the survived share along each axis, with all axes at once, and with other solvers.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
-    """
-    cached_policy(str(policy_path))
-    plant_options(settings.robot)
+    """Return the survived share along each axis, with all axes at once, and with other solvers."""
     jobs = _jobs(settings)
-    play = partial(_survives, policy_path=str(policy_path))
     survived: dict[tuple[str, str], list[bool]] = {}
-    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
-    for job, ok in zip(jobs, rows, strict=True):
+    for job, ok in zip(jobs, play_all(_survives, jobs, policy_path, settings, progress), strict=True):
         survived.setdefault(job.key, []).append(ok)
     share = {key: float(np.mean(values)) for key, values in survived.items()}
     axes = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -14,10 +13,10 @@ from mimic.config.evaluation import SitDownEvaluateSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
 from mimic.control.loop import RunResult
 from mimic.evaluation.contact_recorder import ContactRecorder
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, command_script
 from mimic.geometry import rotation_from_quat
-from mimic.jobs.local import run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy, cached_policy, load_policy
 from mimic.records import PHASES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
@@ -130,7 +129,7 @@ def _figures(job: SitDownEpisode, tracker: str, sit_down: str) -> dict[str, Any]
 
 
 def evaluate_sit_down(
-    policy_path: Path, settings: SitDownEvaluateSettings, *, progress: Callable[[int, int], None] | None = None
+    policy_path: Path, settings: SitDownEvaluateSettings, *, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Evaluate a policy that sits down, episodes in parallel; the same seeds give the same figures on one machine.
 
@@ -138,7 +137,6 @@ def evaluate_sit_down(
         AssetError, ContractError: If a policy cannot be run on this robot, or does something else.
     """
     description = load_description()
-    plant_options(settings.robot)
     tracker = load_policy(settings.tracker, description).path
     load_policy(policy_path, description, task="sit_down")
     jobs = [
@@ -147,8 +145,8 @@ def evaluate_sit_down(
         )
         for i in range(settings.episodes)
     ]
-    play = partial(_figures, tracker=str(tracker), sit_down=str(policy_path))
-    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
+    play = partial(_figures, sit_down=str(policy_path))
+    rows = play_all(play, jobs, tracker, settings, progress)
     return {"policy": policy_path.name, "tracker": tracker.name, "summary": summarise(rows), "episodes": rows}
 
 
@@ -160,13 +158,12 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         return np.array([r[name] for r in evaluated], dtype=np.float64)
 
     def spread(name: str) -> dict[str, float]:
-        values = column(name)
-        if not len(values):
-            return {"median": float("nan"), "p95": float("nan"), "max": float("nan")}
+        values = column(name) if evaluated else np.array([float("nan")])
         return {
             "median": float(np.median(values)),
             "p95": float(np.quantile(values, 0.95)),
             "max": float(values.max()),
+            "mean": float(values.mean()),
         }
 
     names = (
@@ -183,9 +180,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "hand_overs": len(evaluated),
         "falling_before": len(rows) - len(evaluated),
-        "success": float(column("success").mean()) if evaluated else float("nan"),
-        "gentle": float(column("gentle").mean()) if evaluated else float("nan"),
-        "lies": float(column("lies").mean()) if evaluated else float("nan"),
+        **{name: spread(name)["mean"] for name in ("success", "gentle", "lies")},
         "head_contacts": int(column("head_touched").sum()),
         "trunk_contacts": int(column("trunk_touched").sum()),
         **{name: spread(name) for name in names},

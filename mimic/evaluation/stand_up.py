@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,10 @@ import numpy as np
 
 from mimic.config.evaluation import StandUpSettings
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
-from mimic.control.loop import RunResult
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import STOOD_WITHIN, TIMING, standing_track, stands_at_end
 from mimic.geometry import heading_from_quat, wrap_angle
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.metrics import stand_up_time
 from mimic.policy.runtime import cached_policy
 from mimic.robot.description import load_description
@@ -37,17 +36,11 @@ class _Job:
     robot: EffectsSettings
 
 
-def _stand(job: _Job, policy_path: str) -> RunResult:
+def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
     """Play a run whose only commands are neutral toes."""
     description, policy = load_description(), cached_policy(policy_path)
-    track = standing_track(policy, job.seconds)
     plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **plant_options(job.robot))
-    return play_episode(plant, policy, track, TIMING)
-
-
-def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
-    description = load_description()
-    result = _stand(job, policy_path)
+    result = play_episode(plant, policy, standing_track(policy, job.seconds), TIMING)
     log, samples = result.log, result.samples
     figures: dict[str, Any] = {"kind": job.kind, "seed": job.seed, "stands_at_end": stands_at_end(result, description)}
     if job.kind == "rise":
@@ -68,24 +61,17 @@ def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
 def evaluate_stand_up(
     policy_path: Path, settings: StandUpSettings, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Evaluate lying starts, and the drift of robots that should stand still; the same seeds give the same figures.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
-    """
-    cached_policy(str(policy_path))
-    plant_options(settings.robot)
-    rise = {"kind": "rise", "seconds": settings.seconds, "ranges": settings.randomisation, "robot": settings.robot}
-    still = {
-        "kind": "still",
-        "seconds": SETTLED + settings.still_seconds,
-        "ranges": STANDING_RANGES,
-        "robot": settings.robot,
-    }
-    jobs = [_Job(seed=settings.seed + i, **still) for i in range(settings.still_episodes)]
-    jobs += [_Job(seed=settings.seed + i, **rise) for i in range(settings.episodes)]
-    play = partial(_figures, policy_path=str(policy_path))
-    rows = run_all(play, jobs, workers=settings.workers, progress=progress)
+    """Evaluate lying starts, and the drift of robots that should stand still; the same seeds give the same figures."""
+    s = settings
+    jobs = [
+        _Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=ranges, robot=s.robot)
+        for kind, count, seconds, ranges in (
+            ("still", s.still_episodes, SETTLED + s.still_seconds, STANDING_RANGES),
+            ("rise", s.episodes, s.seconds, s.randomisation),
+        )
+        for i in range(count)
+    ]
+    rows = play_all(_figures, jobs, policy_path, settings, progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 
@@ -94,10 +80,12 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     description = load_description()
     rise = [r for r in rows if r["kind"] == "rise"]
     still = [r for r in rows if r["kind"] == "still"]
-    time = np.array([r["stand_up_s"] for r in rise])
-    kept = np.array([r["stands_at_end"] for r in rise])
-    speed = np.array([r["joint_speed_max_rad_s"] for r in rise])
-    torque = np.array([r["torque_max_nm"] for r in rise])
+    names = ("stand_up_s", "stands_at_end", "joint_speed_max_rad_s", "torque_max_nm")
+    time, kept, speed, torque = (np.array([r[name] for r in rise]) for name in names)
+
+    def over(reduce: Callable[[list[float]], Any], name: str) -> float:
+        return float(reduce([r[name] for r in still])) if still else float("nan")
+
     return {
         "starts": len(rise),
         "upright_in_time": float((time <= STOOD_WITHIN).mean()),
@@ -109,8 +97,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "torque_max_nm": float(torque.max()),
         "torque_limit_nm": description.torque_max,
         "still_episodes": len(still),
-        "still_drift_mean_m": float(np.mean([r["drift_m"] for r in still])) if still else float("nan"),
-        "still_drift_max_m": float(np.max([r["drift_m"] for r in still])) if still else float("nan"),
-        "still_farthest_m": float(np.max([r["farthest_m"] for r in still])) if still else float("nan"),
-        "still_turned_max_rad": float(np.max([r["turned_rad"] for r in still])) if still else float("nan"),
+        "still_drift_mean_m": over(np.mean, "drift_m"),
+        "still_drift_max_m": over(np.max, "drift_m"),
+        "still_farthest_m": over(np.max, "farthest_m"),
+        "still_turned_max_rad": over(np.max, "turned_rad"),
     }

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from mimic.config.evaluation import EpisodeSettings
 from mimic.config.play import EffectsSettings
 from mimic.evaluation.disturbance_axes import START
-from mimic.evaluation.episode import play_episode
+from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed
 from mimic.geometry import heading_from_quat
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy
 from mimic.records import LEGS, CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
@@ -113,7 +113,7 @@ def _play(job: _Job, policy_path: str) -> dict[str, Any]:
 
 
 def evaluate_walking(
-    policy_path: Path, seeds: range, robot: EffectsSettings, *, workers: int = 0, progress: Progress | None = None
+    policy_path: Path, seeds: range, settings: EpisodeSettings, *, progress: Progress | None = None
 ) -> dict[str, list[dict[str, Any]]]:
     """Return how a policy walks and turns, each with each of ARMS; no rows without a seed.
 
@@ -123,16 +123,15 @@ def evaluate_walking(
     Args:
         policy_path: The policy.
         seeds: One walk each, of the robot as described at random starts.
-        robot: Which robot is simulated.
-        workers: Processes; 0 takes one for each core.
+        settings: Processes, and which robot is simulated.
         progress: Called with the walks done and in all.
     """
     asked = [(v, 0.0) for v in SPEEDS] + [(0.0, w) for w in TURNS]
     cells = [(v, w, arms) for v, w in asked for arms in ARMS]
-    jobs = [_Job(speed=v, turn=w, arms=arms, seed=seed, robot=robot) for v, w, arms in cells for seed in seeds]
+    jobs = [_Job(speed=v, turn=w, arms=arms, seed=seed, robot=settings.robot) for v, w, arms in cells for seed in seeds]
     if not jobs:
         return {"walking": [], "turning": []}
-    rows = run_all(partial(_play, policy_path=str(policy_path)), jobs, workers=workers, progress=progress)
+    rows = play_all(_play, jobs, policy_path, settings, progress)
     found: dict[str, list[dict[str, Any]]] = {"walking": [], "turning": []}
     for i, (speed, turn, arms) in enumerate(cells):
         mine = rows[i * len(seeds) : (i + 1) * len(seeds)]

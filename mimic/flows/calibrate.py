@@ -41,7 +41,7 @@ def calibrate(
         log: Parquet or CSV file with a row for each reading (docs/manual/log-format.md), a log in memory, or several,
             each with its own gains, supply voltage and payload.
         held_out: Further logs of the machine, which are only predicted.
-        notes: What is said of the logs beside their metadata: KEY=VALUE of all, FILE:KEY=VALUE of one.
+        notes: Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one.
         model: MJCF whose base is held, or a machine; by default the CyberDog 2 hung up.
         settings: How the log is explained.
         out: Also write report.html, calibration.json and effects.toml into this folder.

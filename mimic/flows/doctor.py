@@ -37,7 +37,7 @@ class Finding:
     text: str
     """What there is."""
     fix: str = ""
-    """The line that mends it; empty where nothing is missing."""
+    """The line that fixes it; empty where nothing is missing."""
     needed: bool = False
     """Whether playing a video in simulation needs it."""
 

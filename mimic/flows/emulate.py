@@ -39,7 +39,7 @@ class ServeOptions:
     buses: int = 1
     """Number of buses that the motors are on."""
     wiring: Path | None = None
-    """Wiring file; None takes the shipped one."""
+    """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
     """Faults to inject, KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]]."""
     fault_seed: int | None = None

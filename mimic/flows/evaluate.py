@@ -1,13 +1,14 @@
-"""Evaluating and training policies."""
+"""Evaluating policies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
 from pathlib import Path
 from typing import Any
 
 from mimic.config.evaluation import (
     CalmSettings,
+    EpisodeSettings,
     EvaluateSettings,
     LeadSettings,
     RobustnessSettings,
@@ -15,28 +16,26 @@ from mimic.config.evaluation import (
     StandUpSettings,
     TableSettings,
 )
-from mimic.config.play import EffectsSettings
-from mimic.config.training import LearnSettings, MdpSettings
-from mimic.errors import AssetError, MissingExtra
 from mimic.flows.play import warn_of_stand_effects
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 
-AnyEvaluation = (
-    EvaluateSettings
-    | SitDownEvaluateSettings
-    | TableSettings
-    | StandUpSettings
-    | CalmSettings
-    | LeadSettings
-    | RobustnessSettings
-)
+KINDS: dict[str, tuple[type[EpisodeSettings], str]] = {
+    "stand_track": (EvaluateSettings, "policy:evaluate"),
+    "sit_down": (SitDownEvaluateSettings, "sit_down:evaluate_sit_down"),
+    "table": (TableSettings, "paper_table:evaluate_table"),
+    "stand-up": (StandUpSettings, "stand_up:evaluate_stand_up"),
+    "calm": (CalmSettings, "calm:evaluate_calm"),
+    "lead": (LeadSettings, "led_by_hand:evaluate_leading"),
+    "robustness": (RobustnessSettings, "robustness:evaluate_robustness"),
+}
+"""Kinds of evaluation: settings and the function in mimic.evaluation; the first two are chosen by a policy's task."""
 
 
 def evaluate(
     policy: str | Path | None = None,
-    settings: AnyEvaluation | None = None,
+    settings: EpisodeSettings | None = None,
     *,
     out: Path | None = None,
     reporter: Reporter | None = None,
@@ -64,13 +63,13 @@ def evaluate(
 
     reporter = reporter or SilentReporter()
     path = policy_path(policy)
-    if settings is None:
-        settings = SitDownEvaluateSettings() if task_of(path) == "sit_down" else EvaluateSettings()
+    settings = settings or KINDS[task_of(path)][0]()  # type: ignore[call-arg]
     if out is not None:
         store.check_writable(out.parent)
     warn_of_stand_effects(settings.robot, reporter)
     plant_options(settings.robot)  # refused before there is a progress bar
-    run = _evaluation(settings)
+    module, _, name = next(where for kind, where in KINDS.values() if kind is type(settings)).partition(":")
+    run = getattr(importlib.import_module(f"mimic.evaluation.{module}"), name)
     with reporter.progress("episodes") as progress:
         result = run(path, settings, progress=progress)
     if out is not None:
@@ -78,36 +77,6 @@ def evaluate(
         inputs |= {} if settings.robot.effects is None else {"effects": Path(settings.robot.effects)}
         store.save_json({**result, "provenance": provenance(settings, inputs)}, out)
     return result
-
-
-def _evaluation(settings: AnyEvaluation) -> Callable[..., dict[str, Any]]:
-    if isinstance(settings, TableSettings):
-        from mimic.evaluation.paper_table import evaluate_table
-
-        return evaluate_table
-    if isinstance(settings, RobustnessSettings):
-        from mimic.evaluation.robustness import evaluate_robustness
-
-        return evaluate_robustness
-    if isinstance(settings, CalmSettings):
-        from mimic.evaluation.calm import evaluate_calm
-
-        return evaluate_calm
-    if isinstance(settings, LeadSettings):
-        from mimic.evaluation.leading import evaluate_leading
-
-        return evaluate_leading
-    if isinstance(settings, StandUpSettings):
-        from mimic.evaluation.stand_up import evaluate_stand_up
-
-        return evaluate_stand_up
-    if isinstance(settings, SitDownEvaluateSettings):
-        from mimic.evaluation.sit_down import evaluate_sit_down
-
-        return evaluate_sit_down
-    from mimic.evaluation.policy import evaluate as evaluate_tracking
-
-    return evaluate_tracking
 
 
 def policy_path(policy: str | Path | None) -> Path:
@@ -131,45 +100,3 @@ def task_of(policy: Path) -> str:
     from mimic.robot.description import load_description
 
     return Policy(policy, load_description()).contract.task
-
-
-def train(
-    out: Path,
-    mdp: MdpSettings | None = None,
-    learn: LearnSettings | None = None,
-    *,
-    resume: Path | None = None,
-    recipe: str | None = None,
-    overrides: list[str] | None = None,
-    report: Callable[[int, dict[str, float]], None] | None = None,
-    reporter: Reporter | None = None,
-) -> Path:
-    """Train a policy with PPO in MuJoCo Warp and return its ONNX file.
-
-    Args:
-        out: Folder for checkpoints, TensorBoard files and policy.onnx.
-        mdp: The worlds, rewards and randomisation.
-        learn: PPO and the length of the training.
-        resume: Checkpoint (.pt) or policy (.onnx) to go on from.
-        recipe: Settings of a shipped policy by its name, stand_track, or a TOML file; overrides come after it.
-        overrides: "name=value" for any other setting, such as rewards.slip=-0.4.
-        report: Called after each update with its number and its figures.
-        reporter: Receives warnings.
-
-    Raises:
-        MissingExtra: If the extra ``train`` is not installed.
-        AssetError: If there is no such checkpoint.
-        ConfigError: If an override names no setting, or there is no such recipe.
-    """
-    try:
-        from mimic.train.learn import train as learn_policy
-        from mimic.train.overrides import recipe as words_of
-        from mimic.train.overrides import with_overrides
-    except ModuleNotFoundError as missing:
-        raise MissingExtra(str(missing.name), "train") from None
-    words = [*(words_of(recipe) if recipe else []), *(overrides or [])]
-    mdp, learn = with_overrides(mdp or MdpSettings(), learn or LearnSettings(), words)
-    warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
-    if resume is not None and not resume.is_file():
-        raise AssetError(f"there is no checkpoint {resume}")
-    return learn_policy(out, mdp, learn, resume=resume, report=report or (lambda update, row: None))

@@ -56,7 +56,7 @@ def lead(
         robot: Which robot is simulated.
         seed: Of the start.
         film: Also write a film in which the pull is drawn (.mp4).
-        interactive: Open MuJoCo's viewer instead, in which the mouse pulls; ends when it is closed.
+        interactive: Open MuJoCo's viewer, in which the mouse pulls; ends when it is closed.
         reporter: Receives warnings and progress.
 
     Raises:
@@ -66,7 +66,7 @@ def lead(
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
     from mimic.control.leading import lead_robot
-    from mimic.evaluation.leading import lead_figures
+    from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
     from mimic.simulation.hand import Hand
@@ -97,7 +97,7 @@ def lead(
     if result.interrupted:
         raise KeyboardInterrupt
     if film is not None:
-        from mimic.view.film.leading import save_leading_film
+        from mimic.view.film.led_by_hand import save_leading_film
 
         rows = np.clip(np.searchsorted(pull.t, result.log.t), 0, max(len(pull.t) - 1, 0))
         held = (result.log.t >= hand.begin) & (result.log.t < hand.end)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +21,7 @@ from mimic.flows.run_folder import (
     METRICS,
     POSE,
     TARGETS,
+    Run,
     SavedRun,
     check_not_overwritten,
     new_run_folder,
@@ -40,87 +38,12 @@ from mimic.records import (
     TargetTrack,
     WristTrack,
 )
-from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
-    from mimic.control.loop import RunResult
     from mimic.control.plant import Plant
-    from mimic.control.supervisor import Event
     from mimic.control.tick import Safety, Sink
-    from mimic.flows.camera import CameraRecord
     from mimic.policy.runtime import Policy
     from mimic.robot.description import RobotDescription
-    from mimic.view.scene.footage import Footage
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Run(ShownAsTable):
-    """What came of playing a motion."""
-
-    motion: Motion | None
-    """What was played; None where commands came live or the robot just stood."""
-    result: RunResult
-    description: RobotDescription
-    inputs: Mapping[str, Path] = field(default_factory=dict)
-    """Files that decided it besides the source: policies, effects."""
-
-    @property
-    def log(self) -> RunLog:
-        """Every control tick."""
-        return self.result.log
-
-    @property
-    def health(self) -> HealthLog:
-        """What the robot reported about itself, a row for each tick."""
-        return self.result.health
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """What the supervisor found."""
-        return self.result.events
-
-    @cached_property
-    def complete_log(self) -> RunLog:
-        """The log with sensor dropouts filled in, for metrics and pictures."""
-        from mimic.control.dropouts import fill_dropouts
-
-        return fill_dropouts(self.result.log, self.description)
-
-    @cached_property
-    def metrics(self) -> dict[str, Any]:
-        """Figures of the run: toe error [cm], lag [s], torque [N m], heat, falls; see mimic.metrics.run_metrics."""
-        from mimic.metrics import run_metrics, wanted_to_reached
-
-        figures = run_metrics(self.complete_log, self.description)
-        targets = None if self.motion is None else self.motion.targets
-        if targets is not None:
-            figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
-        return figures
-
-    @property
-    def shortfall(self) -> str | None:
-        """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
-        from mimic.control.supervisor import SafetyMode
-
-        ends = ("finished", "at_rest")
-        damped = next((e for e in self.events if e.mode >= SafetyMode.DAMP and e.rule not in ends), None)
-        parts = [] if math.isfinite(self.metrics["stand_up_s"]) else ["the robot never stood up"]
-        if damped is not None:
-            parts.append(f"the robot was damped at {damped.t:.1f} s: {damped.text}")
-        return "; ".join(parts) or None
-
-    def save(self, folder: str | Path, reporter: Reporter | None = None) -> SavedRun:
-        """Write the run folder: logs, motion, metrics.json and the Rerun scene.
-
-        Args:
-            folder: Run folder; files of an earlier run in it are replaced.
-            reporter: Receives progress.
-
-        Raises:
-            AssetError: If nothing can be written there.
-        """
-        store.check_writable(Path(folder))
-        return save_run(self, Path(folder), provenance(inputs=self.inputs), reporter or SilentReporter())
 
 
 def load_robot(name: str | Path = "cyberdog2") -> RobotDescription:
@@ -270,30 +193,7 @@ def play_source(
         motion = load_source(source, settings, PreloadingReporter(reporter))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
         parts = settings_of(settings) | {"run": run, "robot": effects}
-        return save_played(done, folder, parts, reporter, source=file, film=film, footage=footage)
-
-
-def save_played(
-    done: Run,
-    folder: Path,
-    parts: Mapping[str, Any],
-    reporter: Reporter,
-    *,
-    source: Path | None = None,
-    camera: CameraRecord | None = None,
-    more: Mapping[str, Any] | None = None,
-    film: Path | None = None,
-    footage: Footage | None = None,
-) -> SavedRun:
-    """Write the folder of a run in simulation or on a robot, with the settings behind it (``parts``) and what a camera
-    saw that was followed; ``source`` is a file, also one in place of a camera. See save_run for the rest.
-    """
-    made_by = provenance(parts, {**done.inputs, **({} if source is None else {"source": source})})
-    if camera is not None:
-        more = {**(more or {}), "live": camera.save(folder, made_by)}
-        motion = camera.motion(done.log)
-        done = done if motion is None else replace(done, motion=motion)
-    return save_run(done, folder, made_by, reporter, more=more, film=film, footage=footage)
+        return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)
 
 
 def load_run(folder: str | Path) -> SavedRun:

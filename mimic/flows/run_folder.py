@@ -1,27 +1,103 @@
-"""The folder of a run: its name, its files, and how they are written."""
+"""A run, and its folder: the name, the files, and how they are written."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mimic.errors import ConfigError
-from mimic.flows.reporter import Reporter
+from mimic.flows.provenance import provenance
+from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
-from mimic.records import Provenance
+from mimic.records import HealthLog, Provenance, RunLog
 from mimic.records.table import ShownAsTable
 
 if TYPE_CHECKING:
+    from mimic.control.loop import RunResult
+    from mimic.control.supervisor import Event
+    from mimic.flows.camera_record import CameraRecord
     from mimic.flows.motion import Motion
-    from mimic.flows.play import Run
+    from mimic.robot.description import RobotDescription
     from mimic.view.scene.footage import Footage
 
 POSE, TARGETS, COMMANDS, SCRIPT = "pose.parquet", "targets.parquet", "commands.parquet", "motion.yaml"
 LOG, HEALTH, JOINTS, METRICS = "log.parquet", "health.parquet", "joints.parquet", "metrics.json"
-SCENE, LIVE, ERROR = "scene.rrd", "live.parquet", "error.txt"
+SCENE, ERROR = "scene.rrd", "error.txt"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Run(ShownAsTable):
+    """What came of playing a motion."""
+
+    motion: Motion | None
+    """What was played; None where commands came live or the robot just stood."""
+    result: RunResult
+    description: RobotDescription
+    inputs: Mapping[str, Path] = field(default_factory=dict)
+    """Files that decided it besides the source: policies, effects."""
+
+    @property
+    def log(self) -> RunLog:
+        """Every control tick."""
+        return self.result.log
+
+    @property
+    def health(self) -> HealthLog:
+        """What the robot reported about itself, a row for each tick."""
+        return self.result.health
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What the supervisor found."""
+        return self.result.events
+
+    @cached_property
+    def complete_log(self) -> RunLog:
+        """The log with sensor dropouts filled in, for metrics and pictures."""
+        from mimic.control.dropouts import fill_dropouts
+
+        return fill_dropouts(self.result.log, self.description)
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of the run: toe error [cm], lag [s], torque [N m], heat, falls; see mimic.metrics.run_metrics."""
+        from mimic.metrics import run_metrics, wanted_to_reached
+
+        figures = run_metrics(self.complete_log, self.description)
+        targets = None if self.motion is None else self.motion.targets
+        if targets is not None:
+            figures["wanted_to_reached_cm"] = wanted_to_reached(self.complete_log, targets)
+        return figures
+
+    @property
+    def shortfall(self) -> str | None:
+        """What the robot did not do, as a sentence without its full stop: it never stood up, or was damped early."""
+        from mimic.control.supervisor import SafetyMode
+
+        ends = ("finished", "at_rest")
+        damped = next((e for e in self.events if e.mode >= SafetyMode.DAMP and e.rule not in ends), None)
+        parts = [] if math.isfinite(self.metrics["stand_up_s"]) else ["the robot never stood up"]
+        if damped is not None:
+            parts.append(f"the robot was damped at {damped.t:.1f} s: {damped.text}")
+        return "; ".join(parts) or None
+
+    def save(self, folder: str | Path, reporter: Reporter | None = None) -> SavedRun:
+        """Write the run folder: logs, motion, metrics.json and the Rerun scene.
+
+        Args:
+            folder: Run folder; files of an earlier run in it are replaced.
+            reporter: Receives progress.
+
+        Raises:
+            AssetError: If nothing can be written there.
+        """
+        store.check_writable(Path(folder))
+        return save_run(self, Path(folder), reporter or SilentReporter())
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -93,9 +169,11 @@ def save_logs(run: Run, folder: Path, made_by: Provenance) -> None:
 def save_run(
     run: Run,
     folder: Path,
-    made_by: Provenance,
     reporter: Reporter,
     *,
+    settings: Mapping[str, Any] | None = None,
+    source: Path | None = None,
+    camera: CameraRecord | None = None,
     more: Mapping[str, Any] | None = None,
     film: Path | None = None,
     footage: Footage | None = None,
@@ -105,12 +183,18 @@ def save_run(
     Args:
         run: What was played.
         folder: Run folder.
-        made_by: Stored with every file.
         reporter: Receives progress.
+        settings: What decided the run, by name; stored with every file.
+        source: File that was played, also one in place of a camera.
+        camera: What a camera saw that was followed.
         more: Further entries of metrics.json.
         film: MP4 file that shows the person and the robot side by side.
         footage: The video of the motion, if its encoding was started before.
     """
+    made_by = provenance(settings, {**run.inputs, **({} if source is None else {"source": source})})
+    if camera is not None:
+        more = {**(more or {}), "live": camera.save(folder, made_by)}
+        run = replace(run, motion=camera.motion(run.log) or run.motion)
     save_logs(run, folder, made_by)
     motion, result = run.motion, run.result
     if motion is not None:

@@ -26,7 +26,7 @@ def read_text(path: Path) -> str:
 
 
 def check_clock(
-    t: FloatArray, name: str, error: type[MimicError], mend: str = "store times in seconds", *, repeats: bool = False
+    t: FloatArray, name: str, error: type[MimicError], fix: str = "store times in seconds", *, repeats: bool = False
 ) -> None:
     """Refuse times that no recording has, in one line.
 
@@ -34,7 +34,7 @@ def check_clock(
         t: Time of each row (T,) [s].
         name: Of the file or record, for the message.
         error: What to raise.
-        mend: What else to do about times of another unit.
+        fix: What else to do about times of another unit.
         repeats: Some rows may have the time of the row before.
     """
     unknown = np.flatnonzero(~np.isfinite(t))
@@ -65,10 +65,10 @@ def check_clock(
         guess = " or ".join(filter(None, (rate, *units))) or "a period where a rate is expected, or another unit"
         raise error(
             f"the rows of {name} are {usual:g} s apart; recordings have {STEPS[0]:g} to {STEPS[1]:g} s: "
-            f"is it {guess}? Then {mend}"
+            f"is it {guess}? Then {fix}"
         )
     if len(t) > 4 and steps[largest] > 10.0 and 2 * steps[largest] > t[-1] - t[0]:
         raise error(
             f"the times of {name} jump by {steps[largest]:g} s from row {largest + 1} to row {largest + 2}, more than "
-            "all other rows take: the clock was set, or these are two recordings; split them, or mend the times"
+            "all other rows take: the clock was set, or these are two recordings; split them, or correct the times"
         )

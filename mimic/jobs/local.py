@@ -100,7 +100,7 @@ def run_all(
     Args:
         play: A function that other processes can import.
         jobs: One for each call.
-        workers: Processes; 0 takes one for each core.
+        workers: Processes; 0 takes one for each core, 1 none besides this one.
         progress: Called after each job.
 
     Raises:
@@ -108,6 +108,12 @@ def run_all(
         Exception: What a job raised.
     """
     rows: dict[int, Row] = {}
+    if workers == 1:
+        for index, job in enumerate(jobs):
+            rows[index] = play(job)
+            if progress is not None:
+                progress(len(rows), len(jobs))
+        return list(rows.values())
     with closing(results_here(play, jobs, workers=workers)) as results:
         for index, row in results:
             if isinstance(row, Died):

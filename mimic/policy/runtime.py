@@ -90,7 +90,7 @@ def find_policy(policy: str | Path) -> Path:
 
 
 def load_policy(path: str | Path | None, description: RobotDescription, *, task: str = "stand_track") -> Policy:
-    """Load a policy for a task from a file or by its shipped name; None takes the shipped one.
+    """Load a policy for a task from a file or by its shipped name; by default the shipped one.
 
     Raises:
         AssetError: If the file is missing or is no ONNX model.

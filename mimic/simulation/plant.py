@@ -232,7 +232,7 @@ class SimulatedPlant:
             raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
         if command.ramp and not np.isclose(command.ramp, self._description.dt):
             raise PlantError(
-                f"this simulated robot interpolates commands over {self._description.dt:g} s; asked for was "
+                f"this simulated robot interpolates commands over {self._description.dt:g} s; the command asked for "
                 f"{command.ramp:g} s"
             )
         self._ramps = command.ramp > 0.0

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
-from mimic.policy.contract import (
-    DQ_SCALE,
-    GYRO_SCALE,
-    TERMS,
-    PolicyContract,
-)
+from mimic.policy.contract import DQ_SCALE, GYRO_SCALE, TERMS, PolicyContract
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
+
+STAND_UP_STEPS = 50
+"""Control steps until goals and terminations begin; the paper's."""
+
+ACTION_CLIP = 6.0
+"""Actions are clipped to plus and minus this."""
+
+CLOCK_FADE = 0.2
+"""Time in which the gait clock fades in and out as the robot is asked to step and to stand [s]."""
+
+SIT_DOWN_CLOCK_HZ = 0.08
+"""Frequency of the clock that starts with sitting down and tells the policy how far it should be [Hz]."""
 
 WALK_SPEED = 0.05
 """Velocity command above which the robot is asked to step [m/s]."""
@@ -30,7 +37,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         joints=JOINTS,
         default_q=tuple(description.poses["upright"].tolist()),
         action_scale=(settings.action_scale,) * len(JOINTS),
-        action_clip=settings.action_clip,
+        action_clip=ACTION_CLIP,
         q_min=tuple((description.q_min + settings.command_margin).tolist()),
         q_max=tuple((description.q_max - settings.command_margin).tolist()),
         kp=description.kp,
@@ -38,9 +45,9 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         dt=description.dt,
         history=settings.history,
         terms=TERMS,
-        clock_hz=settings.sit_down.clock_hz if sits else settings.clock_hz,
+        clock_hz=SIT_DOWN_CLOCK_HZ if sits else settings.clock_hz,
         neutral_toes=tuple(neutral.reshape(-1).tolist()),
-        stand_up_steps=settings.stand_up_steps,
+        stand_up_steps=STAND_UP_STEPS,
         blend_steps=round(RunSettings().blend / description.dt),
         velocity_max=(0.0, 0.0) if sits else (settings.fastest, 0.0),
         toe_low=tuple(description.goals.low.min(axis=0).tolist()),
@@ -51,8 +58,8 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         delay=description.delay,
         training=training,
         task=settings.task,
-        interpolate=settings.interpolate,
-        clock_fade=0.0 if sits else settings.clock_fade,
+        interpolate=True,
+        clock_fade=0.0 if sits else CLOCK_FADE,
         walk_speed=WALK_SPEED,
         walk_turn=WALK_TURN,
         noise=(

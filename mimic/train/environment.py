@@ -2,14 +2,11 @@
 
 Everything after the physics is element-wise tensor code over static buffers, so that on a GPU a whole control step is
 two captured graphs: the physics (`mimic.train.worlds`) and the rest (here).
-
-A little over 350 lines: the steps of one control period stand together, in the order in which they run.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -18,7 +15,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from mimic.config.training import MdpSettings
-from mimic.dynamics.cuda_graphs import capture_mode
+from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.geometry import heading_sin_cos, upright_cosine
 from mimic.io.store import plain
@@ -37,23 +34,29 @@ from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN
 from mimic.robot.leg_kinematics import front_toes
 from mimic.robot.model import TOES
-from mimic.train.contract import make_contract
-from mimic.train.disturbances import Disturbances, quat_multiply, quat_rotate
+from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
+from mimic.train.disturbances import Disturbances
 from mimic.train.feet import Feet
-from mimic.train.rewards import total, weights_at
+from mimic.train.rewards import REWARD_SCALE, total
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
+from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
 from mimic.train.worlds import Worlds
 
 CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
 """Width of what the critic sees beyond the observation."""
 
+RISE_SECONDS = 0.7
+"""Time that standing up should take [s]; faster and slower both cost."""
 
 PUSHED_SIDEWAYS = 0.4
 """Share of the pushes that come from within 30 degrees of straight from the side, besides those from anywhere."""
 
 
-class WorldsEnv(VecEnv):
+Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
+
+
+class WorldsEnv(VecEnv, Chance):
     """Worlds of robots as rsl_rl steps them; a task adds commands, rewards and terminations."""
 
     soft_margin = np.deg2rad(8.0)
@@ -65,6 +68,7 @@ class WorldsEnv(VecEnv):
         self._calls, self._ramp = 0, 0.0
         self.contract = make_contract(description, settings)
         self.device = device
+        Chance.__init__(self, settings.worlds, device)
         self.num_envs = settings.worlds
         self.num_actions = len(JOINTS)
         self.max_episode_length = settings.episode_steps
@@ -78,7 +82,7 @@ class WorldsEnv(VecEnv):
         self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
         self._constants()
         self._buffers()
-        self._graph: Any = None
+        self._before, self._after = Replayed(self._before_physics, device), Replayed(self._after_physics, device)
         everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._reset(everyone)
         self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
@@ -131,7 +135,7 @@ class WorldsEnv(VecEnv):
         self.episode_length_buf = torch.zeros(n, dtype=torch.long, device=device)
         self._actions = zeros(12)
         self._last_action, self._before_last = zeros(12), zeros(12)
-        self._commands = [zeros(12) for _ in range(3 + self.contract.interpolate)]
+        self._commands = [zeros(12) for _ in range(4)]
         self._delay = torch.zeros(n, 1, dtype=torch.long, device=device)
         self._history = zeros(self.settings.history, FRAME_SIZE)
         self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
@@ -139,8 +143,8 @@ class WorldsEnv(VecEnv):
         self._heading = zeros()
         self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
         self._termination_share = torch.zeros(1, device=device)
-        self._policy_obs = zeros(self.settings.history * FRAME_SIZE)
-        self._critic_obs = zeros(self.settings.history * FRAME_SIZE + CRITIC_EXTRAS)
+        seen = self.settings.history * FRAME_SIZE
+        self._policy_obs, self._critic_obs = zeros(seen), zeros(seen + CRITIC_EXTRAS)
         self._reaching = zeros(2, 2, 3)
         self._reward = zeros()
         self._done = torch.zeros(n, dtype=torch.bool, device=device)
@@ -149,9 +153,7 @@ class WorldsEnv(VecEnv):
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self.settings.rest_share_at_first, device=device)
-        start = weights_at(0.0, self._rewards, self.settings.regularisation, self._shares(0.0))
-        self._weights = torch.tensor(start, device=device)
-        self._terms = [f.name for f in fields(self._rewards)]
+        self._weights = torch.tensor(list(self._weights_at(0.0).values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
@@ -176,56 +178,29 @@ class WorldsEnv(VecEnv):
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
-            progress = min(1.0, self._calls / self.settings.ramp_steps)
             ramp = self._ramp_share()
-            now = weights_at(progress, self._rewards, self.settings.regularisation, self._shares(ramp))
-            self._weights.copy_(torch.tensor(now))
+            self._weights.copy_(torch.tensor(list(self._weights_at(ramp).values())))
             self._termination_share.fill_(ramp**2)
             self._set_difficulty(ramp)
-        if str(self.device).startswith("cuda"):
-            self._step_captured()
-        else:
-            self._before_physics()
-            self.worlds.step()
-            self._after_physics()
+        self._before()
+        self.worlds.step()
+        self._after()
         self._calls += 1
         extras: dict[str, Any] = {"time_outs": self._time_out.clone()}
         if self._calls % 12 == 0:
             extras["log"] = dict(zip(self._log, self._log_values.clone().unbind(), strict=True))
         return self.get_observations(), self._reward.clone(), self._done.long(), extras
 
-    def _step_captured(self) -> None:
-        if self._graph is None:
-            side = torch.cuda.Stream()
-            side.wait_stream(torch.cuda.current_stream())
-            with torch.cuda.stream(side):
-                for _ in range(3):  # warm-up as graph capture needs it
-                    self._before_physics()
-                    self.worlds.step()
-                    self._after_physics()
-            torch.cuda.current_stream().wait_stream(side)
-            before, after = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
-            with torch.cuda.graph(before, capture_error_mode=capture_mode()):
-                self._before_physics()
-            with torch.cuda.graph(after, capture_error_mode=capture_mode()):
-                self._after_physics()
-            self._graph = (before, after)
-            return
-        before, after = self._graph
-        before.replay()
-        self.worlds.step()
-        after.replay()
-
     # ------------------------------------------------------------------ one control step
 
     def _before_physics(self) -> None:
         c = self.contract
-        action = torch.clamp(torch.nan_to_num(self._actions), -c.action_clip, c.action_clip)
+        action = torch.clamp(torch.nan_to_num(self._actions), -ACTION_CLIP, ACTION_CLIP)
         self._before_last.copy_(self._last_action)
         self._last_action.copy_(action)
         for age in reversed(range(1, len(self._commands))):
             self._commands[age].copy_(self._commands[age - 1])
-        newest, before, before_that, *older = self._commands
+        newest, before, before_that, oldest = self._commands
         asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
         arrives, motors = self.disturbances.arrives(), self.worlds.motors
         if motors is not None:
@@ -237,18 +212,10 @@ class WorldsEnv(VecEnv):
             motors.send(newest)
             self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
             return
-        for k in range(self.worlds.decimation):
-            ctrl = command_in_effect(
-                k,
-                self.worlds.decimation,
-                self._delay,
-                newest,
-                before,
-                before_that,
-                torch.where,
-                older,
-                interpolate=c.interpolate,
-            )
+        n = self.worlds.decimation
+        for k in range(n):
+            ages = newest, before, before_that, torch.where, [oldest]
+            ctrl = command_in_effect(k, n, self._delay, *ages, interpolate=True)
             self.worlds.substep_ctrl[k].copy_(ctrl)
 
     def _delay_seen(self) -> torch.Tensor:
@@ -291,10 +258,10 @@ class WorldsEnv(VecEnv):
         return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
 
     def _tracking(self) -> torch.Tensor:
-        return self._upright_start | (self.episode_length_buf > self.settings.stand_up_steps)
+        return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
 
     def _rising(self) -> torch.Tensor:
-        return torch.clamp(self.episode_length_buf * self.contract.dt / self.settings.rise_seconds, max=1.0)
+        return torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
 
     def _after_physics(self) -> None:
         w = self.worlds
@@ -306,7 +273,7 @@ class WorldsEnv(VecEnv):
         self._command()
         low = w.lowest()
         terms, failed, figures = self._evaluate(finite, low)
-        reward = self.settings.reward_scale * total(terms, self._weights, self._terms)
+        reward = REWARD_SCALE * total(terms, self._weights)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
         self._done.copy_(failed | self._time_out | ~finite)
@@ -319,13 +286,8 @@ class WorldsEnv(VecEnv):
 
     # ------------------------------------------------------------------ what a task defines
 
-    @property
-    def _rewards(self) -> Any:
-        """The weights of the task's reward terms."""
-        raise NotImplementedError
-
-    def _shares(self, ramp: float) -> dict[str, float]:
-        """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
+    def _weights_at(self, ramp: float) -> dict[str, float]:
+        """Return the weight of each reward term by now; ``ramp`` of what makes the task hard is there, 0 to 1."""
         raise NotImplementedError
 
     def _ramp_share(self) -> float:
@@ -333,26 +295,20 @@ class WorldsEnv(VecEnv):
         raise NotImplementedError
 
     def _set_difficulty(self, ramp: float) -> None:
-        """Set what grows as the robot learns, for the share of the ramp that is done."""
+        """Set what grows as the robot learns."""
         raise NotImplementedError
 
     def _command(self) -> None:
         """Let the commands go on by a control step."""
         raise NotImplementedError
 
-    def _evaluate(
-        self, finite: torch.Tensor, low: torch.Tensor
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
-        """Return the reward terms, which worlds failed (N,), and figures for the log."""
+    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
+        """Return the reward terms in the order of the weights, which worlds failed (N,), and figures for the log."""
         raise NotImplementedError
 
     def _show_reaching(self) -> None:
         """Put actions that would reach the toe goals of now where the learner finds them."""
         raise NotImplementedError
-
-    def _draw(self) -> Start:
-        """Return a start for every world."""
-        return self._starts.draw()
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
@@ -375,61 +331,43 @@ class WorldsEnv(VecEnv):
 
     # ------------------------------------------------------------------ chance and pushes
 
-    def _rand(self, *shape: int) -> torch.Tensor:
-        return torch.rand(self.num_envs, *shape, device=self.device)
-
-    def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
-        return low + (high - low) * self._rand(*shape)
-
     def _push(self) -> None:
         r = self.settings.randomisation
         every = round(r.push_interval / self.contract.dt)
-        due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > self.settings.stand_up_steps)
+        due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > STAND_UP_STEPS)
         side = math.pi * (torch.floor(self._uniform(0.0, 2.0)) - 0.5) + self._uniform(-1.0, 1.0) * (math.pi / 6)
         angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.push_share
         angle = torch.where(self._rand() < PUSHED_SIDEWAYS, self._heading + side, angle)
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
-        self.worlds.qvel[:, :2].add_(torch.where(due[:, None], kick, torch.zeros_like(kick)))
+        self.worlds.qvel[:, :2].add_(kick * due[:, None])
 
     # ------------------------------------------------------------------ resets and observations
 
     def _reset(self, mask: torch.Tensor) -> None:
-        w, start = self.worlds, self._draw()
-
-        def put(buffer: torch.Tensor, value: torch.Tensor) -> None:
-            where = mask.view(-1, *[1] * (buffer.dim() - 1))
-            buffer.copy_(torch.where(where, value, buffer))
-
-        put(w.qpos, start.qpos)
-        put(w.qvel, start.qvel)
+        w, start = self.worlds, self._starts.draw()
+        put(w.qpos, mask, start.qpos)
+        put(w.qvel, mask, start.qvel)
         self._measure()
         for command in self._commands:
-            put(command, start.command)
-        for buffer in (
-            w.warmstart,
-            self._last_action,
-            self._before_last,
-            self._mean_velocity,
-            self._anchor,
-            self._gait,
-        ):
-            put(buffer, torch.zeros_like(buffer))
-        put(self._noise, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
+            put(command, mask, start.command)
+        old = w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
+        for buffer in old:
+            put(buffer, mask, 0.0)
+        put(self._noise, mask, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
         low, high = self._delay_range
-        put(self._delay, torch.randint_like(self._delay, low, high + 1))
+        put(self._delay, mask, torch.randint_like(self._delay, low, high + 1))
         if w.motors is not None:
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
-        put(self._upright_start, start.upright)
-        put(self.phase_at_start, self._first_phase(start))
+        put(self._upright_start, mask, start.upright)
+        put(self.phase_at_start, mask, self._first_phase(start))
         self.disturbances.reset(mask)
-        put(self._q_before, start.q)
-        put(self.episode_length_buf, torch.zeros_like(self.episode_length_buf))
+        put(self._q_before, mask, start.q)
+        self.episode_length_buf.mul_(~mask)
         self.moves.reset(mask, start.heading)
         self.goals.reset(mask, start.upright, self._toes)
 
     def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
-        s, w = self.settings, self.worlds
-        n = self.num_envs
+        w, n = self.worlds, self.num_envs
         read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
         error = heading_error(read_quat, self.moves.heading, torch)
         gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
@@ -472,7 +410,7 @@ class WorldsEnv(VecEnv):
             feet.clamp(max=0.2) * 10,
             (self._toes - self.goals.now).reshape(n, 6) * 5,
             self._tracking().float()[:, None],
-            torch.clamp(self.episode_length_buf.float() / s.stand_up_steps, max=2.0)[:, None],
+            torch.clamp(self.episode_length_buf.float() / STAND_UP_STEPS, max=2.0)[:, None],
             w.features,
             quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
             quat_rotate(self._quat_WB, self._floor_up, inverse=True),
@@ -482,8 +420,6 @@ class WorldsEnv(VecEnv):
             self._noise[:, None],
             w.quiet.float()[:, None],
         ]
-        seen = torch.cat(
-            [self._policy_obs, *extras], -1
-        )  # shapes of a world that exploded are known again after a step
+        seen = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
         self._critic_obs.copy_(torch.nan_to_num(seen).clamp(-50, 50))
         self._show_reaching()

@@ -15,19 +15,31 @@ from typing import Any
 
 import torch
 
-from mimic.config.training import STD_SHARE, LearnSettings, MdpSettings
-from mimic.errors import ConfigError
+from mimic.config.training import LearnSettings, MdpSettings
 from mimic.io.store import plain, written_whole
-from mimic.policy.contract import PolicyContract
 from mimic.robot.description import RobotDescription, load_description
 from mimic.train.contract import make_contract
 from mimic.train.mirror import with_mirrored
+from mimic.train.onnx_file import export_network
 from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import compare_contracts, take_over
 
 log = logging.getLogger(__name__)
+
+
+GAMMA, LAM, CLIP = 0.99, 0.95, 0.2
+"""Discount of a control step, of an advantage besides, and limit on the ratio of probabilities: PPO's usual ones."""
+
+FIRST_STD = 1.0
+"""Spread of the actions of a policy that has learned nothing."""
+
+REACHING_SHARE = 0.4
+"""Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
+
+SAVE_EVERY = 100
+"""Updates between two checkpoints."""
 
 
 def runner_config(settings: LearnSettings) -> dict[str, Any]:
@@ -38,23 +50,22 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
         "activation": "elu",
         "obs_normalization": True,
     }
-    here = "mimic.train.captured:" if settings.captured else ""
-    gaussian = f"{here}DeviceGaussian" if settings.captured else "GaussianDistribution"
-    spread = {"class_name": gaussian, "init_std": settings.init_std, "std_type": "log"}
+    spread = {"init_std": FIRST_STD, "std_type": "log", "std_range": list(settings.std_range)}
+    mirrored = {"data_augmentation_func": with_mirrored, "use_mirror_loss": True, "mirror_loss_coeff": settings.mirror}
     return {
         "num_steps_per_env": settings.steps,
-        "save_interval": settings.save_every,
+        "save_interval": SAVE_EVERY,
         "check_for_nan": False,
         "obs_groups": {"actor": ["policy"], "critic": ["critic"]},
-        "actor": {**model, "distribution_cfg": {**spread, "std_range": list(settings.std_range)}},
+        "actor": {**model, "distribution_cfg": {"class_name": "mimic.train.captured:DeviceGaussian", **spread}},
         "critic": dict(model),
         "algorithm": {
-            "class_name": f"{here}CapturedPPO" if settings.captured else "PPO",
+            "class_name": "mimic.train.captured:CapturedPPO",
             "num_learning_epochs": settings.epochs,
             "num_mini_batches": settings.minibatches,
-            "clip_param": settings.clip,
-            "gamma": settings.gamma,
-            "lam": settings.lam,
+            "clip_param": CLIP,
+            "gamma": GAMMA,
+            "lam": LAM,
             "value_loss_coef": 1.0,
             "entropy_coef": settings.entropy,
             "learning_rate": settings.learning_rate,
@@ -62,14 +73,8 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "desired_kl": settings.desired_kl,
             "max_grad_norm": 1.0,
             "use_clipped_value_loss": False,
-            "symmetry_cfg": {
-                "data_augmentation_func": with_mirrored,
-                "use_mirror_loss": True,
-                "mirror_loss_coeff": settings.mirror,
-            }
-            if settings.mirror
-            else None,
-            **({"reaching_coef": settings.reaching} if settings.captured else {}),
+            "symmetry_cfg": mirrored if settings.mirror else None,
+            "reaching_coef": settings.reaching,
         },
     }
 
@@ -118,12 +123,6 @@ def train(
         learn = replace(learn, mirror=0.0)
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
-    from_policy = resume is not None and resume.suffix == ".onnx"
-    if from_policy and not learn.captured:
-        raise ConfigError("captured is False; going on from a policy (.onnx) needs captured=True")
-    if learn.reaching and not learn.captured:
-        log.info("front legs are not shown how to reach: only captured=True does that")
-        learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
     if ranks.first:
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,7 +136,6 @@ def train(
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
     contract = make_contract(description, mdp, settings_hash(mdp, learn))
-    begin, due = time.monotonic(), sorted(learn.snapshots, reverse=True)
     critic_alone = 0
 
     def progressed(share: float) -> None:
@@ -148,18 +146,11 @@ def train(
                 runner.alg.begin_policy()  # type: ignore[attr-defined]
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
-        if learn.std_end:
-            fall = min(share / STD_SHARE, 1.0)
-            widest = (learn.resume_std or learn.init_std) ** (1 - fall) * learn.std_end**fall
-            with torch.no_grad():
-                runner.alg.actor.distribution.log_std_param.clamp_(max=math.log(widest))  # type: ignore
         if learn.reaching:
-            runner.alg.reaching_coef = learn.reaching * max(1 - share / learn.reaching_share, 0.0)  # type: ignore
-        if ranks.first and due and time.monotonic() - begin > 60 * due[-1]:
-            export(runner, contract, description, folder / f"policy_{due.pop():g}min.onnx")
+            runner.alg.reaching_coef = learn.reaching * max(1 - share / REACHING_SHARE, 0.0)  # type: ignore
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
-    if resume is not None and from_policy:
+    if resume is not None and resume.suffix == ".onnx":
         compare_contracts(resume, contract)
         take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
         env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
@@ -185,12 +176,6 @@ def train(
         torch.distributed.destroy_process_group()
     if ranks.first:
         runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
-        export(runner, contract, description, folder / "policy.onnx")
+        policy = runner.alg.get_policy().as_onnx(verbose=False)
+        export_network(policy, contract, description, folder / "policy.onnx")
     return folder / "policy.onnx"
-
-
-def export(runner: Runner, contract: PolicyContract, description: RobotDescription, path: Path) -> None:
-    """Write the policy as ONNX with its contract in the metadata."""
-    from mimic.train.onnx_file import export_network
-
-    export_network(runner.alg.get_policy().as_onnx(verbose=False), contract, description, path)

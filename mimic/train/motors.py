@@ -64,9 +64,7 @@ class WorldMotors:
     What the effects declare, such as friction or the delay, replaces what training draws; gains are multiplied.
     """
 
-    def __init__(
-        self, description: RobotDescription, effects: EffectSet, worlds: int, device: str, *, interpolate: bool = False
-    ) -> None:
+    def __init__(self, description: RobotDescription, effects: EffectSet, worlds: int, device: str) -> None:
         """Take the effects.
 
         Args:
@@ -74,14 +72,13 @@ class WorldMotors:
             effects: What a calibration found.
             worlds: Their number.
             device: Where the tensors are.
-            interpolate: Whether targets move linearly from one control step's to the next.
 
         Raises:
             ConfigError: If an effect names an unknown joint, or is one of the stand of a hung robot.
         """
         refuse_stand(effects)
         self._d, self._effects, self._n, self._device = description, effects, worlds, device
-        self._machine, self._moving = hung_robot(description), interpolate
+        self._machine = hung_robot(description)
         self.time = torch.zeros(worlds, 1, device=device)
         """Since the beginning of each world's episode, at the start of the control step (N, 1) [s]."""
         self.tau = torch.zeros(worlds, 12, device=device)
@@ -168,8 +165,6 @@ class WorldMotors:
         return shares_in_effect(substep, self._d.decimation, self._shifts, torch)
 
     def _sent(self, substep: int) -> list[torch.Tensor]:
-        if not self._moving:
-            return self._targets
         return moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
 
     # ------------------------------------------------------------------ physics

@@ -7,13 +7,11 @@ bells instead of gates, so that a robot lying on the ground already feels which 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 
 from mimic.config.rewards import REGULARISERS
-from mimic.config.training import MdpSettings
 from mimic.geometry import smoothstep
 from mimic.robot.description import RobotDescription
 
@@ -22,61 +20,44 @@ from mimic.robot.description import RobotDescription
 class Facts:
     """What the rewards look at; one row a world."""
 
-    height: torch.Tensor
-    """Base height (N,) [m]."""
-    up: torch.Tensor
-    """Cosine between base x and the wanted upright direction (N,)."""
-    velocity_error: torch.Tensor
-    """Measured - desired base velocity in the heading frame (N, 2) [m/s]."""
-    mean_velocity_error: torch.Tensor
-    """The same with the measured velocity averaged over half a gait cycle, which takes out the sway (N, 2) [m/s]."""
-    drift: torch.Tensor
-    """How far the robot has strayed from where it was when it should have come to rest (N, 2) [m]."""
-    gait: torch.Tensor
-    """How far stepping is asked for, 0 standing to 1 (N,)."""
-    toppling: torch.Tensor
-    """True where the capture point has left the feet of a robot that may be pushed (N,)."""
-    settled: torch.Tensor
-    """True where the robot should stand, whatever its heading (N,)."""
-    heading_error: torch.Tensor
-    """Wrapped (N,) [rad]."""
-    rising: torch.Tensor
-    """How far the stand-up should be, 0 lying to 1 upright (N,)."""
-    toe_error: torch.Tensor
-    """Measured - desired base -> front toe (N, 2, 3) [m]."""
-    tracking: torch.Tensor
-    """1 where goals count (N,)."""
-    contact: torch.Tensor
-    """True where a hind toe touches the ground, left then right (N, 2)."""
-    load: torch.Tensor
-    """Share of the robot's weight on each hind foot (N, 2)."""
-    clearance: torch.Tensor
-    """Height of the hind toes above the ground (N, 2) [m]."""
-    slip: torch.Tensor
-    """The paper's slip (N,): see mimic.train.feet.sliding."""
-    hind_speed: torch.Tensor
-    """Horizontal speed of the hind toes (N, 2) [m/s]."""
-    foot_shift: torch.Tensor
-    """Mean way of the hind toes from where they began, while standing up (N,) [m]."""
-    terminations_met: torch.Tensor
-    """Number of the paper's terminations that hold (N,)."""
-    phase: torch.Tensor
-    """Gait phase (N,) [rad]."""
-    low: torch.Tensor
-    """Number of front legs and hind knees on or near the ground (N,)."""
-    action_change: torch.Tensor
-    """Action - action before (N, 12)."""
-    torque: torch.Tensor
-    """(N, 12) [N m]"""
-    dq: torch.Tensor
-    """(N, 12) [rad/s]"""
-    ddq: torch.Tensor
-    """(N, 12) [rad/s^2]"""
-    limit_excess: torch.Tensor
-    """How far joints are beyond their limits with the margin (N, 12) [rad]."""
-    fallen: torch.Tensor
-    """True where the episode ends in a fall (N,)."""
+    height: torch.Tensor  # base height (N,) [m]
+    up: torch.Tensor  # cosine between base x and the wanted upright direction (N,)
+    velocity_error: torch.Tensor  # measured - desired base velocity in the heading frame (N, 2) [m/s]
+    mean_velocity_error: torch.Tensor  # the same averaged over half a gait cycle, without the sway (N, 2) [m/s]
+    drift: torch.Tensor  # how far the robot has strayed from where it was when it should have come to rest (N, 2) [m]
+    gait: torch.Tensor  # how far stepping is asked for, 0 standing to 1 (N,)
+    toppling: torch.Tensor  # true where the capture point has left the feet of a robot that may be pushed (N,)
+    settled: torch.Tensor  # true where the robot should stand, whatever its heading (N,)
+    heading_error: torch.Tensor  # wrapped (N,) [rad]
+    rising: torch.Tensor  # how far the stand-up should be, 0 lying to 1 upright (N,)
+    toe_error: torch.Tensor  # measured - desired base -> front toe (N, 2, 3) [m]
+    tracking: torch.Tensor  # 1 where goals count (N,)
+    contact: torch.Tensor  # true where a hind toe touches the ground, left then right (N, 2)
+    load: torch.Tensor  # share of the robot's weight on each hind foot (N, 2)
+    clearance: torch.Tensor  # height of the hind toes above the ground (N, 2) [m]
+    slip: torch.Tensor  # the paper's slip (N,): see mimic.train.feet.sliding
+    hind_speed: torch.Tensor  # horizontal speed of the hind toes (N, 2) [m/s]
+    foot_shift: torch.Tensor  # mean way of the hind toes from where they began, while standing up (N,) [m]
+    terminations_met: torch.Tensor  # number of the paper's terminations that hold (N,)
+    phase: torch.Tensor  # gait phase (N,) [rad]
+    low: torch.Tensor  # number of front legs and hind knees on or near the ground (N,)
+    action_change: torch.Tensor  # action - action before (N, 12)
+    torque: torch.Tensor  # (N, 12) [N m]
+    dq: torch.Tensor  # (N, 12) [rad/s]
+    ddq: torch.Tensor  # (N, 12) [rad/s^2]
+    limit_excess: torch.Tensor  # how far joints are beyond their limits with the margin (N, 12) [rad]
+    fallen: torch.Tensor  # true where the episode ends in a fall (N,)
 
+
+REWARD_SCALE = 0.008
+"""Factor on all rewards. Returns are then of the order of ten, which the critic can follow. Unscaled they were 300,
+with PPO's limit of 0.2 on the change of a value in an update, and the critic was wrong by 20 to 27 throughout."""
+
+REGULARISATION, RAMP_STEPS = 2.0, 12_000
+"""Factor on the weights of REGULARISERS at the end of a ramp of so many control steps of a world."""
+
+SWING_SHARE = 0.7
+"""Share of half a gait cycle in which a foot swings; in the rest both stand."""
 
 MOST_HEAT = 150.0
 """More than this sum of squared torques is not counted [N^2 m^2]: standing up and catching a push cost less."""
@@ -94,8 +75,8 @@ MOST_SHUFFLE = 0.3
 """A hind toe that moves faster than this on the ground costs no more [m/s]."""
 
 
-def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription) -> dict[str, torch.Tensor]:
-    """Return each unweighted term (N,)."""
+def reward_terms(f: Facts, swing_height: float, description: RobotDescription) -> dict[str, torch.Tensor]:
+    """Return each unweighted term (N,) in the order of RewardWeights; swing_height [m] is asked of a hind toe."""
     numbers = description.training
     lying_angle = math.asin(float(description.upright_direction[2]))  # between base x, level, and the upright direction
     angle = torch.acos(torch.clamp(f.up, -1.0, 1.0))
@@ -109,16 +90,16 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     )
     toes = f.toe_error.square().sum((-1, -2))
     sine = torch.sin(f.phase)
-    both = math.sin(0.5 * math.pi * (1 - settings.swing_share))  # below this sine both feet stand
+    both = math.sin(0.5 * math.pi * (1 - SWING_SHARE))  # below this sine both feet stand
     swing = (torch.stack([sine, -sine], -1) - both) / (1 - both)
-    wanted = settings.swing_height * torch.clamp(2 * swing, min=0.0, max=1.0)
+    wanted = swing_height * torch.clamp(2 * swing, min=0.0, max=1.0)
     planted = f.contact.float()
     too_high = torch.clamp(f.clearance - wanted - 0.01, min=0.0) / 0.03
     lifted = torch.clamp(f.clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
     lifted = (0.15 + 0.85 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     stepping = torch.where(swing > 0, lifted, planted)
     both_planted = (f.load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
-    standing_still = torch.maximum(both_planted, settings.catching * f.toppling[:, None])
+    standing_still = torch.maximum(both_planted, f.toppling[:, None].float())  # a step that catches a fall is no fault
     asked = (f.gait * (1 - f.settled.float()))[:, None]  # or a robot turns away, so that its clock starts
     stepping = asked * stepping + (1 - asked) * standing_still
     # without the widest bell toes that are 20 cm off never came nearer
@@ -162,19 +143,12 @@ def reward_terms(f: Facts, settings: MdpSettings, description: RobotDescription)
     }
 
 
-def weights_at(progress: float, weights: Any, factor: float, shares: dict[str, float] | None = None) -> list[float]:
-    """Return the weight of each term in the order of the settings.
-
-    Args:
-        progress: Share of the ramp that is done, 0 to 1.
-        weights: Weights at its beginning, a settings record with a field for each term.
-        factor: What the regularisers' weights are multiplied by at its end.
-        shares: What weights of other terms are multiplied by now; 1 for terms that are not named.
-    """
-    factors = (shares or {}) | dict.fromkeys(REGULARISERS, 1 + (factor - 1) * progress)
-    return [value * factors.get(name, 1.0) for name, value in asdict(weights).items()]
+def grown(weights: dict[str, float], steps: int) -> dict[str, float]:
+    """Return the weights after so many control steps of a world, in which the REGULARISERS grow."""
+    factor = 1 + (REGULARISATION - 1) * min(1.0, steps / RAMP_STEPS)
+    return {name: value * (factor if name in REGULARISERS else 1.0) for name, value in weights.items()}
 
 
-def total(terms: dict[str, torch.Tensor], weights: torch.Tensor, names: list[str]) -> torch.Tensor:
-    """Return the weighted sum (N,) of the named terms; weights in the order of the names."""
-    return (torch.stack([terms[name] for name in names]) * weights[:, None]).sum(0)
+def total(terms: dict[str, torch.Tensor], weights: torch.Tensor) -> torch.Tensor:
+    """Return the weighted sum (N,) of terms (N,), with a weight for each in their order."""
+    return (torch.stack(list(terms.values())) * weights[:, None]).sum(0)

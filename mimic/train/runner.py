@@ -21,13 +21,6 @@ Report = Callable[[int, dict[str, float]], None]
 """Called after each update with its number and the figures of the run."""
 
 
-def short_names(row: dict[str, float]) -> dict[str, float]:
-    """Return the worlds' figures of a row without the names of their groups, where no other group shares theirs."""
-    groups = ("all/", "track/", "sit_down/", "still/", "walk/")
-    short = {name.split("/")[1]: value for name, value in row.items() if name.startswith(groups)}
-    return short | {name: value for name, value in row.items() if name.startswith(("quiet/", "led/"))}
-
-
 class TrainingDiverged(MimicError):
     """A loss is not finite; the last checkpoint is whole."""
 

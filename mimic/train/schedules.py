@@ -14,28 +14,53 @@ from mimic.policy.contract import PolicyContract
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
+from mimic.train.tensors import Chance, put
 
 POOL = 20_000
 """Reachable goal pairs drawn once for a training."""
 
-PAPER_GOAL_SECONDS = 3.0
-"""Time between two goals in the paper [s]."""
+ANYWHERE = 0.35
+"""Share of them drawn over the whole reachable set instead of the paper's boxes."""
 
+GOAL_SECONDS = (0.1, 3.0)
+"""Time between two toe goals [s], log-uniform."""
+
+PAPER_GOAL_SECONDS, PAPER_GOAL_SHARE = 3.0, 0.35
+"""Time between two goals in the paper [s], and share of goals that take it, on a straight line."""
+
+GOAL_SPEED = 2.0
+"""Fastest mean speed of a toe goal [m/s]."""
+
+FAST_SHARE = 0.5
+"""Share of velocities drawn evenly up to the fastest; the others are the paper's 0.1, 0.2 and 0.3 m/s."""
+
+TURNING_SHARE = 0.4
+"""Share of heading commands that turn steadily; the others jump by up to 90 degrees, as the paper's."""
+
+TURN_RATE = 1.2
+"""Fastest steady turn [rad/s]."""
+
+FIRST_COMMAND = 1.04
+"""The first command comes no earlier than this [s]: just after standing up."""
+
+SETTLES = 2.0
+"""A robot that is asked to stand has turned to its heading by this time [s]."""
 
 LEADING = LeadingSettings()
 """How a robot that is led answers a pull."""
 
 
-class GoalSchedule:
+class GoalSchedule(Chance):
     """Front-toe goals: neutral while standing up, then from goal to goal, some slow and straight, some fast."""
 
     def __init__(
         self, description: RobotDescription, contract: PolicyContract, settings: MdpSettings, device: str, seed: int
     ) -> None:
         n = settings.worlds
-        self._settings, self._dt = settings, contract.dt
+        super().__init__(n, device)
+        self._hold_share, self._dt = settings.hold_share, contract.dt
         rng = np.random.default_rng([seed, 29])
-        pool = draw_goals(description, POOL, rng, anywhere=settings.goals_anywhere)
+        pool = draw_goals(description, POOL, rng, anywhere=ANYWHERE)
         self._pool = torch.as_tensor(pool, dtype=torch.float32, device=device)
         self._neutral = torch.tensor(contract.neutral_toes, dtype=torch.float32, device=device).reshape(2, 3)
         self.now = torch.zeros(n, 2, 3, device=device)
@@ -52,54 +77,41 @@ class GoalSchedule:
             first: True where they count from this step on; the path then begins at the measured toes (N,).
             toes: Measured base -> front toe (N, 2, 3) [m].
         """
-        s, n = self._settings, len(self._time)
         self._time.add_(self._dt)
         due = ((self._time >= self._length) | first) & tracking
         start = torch.where(first[:, None, None], toes, self._end)
-        goal = self._pool[torch.randint(0, len(self._pool), (n,), device=toes.device)]
-        goal = torch.where((self._rand() < s.hold_share)[:, None, None], start, goal)
-        low, high = (math.log(v) for v in s.goal_seconds)
-        straight = self._rand() < s.paper_goal_share
-        length = torch.exp(low + (high - low) * self._rand())
-        length = torch.where(straight, torch.full_like(length, PAPER_GOAL_SECONDS), length)
+        goal = self._pool[torch.randint(0, len(self._pool), (self._n,), device=self._device)]
+        goal = torch.where((self._rand() < self._hold_share)[:, None, None], start, goal)
+        low, high = (math.log(v) for v in GOAL_SECONDS)
+        straight = self._rand() < PAPER_GOAL_SHARE
+        length = torch.where(straight, PAPER_GOAL_SECONDS, torch.exp(self._uniform(low, high)))
         far = (goal - start).norm(dim=-1).amax(-1)
-        shrink = torch.clamp(s.goal_speed * length / far.clamp(min=1e-6), max=1.0)[:, None, None]
-        goal = start + (goal - start) * shrink
-        wide = due[:, None, None]
-        self._begin.copy_(torch.where(wide, start, self._begin))
-        self._end.copy_(torch.where(wide, goal, self._end))
-        self._length.copy_(torch.where(due, length, self._length))
-        self._straight.copy_(torch.where(due, straight.float(), self._straight))
-        self._time.copy_(torch.where(due, torch.zeros_like(self._time), self._time))
+        shrink = torch.clamp(GOAL_SPEED * length / far.clamp(min=1e-6), max=1.0)[:, None, None]
+        put(self._begin, due, start)
+        put(self._end, due, start + (goal - start) * shrink)
+        put(self._length, due, length)
+        put(self._straight, due, straight.float())
+        put(self._time, due, 0.0)
         share = torch.clamp(self._time / self._length, 0, 1)
-        smooth = smoothstep(share)
-        share = torch.where(self._straight > 0, share, smooth)[:, None, None]
+        share = torch.where(self._straight > 0, share, smoothstep(share))[:, None, None]
         path = self._begin + share * (self._end - self._begin)
-        self.now.copy_(torch.where(tracking[:, None, None], path, self._neutral.expand_as(path)))
+        self.now.copy_(torch.where(tracking[:, None, None], path, self._neutral))
 
     def reset(self, mask: torch.Tensor, upright: torch.Tensor, toes: torch.Tensor) -> None:
         """Begin anew where ``mask``: at the measured toes of worlds that start upright, else at neutral."""
-        begin = torch.where(upright[:, None, None], toes, self._neutral.expand_as(toes))
+        begin = torch.where(upright[:, None, None], toes, self._neutral)
         for goal in (self._begin, self._end, self.now):
-            goal.copy_(torch.where(mask[:, None, None], begin, goal))
-        self._time.copy_(torch.where(mask, torch.zeros_like(self._time), self._time))
-        self._length.copy_(torch.where(mask, 0.1 + 0.4 * self._rand(), self._length))
-
-    def _rand(self) -> torch.Tensor:
-        return torch.rand_like(self._time)
+            put(goal, mask, begin)
+        put(self._time, mask, 0.0)
+        put(self._length, mask, self._uniform(0.1, 0.5))
 
 
-class MoveSchedule:
+class MoveSchedule(Chance):
     """Velocity and heading commands, drawn anew every few seconds."""
-
-    FIRST = 1.04
-    """The first command comes no earlier than this [s]: just after standing up."""
-
-    SETTLES = 2.0
-    """A robot that is asked to stand has turned to its heading by this time [s]."""
 
     def __init__(self, contract: PolicyContract, settings: MdpSettings, device: str) -> None:
         n = settings.worlds
+        super().__init__(n, device)
         self._settings, self._dt = settings, contract.dt
         self.velocity = torch.zeros(n, 2, device=device)
         """Desired base velocity in the heading frame (N, 2) [m/s]."""
@@ -107,39 +119,35 @@ class MoveSchedule:
         """Desired heading, world (N,) [rad]."""
         self.wanted = torch.zeros(n, 2, device=device)
         """Velocity that the robot is judged by: the desired one, and sideways that of the hand that leads it (N, 2)."""
-        self._rate = torch.zeros(n, device=device)
         self._felt = torch.zeros(n, 2, device=device)
-        self._left = torch.zeros(n, device=device)
-        self._since = torch.zeros(n, device=device)
+        self._rate, self._left, self._since = (torch.zeros(n, device=device) for _ in range(3))
 
     @property
     def settled(self) -> torch.Tensor:
         """True where a robot has been asked to stand for so long that it should (N,)."""
         stands = (self.velocity == 0.0).all(-1) & (self._rate == 0.0)
-        return stands & (self._since > self.SETTLES)
+        return stands & (self._since > SETTLES)
 
     def advance(self) -> None:
         """Let one control step pass."""
-        s, n = self._settings, len(self._left)
+        s = self._settings
         self._left.sub_(self._dt)
         self._since.add_(self._dt)
         due = self._left <= 0
-        low, high = s.command_seconds
-        self._left.copy_(torch.where(due, low + (high - low) * self._rand(), self._left))
-        self._since.copy_(torch.where(due, torch.zeros_like(self._since), self._since))
+        put(self._left, due, self._uniform(*s.command_seconds))
+        put(self._since, due, 0.0)
         stands = self._rand() < s.stand_share
-        speed = torch.randint(1, 4, (n,), device=self._left.device) * 0.1
-        speed = torch.where(self._rand() < s.fast_share, s.fastest * self._rand(), speed)
+        speed = torch.randint(1, 4, (self._n,), device=self._device) * 0.1
+        speed = torch.where(self._rand() < FAST_SHARE, s.fastest * self._rand(), speed)
         speed = torch.where(self._rand() < 0.5, speed, -speed)
-        speed = torch.where(stands | (self._rand() < s.still_share), torch.zeros_like(speed), speed)
-        velocity = torch.stack([speed, torch.zeros_like(speed)], -1)
-        self.velocity.copy_(torch.where(due[:, None], velocity, self.velocity))
+        speed = torch.where(stands | (self._rand() < s.still_share), 0.0, speed)
+        put(self.velocity, due, torch.stack([speed, torch.zeros_like(speed)], -1))
         keeps = stands | (self._rand() < s.still_share)
-        jumps = self._rand() >= s.turning_share
-        turn = torch.where(keeps | ~jumps, torch.zeros_like(speed), math.pi * (self._rand() - 0.5))
-        rate = torch.where(keeps | jumps, torch.zeros_like(speed), s.turn_rate * (2 * self._rand() - 1))
-        self._rate.copy_(torch.where(due, rate, self._rate))
-        self.heading.copy_(torch.where(due, self.heading + turn, self.heading) + self._rate * self._dt)
+        jumps = self._rand() >= TURNING_SHARE
+        turn = torch.where(keeps | ~jumps, 0.0, math.pi * (self._rand() - 0.5))
+        put(self._rate, due, torch.where(keeps | jumps, 0.0, TURN_RATE * (2 * self._rand() - 1)))
+        put(self.heading, due, self.heading + turn)
+        self.heading.add_(self._rate * self._dt)
         self.wanted.copy_(self.velocity)
 
     def lead(self, led: torch.Tensor, pull: torch.Tensor, hand: torch.Tensor, heading: torch.Tensor) -> None:
@@ -158,26 +166,18 @@ class MoveSchedule:
         left = cosine * self._felt[:, 1] - sine * self._felt[:, 0]
         speed, rate, share = answer_to_pull(forward, left, s, torch)
         led_now = torch.stack([speed, torch.zeros_like(speed)], -1)
-        self.velocity.copy_(torch.where(led[:, None], led_now, self.velocity))
+        put(self.velocity, led, led_now)
         sideways = share * (cosine * hand[:, 1] - sine * hand[:, 0])
         self.wanted.copy_(torch.where(led[:, None], torch.stack([speed, sideways], -1), self.velocity))
-        self._rate.copy_(torch.where(led, rate, self._rate))
+        put(self._rate, led, rate)
         ahead = torch.arctan2(torch.sin(self.heading - heading), torch.cos(self.heading - heading))
-        near = heading + ahead.clamp(-MOST_AHEAD, MOST_AHEAD)
-        self.heading.copy_(torch.where(led & (share > 0), near, self.heading))
-        self._since.copy_(torch.where(led & (share > 0), torch.zeros_like(self._since), self._since))
-        self._left.copy_(torch.where(led, self._settings.command_seconds[1], self._left))
+        put(self.heading, led & (share > 0), heading + ahead.clamp(-MOST_AHEAD, MOST_AHEAD))
+        put(self._since, led & (share > 0), 0.0)
+        put(self._left, led, self._settings.command_seconds[1])
 
     def reset(self, mask: torch.Tensor, heading: torch.Tensor) -> None:
         """Stand still at this heading (N,) [rad] where ``mask``."""
-        self.heading.copy_(torch.where(mask, heading, self.heading))
-        self.velocity.copy_(torch.where(mask[:, None], torch.zeros_like(self.velocity), self.velocity))
-        for buffer in (self.wanted, self._felt):
-            buffer.copy_(torch.where(mask[:, None], torch.zeros_like(buffer), buffer))
-        self._rate.copy_(torch.where(mask, torch.zeros_like(self._rate), self._rate))
-        first = self.FIRST + (self._settings.command_seconds[1] - self.FIRST) * self._rand()
-        self._left.copy_(torch.where(mask, first, self._left))
-        self._since.copy_(torch.where(mask, torch.zeros_like(self._since), self._since))
-
-    def _rand(self) -> torch.Tensor:
-        return torch.rand_like(self._left)
+        put(self.heading, mask, heading)
+        for buffer in (self.velocity, self.wanted, self._felt, self._rate, self._since):
+            put(buffer, mask, 0.0)
+        put(self._left, mask, self._uniform(FIRST_COMMAND, self._settings.command_seconds[1]))

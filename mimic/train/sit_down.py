@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
@@ -13,10 +12,20 @@ from mimic.geometry import smoothstep, up_cosine
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
-from mimic.train.rewards import Facts
-from mimic.train.sit_down_starts import SitDownStarts
-from mimic.train.stand_track import StandTrackEnv
-from mimic.train.starts import Start
+from mimic.train.environment import Judged
+from mimic.train.rewards import Facts, grown
+from mimic.train.stand_track import StandTrackEnv, mean
+from mimic.train.starts import SitDownStarts, Start
+from mimic.train.tensors import put
+
+EPISODE_STEPS = 150
+"""Control steps of an episode."""
+
+SECONDS = 1.2
+"""Time that going down should take [s]."""
+
+CRASH_SPEED = 0.8
+"""An episode ends where the trunk touches the ground faster than this [m/s]."""
 
 SINKING = 0.45
 """Downward speed of the base from which on it costs [m/s]."""
@@ -44,40 +53,53 @@ ON_ITS_BACK, ON_ITS_SIDE = -0.6, 0.85
 class Descent:
     """What the rewards of sitting down look at besides the facts that both tasks share; one row a world."""
 
-    progress: torch.Tensor
-    """How far the sitting down should be, 0 to 1 (N,)."""
-    height_error: torch.Tensor
-    """Base height - wanted one (N,) [m]."""
-    pitch_error: torch.Tensor
-    """Angle of base x above the horizontal - wanted one (N,) [rad]."""
-    left_up: torch.Tensor
-    """Cosine between base y and up (N,)."""
-    pose_error: torch.Tensor
-    """Joint positions - lying pose (N, 12) [rad]."""
-    velocity: torch.Tensor
-    """Of the base, world axes (N, 3) [m/s]."""
-    turning: torch.Tensor
-    """Angular velocity of the base (N, 3) [rad/s]."""
-    acceleration: torch.Tensor
-    """Of the base, mean over the control step (N,) [m/s^2]."""
-    slip: torch.Tensor
-    """Horizontal speed of the front toes that touch the ground, else 0 (N, 2) [m/s]."""
-    landing: torch.Tensor
-    """Downward speed of each front toe and hind knee that has just met the ground, else 0 (N, 4) [m/s]."""
-    trunk: torch.Tensor
-    """True where trunk, hips or shoulders touch the ground (N,)."""
-    thighs: torch.Tensor
-    """Number of thighs on the ground (N,)."""
-    beyond: torch.Tensor
-    """How far actions ask for joint positions beyond the limits of commands (N, 12) [rad]."""
-    head: torch.Tensor
-    """Height of the lowest point of the head (N,) [m]."""
-    failed: torch.Tensor
-    """True where the episode ends: head on the ground, a crash, on its back or side (N,)."""
+    progress: torch.Tensor  # how far the sitting down should be, 0 to 1 (N,)
+    height_error: torch.Tensor  # base height - wanted one (N,) [m]
+    pitch_error: torch.Tensor  # angle of base x above the horizontal - wanted one (N,) [rad]
+    left_up: torch.Tensor  # cosine between base y and up (N,)
+    pose_error: torch.Tensor  # joint positions - lying pose (N, 12) [rad]
+    velocity: torch.Tensor  # of the base, world axes (N, 3) [m/s]
+    turning: torch.Tensor  # angular velocity of the base (N, 3) [rad/s]
+    acceleration: torch.Tensor  # of the base, mean over the control step (N,) [m/s^2]
+    slip: torch.Tensor  # horizontal speed of the front toes that touch the ground, else 0 (N, 2) [m/s]
+    landing: torch.Tensor  # downward speed of each front toe and hind knee that has just landed, else 0 (N, 4) [m/s]
+    trunk: torch.Tensor  # true where trunk, hips or shoulders touch the ground (N,)
+    thighs: torch.Tensor  # number of thighs on the ground (N,)
+    beyond: torch.Tensor  # how far actions ask for joint positions beyond the limits of commands (N, 12) [rad]
+    head: torch.Tensor  # height of the lowest point of the head (N,) [m]
+    failed: torch.Tensor  # true where the episode ends: head on the ground, a crash, on its back or side (N,)
+
+
+WEIGHTS = {
+    "height": 1.6,
+    "level": 0.8,
+    "roll": -1.0,
+    "pose": 2.0,
+    "pose_fine": 1.0,
+    "still": 0.6,
+    "sinking": -15.0,  # per m^2/s^2
+    "fast": -2.0,  # per m^2/s^2
+    "tumbling": -0.05,  # per rad^2/s^2
+    "jolt": -2.0,  # per 20 m/s^2
+    "landing": -5.0,  # per m^2/s^2
+    "trunk": -1.0,  # per m/s, and 0.3 for the touch
+    "thighs": -0.2,  # each
+    "head_low": -4.0,
+    "slip": -0.25,  # per m/s
+    "beyond": -1.0,  # per rad^2
+    "action_rate": -0.008,  # per (unit of action)^2
+    "torque": -2e-4,  # per N^2 m^2
+    "joint_velocity": -4e-4,  # per rad^2/s^2
+    "joint_speed": -0.02,  # per rad/s
+    "joint_acceleration": -1e-7,  # per rad^2/s^4
+    "limits": -2.0,  # per rad
+    "fail": -10.0,
+}
+"""Weight of each term of sit_down_terms; a term without a unit lies between 0 and 1."""
 
 
 def sit_down_terms(f: Facts, d: Descent, joint_speed: float) -> dict[str, torch.Tensor]:
-    """Return each unweighted term (N,), in the order of SitDownWeights; joints faster than joint_speed [rad/s] pay."""
+    """Return each unweighted term (N,), in the order of WEIGHTS; joints faster than joint_speed [rad/s] pay."""
     off, near = d.pose_error.square().mean(-1), torch.exp(-((d.pose_error / 0.12) ** 2)).mean(-1)
     speed, turning = d.velocity.norm(dim=-1), d.turning.norm(dim=-1)
     there = (d.progress >= 1).float()
@@ -116,12 +138,12 @@ class SitDownEnv(StandTrackEnv):
 
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
         super().__init__(description, settings, device, seed)
-        self.max_episode_length = settings.sit_down.episode_steps
+        self.max_episode_length = EPISODE_STEPS
         self.episode_length_buf.remainder_(self.max_episode_length)
 
     def _constants(self) -> None:
         super()._constants()
-        self._sit_down_starts = SitDownStarts(self.description, self.settings, str(self.device))
+        self._starts = SitDownStarts(self.description, self.settings, str(self.device))
         self._lie = self._tensor(self.description.poses["lie"])
         w = self.worlds
         self._head = w.columns("head")
@@ -137,21 +159,14 @@ class SitDownEnv(StandTrackEnv):
         self._front_before = torch.zeros(n, 2, 3, device=device)
         self._clearance_before = torch.zeros(n, len(self._landing), device=device)
 
-    @property
-    def _rewards(self) -> Any:
-        return self.settings.sit_down.rewards
-
-    def _shares(self, ramp: float) -> dict[str, float]:
-        return {}
+    def _weights_at(self, ramp: float) -> dict[str, float]:
+        return grown(WEIGHTS, self._calls)
 
     def _set_difficulty(self, ramp: float) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         return torch.where(start.anytime, self._uniform(0.0, 2 * math.pi), torch.zeros_like(start.heading))
-
-    def _draw(self) -> Start:
-        return self._sit_down_starts.draw()
 
     def _command(self) -> None:
         """Nothing is asked for but neutral toes, no velocity and the heading at the start."""
@@ -164,7 +179,7 @@ class SitDownEnv(StandTrackEnv):
 
     def _descent(self, finite: torch.Tensor, low: torch.Tensor) -> Descent:
         w, dt = self.worlds, self.contract.dt
-        progress = torch.clamp(self.episode_length_buf * (dt / self.settings.sit_down.seconds), max=1.0)
+        progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
         smooth = smoothstep(progress)
         lying = self.description.training.lying_height
         height = self._height_at_start + (lying - self._height_at_start) * smooth
@@ -183,7 +198,7 @@ class SitDownEnv(StandTrackEnv):
         left_up = 2 * (qy * qz + qw * qx)
         overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
         asked = self._default_q + self.settings.action_scale * self._last_action
-        crashed = trunk & (velocity.norm(dim=-1) > self.settings.sit_down.crash_speed)
+        crashed = trunk & (velocity.norm(dim=-1) > CRASH_SPEED)
         self._velocity_before.copy_(velocity)
         self._front_before.copy_(front)
         self._clearance_before.copy_(clearance)
@@ -205,29 +220,26 @@ class SitDownEnv(StandTrackEnv):
             failed=finite & ((head < 0.002) | overturned | crashed),
         )
 
-    def _evaluate(
-        self, finite: torch.Tensor, low: torch.Tensor
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
+    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
         facts, descent = self._facts(finite, low), self._descent(finite, low)
         there = (descent.progress >= 1).float()
-        count = there.sum().clamp(min=1.0)
         lies = (descent.height_error.abs() < 0.03) & (descent.pitch_error.abs() < 0.15)
         lies &= descent.pose_error.abs().amax(-1) < 0.25
+        length = self.max_episode_length
         figures = {
-            "sit_down/lying": (lies.float() * there).sum() / count,
-            "sit_down/pose_error": (descent.pose_error.abs().mean(-1) * there).sum() / count,
-            "sit_down/height_error": (descent.height_error.abs() * (1 - there)).sum()
-            / (1 - there).sum().clamp(min=1.0),
-            "sit_down/failed": descent.failed.float().mean() * self.max_episode_length,
-            "sit_down/head": (descent.head < 0.002).float().mean() * self.max_episode_length,
+            "sit_down/lying": mean(lies.float(), there),
+            "sit_down/pose_error": mean(descent.pose_error.abs().mean(-1), there),
+            "sit_down/height_error": mean(descent.height_error.abs(), 1 - there),
+            "sit_down/failed": descent.failed.float().mean() * length,
+            "sit_down/head": (descent.head < 0.002).float().mean() * length,
             "sit_down/trunk": descent.trunk.float().mean(),
-            "sit_down/landing": descent.landing.square().sum(-1).mean() * self.max_episode_length,
+            "sit_down/landing": descent.landing.square().sum(-1).mean() * length,
         }
         return sit_down_terms(facts, descent, self.description.training.joint_speed), descent.failed, figures
 
     def _reset(self, mask: torch.Tensor) -> None:
         super()._reset(mask)
         w = self.worlds
-        self._height_at_start.copy_(torch.where(mask, w.qpos[:, 2], self._height_at_start))
-        self._pitch_at_start.copy_(torch.where(mask, self._pitch(), self._pitch_at_start))
-        self._velocity_before.copy_(torch.where(mask[:, None], w.qvel[:, :3], self._velocity_before))
+        put(self._height_at_start, mask, w.qpos[:, 2])
+        put(self._pitch_at_start, mask, self._pitch())
+        put(self._velocity_before, mask, w.qvel[:, :3])

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
 
 import torch
 
 from mimic.config.rewards import REFINING_TERMS
 from mimic.robot.goals import leg_joints
-from mimic.train.environment import WorldsEnv
+from mimic.train.contract import STAND_UP_STEPS
+from mimic.train.environment import Judged, WorldsEnv
 from mimic.train.feet import sliding
-from mimic.train.rewards import BEARS, Facts, reward_terms
+from mimic.train.rewards import BEARS, Facts, grown, reward_terms
 
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
@@ -20,31 +20,37 @@ GRACE_STEPS = 30
 """Control steps in which a rising robot may touch the ground, but not lift a hind toe high or move a joint fast; as in
 the paper, whose limits are 0.06 m and 0.3 rad (the description's are lower)."""
 
+REFINING_SHARE = 0.05
+"""Share of their weight that the REFINING_TERMS have at first; it grows to 1."""
+
+SLIP_HEIGHT = 0.033
+"""A toe whose centre is lower than this pays for moving [m]; paper: 0.03, here with a margin."""
+
+CAPTURE_REACH = 0.05
+"""How far a capture point that has left the feet is before or behind the line between them [m]."""
+
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
+
+
+def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Return the mean of values (N,) with these weights (N,)."""
+    return (values * weights).sum() / weights.sum().clamp(min=1.0)
 
 
 class StandTrackEnv(WorldsEnv):
     """Worlds in which a robot stands up, keeps a velocity and a heading, and brings its front toes to goals."""
 
-    @property
-    def _rewards(self) -> Any:
-        """The weights of the task's reward terms."""
-        return self.settings.rewards
-
-    def _shares(self, ramp: float) -> dict[str, float]:
-        """Return the share of their weight that terms have by now, for the share of the ramp that is done."""
+    def _weights_at(self, ramp: float) -> dict[str, float]:
         s = self.settings
-        shares: dict[str, float] = dict.fromkeys(
-            REFINING_TERMS, s.refining_share_at_first + (1 - s.refining_share_at_first) * ramp
-        )
         begin, end = s.finish_steps
         finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
-        polish = {name: 1 + (factor - 1) * finished for name, factor in asdict(s.finish).items()}
-        return shares | {name: shares.get(name, 1.0) * factor for name, factor in polish.items()}
+        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * ramp)
+        for name, factor in asdict(s.finish).items():
+            factors[name] = factors.get(name, 1.0) * (1 + (factor - 1) * finished)
+        return {name: w * factors.get(name, 1.0) for name, w in grown(asdict(s.rewards), self._calls).items()}
 
     def _ramp_share(self) -> float:
-        """Return how much of what makes the task hard is there by now, 0 to 1; asked every 240 steps."""
         ends = float(self._log["all/ends"]) if "all/ends" in self._log else 1.0  # waits for the device
         if self._calls and (ends < self.settings.curriculum_ends or self._calls > self.settings.curriculum_latest):
             self._ramp = min(self._ramp + 240 / self.settings.curriculum_steps, 1.0)
@@ -60,19 +66,15 @@ class StandTrackEnv(WorldsEnv):
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _command(self) -> None:
-        """Let goals and velocity commands go on by a control step."""
-        first = (self.episode_length_buf == self.settings.stand_up_steps + 1) & ~self._upright_start
+        first = (self.episode_length_buf == STAND_UP_STEPS + 1) & ~self._upright_start
         self.goals.advance(self._tracking(), first, self._toes)
         self.moves.advance()
         d = self.disturbances
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
-    def _evaluate(
-        self, finite: torch.Tensor, low: torch.Tensor
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]:
-        """Return the reward terms, which worlds failed (N,), and figures for the log."""
+    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
         facts = self._facts(finite, low)
-        return reward_terms(facts, self.settings, self.description), facts.fallen, self._figures(facts)
+        return reward_terms(facts, self.settings.swing_height, self.description), facts.fallen, self._figures(facts)
 
     def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
         w = self.worlds
@@ -84,7 +86,7 @@ class StandTrackEnv(WorldsEnv):
         rising_up = ~self._upright_start & (step <= GRACE_STEPS)
         shift = (hind - self._toes_at_start).norm(dim=-1).mean(-1) * rising_up
         motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
-        slip = sliding(toes[..., 2], *motion, below=self.settings.slip_height)
+        slip = sliding(toes[..., 2], *motion, below=SLIP_HEIGHT)
         height = w.qpos[:, 2]
         velocity = self._velocity()
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
@@ -148,50 +150,45 @@ class StandTrackEnv(WorldsEnv):
         ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
         across = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
         half = 0.5 * ((hind[:, 0, :2] - hind[:, 1, :2]) * across).sum(-1).abs()
-        return ((away * ahead).sum(-1).abs() > self.settings.capture_reach) | ((away * across).sum(-1).abs() > half)
+        return ((away * ahead).sum(-1).abs() > CAPTURE_REACH) | ((away * across).sum(-1).abs() > half)
 
     def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
-        tracking = f.tracking
-        count = tracking.sum().clamp(min=1.0)
-        quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float()
-        d = self.disturbances
-        still, asked = tracking * quiet * (f.gait == 0), self.moves.velocity[:, 0]
-        stills = still.sum().clamp(min=1.0)
+        d, tracking, rises = self.disturbances, f.tracking, 1 - f.tracking
+        quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float() * tracking
+        still, asked, steps = quiet * (f.gait == 0), self.moves.velocity[:, 0], tracking * (f.gait == 1)
+        held, fallen = d.held.float(), f.fallen.float()
+        reached = (self._mean_velocity[:, 0] * asked * tracking).sum()
         return {
-            "still/planted": ((f.load.amin(-1) > BEARS) * still).sum() / stills,
-            "still/action_change": (f.action_change[:, 6:].square().mean(-1) * still).sum().div(stills).sqrt(),
-            "still/torque_squares": (f.torque.square().sum(-1) * still).sum() / stills,
-            "still/shuffle": ((f.hind_speed * f.contact).mean(-1) * still).sum() / stills,
-            "still/toppling": (self._toppled * still).sum() / stills,
-            "walk/speed_share": (self._mean_velocity[:, 0] * asked * tracking).sum()
-            / (asked.square() * tracking).sum().clamp(min=1e-3),
-            "walk/lift": (f.clearance.amax(-1) * tracking * (f.gait == 1)).sum()
-            / (tracking * (f.gait == 1)).sum().clamp(min=1.0),
-            "quiet/velocity_error": (f.velocity_error.norm(dim=-1) * tracking * quiet).sum()
-            / (tracking * quiet).sum().clamp(min=1.0),
-            "quiet/drift": (f.drift.norm(dim=-1) * still).sum() / stills,
-            "quiet/falls": (f.fallen.float() * tracking * quiet).sum() / (tracking * quiet).sum().clamp(min=1.0),
-            "led/falls": (f.fallen & d.held).float().sum() / d.held.float().sum().clamp(min=1.0),
-            "led/behind": (d.behind * d.held).sum() / d.held.float().sum().clamp(min=1.0),
-            "track/up": (f.up * tracking).sum() / count,
-            "track/height": (f.height * tracking).sum() / count,
-            "track/toe_error_cm": 100 * (f.toe_error.norm(dim=-1).mean(-1) * tracking).sum() / count,
-            "track/mean_velocity_error": (f.mean_velocity_error.norm(dim=-1) * tracking).sum() / count,
-            "track/velocity_error": (f.velocity_error.norm(dim=-1) * tracking).sum() / count,
-            "track/drift": (f.drift.norm(dim=-1) * tracking).sum() / count,
-            "track/heading_error": (f.heading_error.abs() * tracking).sum() / count,
-            "track/falls": (f.fallen.float() * tracking).sum() / count,
-            "track/slip": (f.slip * tracking).sum() / count,
-            "track/terminations": (f.terminations_met * tracking).sum() / count,
-            "all/ends": f.fallen.float().mean(),
-            "rise/slip": (f.slip * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
-            "rise/terminations": (f.terminations_met * (1 - tracking)).sum() / (1 - tracking).sum().clamp(min=1.0),
+            "still/planted": mean(f.load.amin(-1) > BEARS, still),
+            "still/action_change": mean(f.action_change[:, 6:].square().mean(-1), still).sqrt(),
+            "still/torque_squares": mean(f.torque.square().sum(-1), still),
+            "still/shuffle": mean((f.hind_speed * f.contact).mean(-1), still),
+            "still/toppling": mean(self._toppled, still),
+            "walk/speed_share": reached / (asked.square() * tracking).sum().clamp(min=1e-3),
+            "walk/lift": mean(f.clearance.amax(-1), steps),
+            "quiet/velocity_error": mean(f.velocity_error.norm(dim=-1), quiet),
+            "quiet/drift": mean(f.drift.norm(dim=-1), still),
+            "quiet/falls": mean(fallen, quiet),
+            "led/falls": mean(fallen, held),
+            "led/behind": mean(d.behind, held),
+            "track/up": mean(f.up, tracking),
+            "track/height": mean(f.height, tracking),
+            "track/toe_error_cm": 100 * mean(f.toe_error.norm(dim=-1).mean(-1), tracking),
+            "track/mean_velocity_error": mean(f.mean_velocity_error.norm(dim=-1), tracking),
+            "track/velocity_error": mean(f.velocity_error.norm(dim=-1), tracking),
+            "track/drift": mean(f.drift.norm(dim=-1), tracking),
+            "track/heading_error": mean(f.heading_error.abs(), tracking),
+            "track/falls": mean(fallen, tracking),
+            "track/slip": mean(f.slip, tracking),
+            "track/terminations": mean(f.terminations_met, tracking),
+            "all/ends": fallen.mean(),
+            "rise/slip": mean(f.slip, rises),
+            "rise/terminations": mean(f.terminations_met, rises),
             "track/termination_share": self._termination_share.mean(),
-            "track/knee_torque": (f.torque[:, 8::3].abs().mean(-1) * tracking).sum() / count,
+            "track/knee_torque": mean(f.torque[:, 8::3].abs().mean(-1), tracking),
         }
 
     def _show_reaching(self) -> None:
-        """Put the front legs' closed form for the toe goals of now where the learner finds it."""
         q, excess = leg_joints(self.goals.now, self.description, torch)
         actions = (q - self._default_q[:6].view(2, 3)) / self.settings.action_scale
         counts = (excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None]

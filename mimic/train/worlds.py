@@ -31,8 +31,8 @@ from mimic.dynamics.servo import Servo, read_standing
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR
-from mimic.train.disturbances import quat_rotate
 from mimic.train.motors import WorldMotors
+from mimic.train.tensors import quat_rotate
 
 log = logging.getLogger(__name__)
 
@@ -61,8 +61,15 @@ BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), in
 QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
 """The robots of quiet worlds."""
 
-SPARE_CONTACTS = 64
-"""Room for contacts beyond the average, which few worlds do not keep."""
+LINE_SEARCHES = 6
+"""Line-search iterations of the training physics."""
+
+CONTACTS, SPARE_CONTACTS = 8, 64
+"""Most contacts of a world on average, since all worlds share one store, and room beyond that, which few worlds do not
+keep; robots that lie have 4."""
+
+ROWS = 64
+"""Most constraint rows of a world; the most seen with wild random actions is 60, lying 32."""
 
 VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
@@ -101,14 +108,14 @@ class Worlds:
         effects = read_standing(Path(settings.effects)) if settings.effects else None
         self.motors = None
         if effects is not None:
-            self.motors = WorldMotors(description, effects, settings.worlds, device, interpolate=settings.interpolate)
+            self.motors = WorldMotors(description, effects, settings.worlds, device)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
         model = load_model(description, visuals=False, servos=effects is not None)
         model.opt.timestep = description.timestep
         if self.motors is not None:
             model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
         model.opt.iterations = settings.solver_iterations
-        model.opt.ls_iterations = settings.linesearch_iterations
+        model.opt.ls_iterations = LINE_SEARCHES
         self._friction_speed = settings.friction_speed if self.motors is None else 0.0
         if self._friction_speed:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
@@ -123,8 +130,8 @@ class Worlds:
             sizes = {name: n for name in fields}
             self.model = mjw.put_model(model, batch_sizes=sizes)
             self.model.opt.warn_overflow = 0
-            contacts = settings.contacts + math.ceil(SPARE_CONTACTS / n)
-            self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=settings.rows)
+            contacts = CONTACTS + math.ceil(SPARE_CONTACTS / n)
+            self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=ROWS)
             self._randomise(description, settings, n, seed, fields)
             self._own_damping = wp.clone(self.model.dof_damping)
             self.qpos = wp.to_torch(self.data.qpos)

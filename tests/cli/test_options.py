@@ -27,7 +27,7 @@ def asked(monkeypatch, tmp_path) -> list[tuple[tuple, dict]]:
         "play.save_targets",
         "calibrate.calibrate",
         "machine_log.predict_log",
-        "evaluate.train",
+        "train.train",
     ):
         monkeypatch.setattr(f"mimic.flows.{flow}", reached)
     return calls
@@ -54,12 +54,12 @@ def test_every_help_is_examples_and_plain_words(command, capsys):
     assert set(re.findall(r"\b[A-Z]+_[A-Z_]+\b", shown)) <= NO_CONSTANT
 
 
-@pytest.mark.parametrize(("command", "most"), [([], 24), (["batch"], 14)], ids=["mimic", "batch"])
+@pytest.mark.parametrize(("command", "most"), [([], 24), (["batch"], 14), (["train"], 12)])
 def test_a_command_has_few_options_besides_help(command, most, capsys):
     assert main([*command, "--help"]) == 0
     shown = capsys.readouterr().out
     options = set(re.findall(r"^│ --(?!no-)([a-z-]+)", shown, re.MULTILINE)) - {"help", "version", "install-completion"}
-    assert 10 < len(options | {"config"}) <= most
+    assert 3 < len(options | {"config"}) <= most
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_no_option_of_a_command_means_two_things(command, capsys):
 
 def test_holding_a_button_is_asked_for_on_the_command_line(monkeypatch):
     asked = []
-    monkeypatch.setattr("mimic.flows.robot.play_on_robot", lambda *_, bus, **__: asked.append(bus) or 1 / 0)
+    monkeypatch.setattr("mimic.flows.robot_run.play_on_robot", lambda *_, bus, **__: asked.append(bus) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         main(["--robot", "can0", "--hold", "/dev/input/js0"])
     assert asked[0].hold == "/dev/input/js0"
@@ -119,11 +119,10 @@ def test_several_files_follow_one_option_of_replay(asked):
     assert asked[0][0][1] == (Path("a.toml"), Path("b.toml"))
 
 
-def test_several_snapshots_and_settings_follow_one_option_of_train(asked):
-    main(["train", "out", "--snapshots", "1", "2.5", "--set", "rewards.slip=-0.4", "noise_q=0.02"])
-    arguments, options = asked[0]
-    assert arguments[2].snapshots == (1.0, 2.5)
-    assert options["overrides"] == ["rewards.slip=-0.4", "noise_q=0.02"]
+def test_several_settings_follow_one_option_of_train(asked):
+    main(["train", "out", "--recipe", "sit_down", "--set", "rewards.slip=-0.4", "noise_q=0.02"])
+    _, mdp, learn = asked[0][0]
+    assert (mdp.task, mdp.rewards.slip, mdp.noise_q, learn.minutes) == ("sit_down", -0.4, 0.02, 9.3)
 
 
 def test_a_bad_mujoco_gl_is_one_line(monkeypatch, capsys):

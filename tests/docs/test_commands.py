@@ -154,10 +154,8 @@ def test_options_that_take_several_values_are_found() -> None:
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with each file that the documented commands name."""
-    import cv2
-
+def prepared(tmp_path_factory: pytest.TempPathFactory, short_clip: Path) -> Path:
+    """A folder with each file that the documented commands name; every video is short."""
     import mimic
     from mimic.config.sysid import LogSettings
     from mimic.flows.machine_log import LogMotion
@@ -165,16 +163,14 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from mimic.records import LANDMARKS
 
     folder = tmp_path_factory.mktemp("prepared")
-    for name in ("examples", "policies"):
-        (folder / name).symlink_to(ROOT / name)
-    capture = cv2.VideoCapture(str(ROOT / "examples" / "videos" / "waving.mp4"))
-    writer = cv2.VideoWriter(str(folder / "video.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (640, 360))
-    for _ in range(45):
-        seen, picture = capture.read()
-        assert seen
-        writer.write(cv2.resize(picture, (640, 360)))
-    writer.release()
-    shutil.copy(folder / "video.mp4", folder / "clip.mp4")
+    (folder / "policies").symlink_to(ROOT / "policies")
+    (folder / "examples" / "videos").mkdir(parents=True)
+    for file in [*(ROOT / "examples").iterdir(), *(ROOT / "examples" / "videos").iterdir()]:
+        if file.name != "videos":
+            here = folder / file.relative_to(ROOT)
+            here.symlink_to(short_clip if file.suffix == ".mp4" else file)
+    for name in ("video.mp4", "clip.mp4"):
+        shutil.copy(short_clip, folder / name)
     (folder / "folder").mkdir()
     shutil.copy(folder / "video.mp4", folder / "folder")
     pose = mimic.track_video(folder / "video.mp4", cache=False)

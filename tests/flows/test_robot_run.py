@@ -15,7 +15,7 @@ from mimic.config.play import RunSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import EmulatedSenderLink
-from mimic.flows import robot as flow
+from mimic.flows import robot_run as flow
 from mimic.flows.operator import Operator
 from mimic.flows.reporter import SilentReporter
 from mimic.hardware import session
@@ -58,13 +58,13 @@ def targets(monkeypatch, tmp_path):
 
 
 def test_ctrl_c_while_the_run_is_saved_does_not_cost_the_run(targets, tmp_path, monkeypatch):
-    save = flow.save_played
+    save = flow.save_run
 
     def disturbed(*arguments, **options):
         os.kill(os.getpid(), signal.SIGINT)
         return save(*arguments, **options)
 
-    monkeypatch.setattr(flow, "save_played", disturbed)
+    monkeypatch.setattr(flow, "save_run", disturbed)
     done = flow.play_on_robot("can0", targets, run=SHORT, bus=BUS, out=tmp_path / "run")
     assert done.ending == "the robot was damped and all motors are off"
     assert (tmp_path / "run" / "log.parquet").is_file()
@@ -78,7 +78,7 @@ def test_insisting_while_the_run_is_saved_says_how_the_robot_was_left_and_how_to
         for _ in range(5):
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(flow, "save_played", insisted)
+    monkeypatch.setattr(flow, "save_run", insisted)
     with pytest.raises(KeyboardInterrupt, match="all motors are off; to save the run: mimic log salvage"):
         flow.play_on_robot("can0", targets, run=SHORT, bus=BUS, out=tmp_path / "run")
     path, rows = flow.salvage(tmp_path / "run")

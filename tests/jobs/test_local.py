@@ -79,10 +79,14 @@ def test_run_all_keeps_the_order_and_counts():
 @pytest.mark.slow
 def test_run_all_raises_what_a_job_raised():
     with pytest.raises(ValueError, match="six"):
-        run_all(refuses_six, [5, 6, 7], workers=1)
+        run_all(refuses_six, [5, 6, 7], workers=2)
+
+
+def test_one_worker_is_this_process():
+    assert run_all(lambda job: (job, os.getpid()), [5, 6], workers=1) == [(5, os.getpid()), (6, os.getpid())]
 
 
 @pytest.mark.slow
 def test_run_all_does_not_hide_a_dead_process():
     with pytest.raises(RuntimeError, match="exit code 7"):
-        run_all(may_die, [0, 1, 2], workers=1)
+        run_all(may_die, [0, 1, 2], workers=2)

@@ -15,9 +15,9 @@ from mimic.records import LEGS
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.disturbances import quat_multiply, quat_rotate  # noqa: E402
 from mimic.train.feet import Feet, sliding  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
+from mimic.train.tensors import quat_multiply, quat_rotate  # noqa: E402
 
 RANGES = dataclasses.replace(
     UNDISTURBED,
@@ -28,6 +28,12 @@ RANGES = dataclasses.replace(
     drag_from=(0.0, 0.0),
     drag_ramp=(0.0, 0.0),
 )
+
+
+@pytest.fixture(autouse=True)
+def solved(monkeypatch):
+    """Physics that is solved to the end."""
+    monkeypatch.setattr("mimic.train.worlds.LINE_SEARCHES", 50)
 
 
 def make(description, **changes: object) -> StandTrackEnv:
@@ -43,9 +49,10 @@ def make(description, **changes: object) -> StandTrackEnv:
         command_margin=0.0,
         disturbance_share_at_first=1.0,
         upright_share_at_first=0.0,
+        timestep=0.0025,
+        solver_iterations=100,
     )
-    solved = {"solver_iterations": 100, "linesearch_iterations": 50}
-    return StandTrackEnv(description, dataclasses.replace(settings, **(solved | changes)), "cpu", 6)
+    return StandTrackEnv(description, dataclasses.replace(settings, **changes), "cpu", 6)
 
 
 def test_slope_payload_and_pull_are_those_of_the_simulation(description):
@@ -133,9 +140,10 @@ def test_only_low_toes_pay_for_moving():
     assert sliding(height, velocity, turning, below=0.03).item() == pytest.approx(2 * (0.5 + 1.0))
 
 
-def test_a_pull_grows_to_its_size_and_comes_more_often_from_behind(description):
+def test_a_pull_grows_to_its_size_and_comes_more_often_from_behind(description, monkeypatch):
+    monkeypatch.setattr("mimic.train.disturbances.DRAG_SECONDS", 1.0)
     ranges = dataclasses.replace(
-        UNDISTURBED, drag=(8.0, 8.0), drag_share=1.0, drag_from=(1.0, 1.0), drag_ramp=(2.0, 2.0), drag_seconds=1.0
+        UNDISTURBED, drag=(8.0, 8.0), drag_share=1.0, drag_from=(1.0, 1.0), drag_ramp=(2.0, 2.0)
     )
     env = make(description, worlds=4000, disturbances=ranges, quiet_share=0.0)
     d, heading = env.disturbances, torch.full((4000,), 0.7)

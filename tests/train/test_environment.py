@@ -22,11 +22,12 @@ from mimic.simulation.plant import SimulatedPlant
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
 from mimic.train.rewards import BEARS, MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
-from mimic.train.schedules import MoveSchedule  # noqa: E402
+from mimic.train.schedules import SETTLES  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 FEW = MdpSettings(
     worlds=6,
+    history=6,
     noise_q=0.0,
     noise_axes=0.0,
     noise_gyro=0.0,
@@ -113,10 +114,11 @@ def test_the_critic_sees_what_the_policy_sees_and_more(env):
 
 
 @pytest.mark.parametrize("timestep", [0.005, 0.0025])
-def test_training_physics_is_that_of_the_simulation(description, timestep):
+def test_training_physics_is_that_of_the_simulation(description, timestep, monkeypatch):
     """From the same lying start, through the same actuators and delay, with the same actions, solved to the end."""
     solver, description = Solver(timestep=timestep), with_timestep(description, timestep)
-    solved = {"solver_iterations": 100, "linesearch_iterations": 50, "command_margin": 0.0}
+    monkeypatch.setattr("mimic.train.worlds.LINE_SEARCHES", 50)
+    solved = {"solver_iterations": 100, "timestep": timestep, "command_margin": 0.0}
     env = make(description, worlds=1, upright_share=0.0, randomisation=NOMINAL, **solved)
     plant = SimulatedPlant(description, solver=solver)
     state = plant.start()
@@ -229,7 +231,7 @@ def test_smooth_friction_moves_the_robot_as_dry_friction_does(description):
 
     def moved(speed: float, friction: float) -> np.ndarray:
         ranges = dataclasses.replace(NOMINAL, joint_friction=(friction, friction))
-        lying = {"upright_share": 0.0, "upright_share_at_first": 0.0}
+        lying = {"upright_share": 0.0, "upright_share_at_first": 0.0, "timestep": 0.0025}
         env = make(description, worlds=24, friction_speed=speed, randomisation=ranges, solver_iterations=50, **lying)
         for step in range(10):
             env.step(0.3 * actions(step, 24))
@@ -260,17 +262,12 @@ def test_quiet_worlds_are_the_papers_robots_and_nobody_pulls_them(description):
     assert d.push_share[quiet].max() < d.push_share[~quiet].min() == 1.0
 
 
-def test_a_hand_pulls_as_that_of_the_simulation_does(description):
+def test_a_hand_pulls_as_that_of_the_simulation_does(description, monkeypatch):
     """The same toe path before both: standing still, then faster than the hand, then far behind."""
     hand = HandSettings(toe="right", direction=0.0, speed=0.2, most=6.0, stiffness=60.0, begin=2.0, way=0.8)
-    ranges = dataclasses.replace(
-        UNDISTURBED,
-        lead_share=1.0,
-        lead_speed=(hand.speed, hand.speed),
-        lead_most=(hand.most, hand.most),
-        lead_seconds=(hand.way / hand.speed, hand.way / hand.speed),
-        drag_from=(hand.begin, hand.begin),
-    )
+    for name, value in (("SPEED", hand.speed), ("MOST", hand.most), ("SECONDS", hand.way / hand.speed)):
+        monkeypatch.setattr(f"mimic.train.disturbances.LEAD_{name}", (value, value))
+    ranges = dataclasses.replace(UNDISTURBED, lead_share=1.0, drag_from=(hand.begin, hand.begin))
     env = make(description, disturbances=ranges)
     d, dt = env.disturbances, description.dt
     model = load_model(description)
@@ -304,7 +301,7 @@ def test_a_robot_is_to_rest_once_it_has_had_time_to_turn(description):
     env = make(description, stand_share=1.0, command_seconds=(5000.0, 5000.0))
     everyone = torch.ones(FEW.worlds, dtype=torch.bool)
     env.moves.reset(everyone, torch.zeros(FEW.worlds))
-    steps = round(MoveSchedule.SETTLES / env.contract.dt)
+    steps = round(SETTLES / env.contract.dt)
     seen = []
     for _ in range(2 * steps):
         env.moves.advance()
@@ -375,21 +372,17 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
     assert rewards(1.0, 1440).min() > 0
 
 
-def upright(description, **settings):
-    """Worlds in which every robot starts upright, with rewards at their full weight and size."""
-    return make(
-        description,
-        reward_scale=1.0,
-        refining_share_at_first=1.0,
-        upright_share=1.0,
-        upright_share_at_first=1.0,
-        **settings,
-    )
+@pytest.fixture
+def upright(description, monkeypatch):
+    """Makes worlds in which every robot starts upright, with rewards at their full weight and size."""
+    monkeypatch.setattr("mimic.train.environment.REWARD_SCALE", 1.0)
+    monkeypatch.setattr("mimic.train.stand_track.REFINING_SHARE", 1.0)
+    return lambda **settings: make(description, upright_share=1.0, upright_share_at_first=1.0, **settings)
 
 
-def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(description):
+def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(upright):
     for size, cost in ((0.1, 6 * 0.1**2), (5.0, 6.0)):
-        env = upright(description, rewards=only(unrest=-1.0), stand_share=1.0)
+        env = upright(rewards=only(unrest=-1.0), stand_share=1.0)
         fresh = env.episode_length_buf == 0
         _, reward, done, _ = env.step(torch.full((FEW.worlds, 12), size))
         counted = reward[(done == 0) & ~fresh]
@@ -397,8 +390,8 @@ def test_unrest_has_a_largest_cost_and_is_free_while_the_robot_topples(descripti
         assert counted.min() < 0.0
 
 
-def test_shuffling_costs_the_speed_of_toes_on_the_ground(description):
-    env = upright(description, rewards=only(shuffle=-1.0), stand_share=1.0, worlds=24, randomisation=NOMINAL)
+def test_shuffling_costs_the_speed_of_toes_on_the_ground(upright, description):
+    env = upright(rewards=only(shuffle=-1.0), stand_share=1.0, worlds=24, randomisation=NOMINAL)
     model = env.worlds.mj_model
     data, jacobian, compared = mujoco.MjData(model), np.zeros((3, model.nv)), 0
     for _ in range(12):
@@ -419,12 +412,12 @@ def test_shuffling_costs_the_speed_of_toes_on_the_ground(description):
     assert compared > 10
 
 
-def test_drift_is_the_distance_from_where_the_robot_came_to_rest(description):
-    env = upright(description, rewards=only(drift=-1.0), still_share=1.0)
-    env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
+def test_drift_is_the_distance_from_where_the_robot_came_to_rest(upright):
+    env = upright(rewards=only(drift=-1.0), still_share=1.0)
+    env.moves._since.fill_(SETTLES + 1.0)
     env.moves._left.fill_(100.0)
     env.step(torch.zeros(FEW.worlds, 12))
-    env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
+    env.moves._since.fill_(SETTLES + 1.0)
     start = env._anchor.clone()
     env.worlds.qpos[:, 0] += torch.linspace(0.0, 0.5, FEW.worlds)
     _, reward, done, _ = env.step(torch.zeros(FEW.worlds, 12))
@@ -473,15 +466,15 @@ def test_worlds_have_their_own_ratio_of_friction(description):
     assert np.ptp(ratio[env.worlds.quiet.numpy()]) > 10
 
 
-def test_a_robot_that_should_rest_gains_nothing_by_turning_away_so_that_its_clock_starts(description):
-    env = upright(description, rewards=only(gait=1.0), still_share=1.0, catching=0.0)
+def test_a_robot_that_should_rest_gains_nothing_by_turning_away_so_that_its_clock_starts(upright):
+    env = upright(rewards=only(gait=1.0), still_share=1.0, quiet_share=1.0)  # a quiet one never topples
     env.moves._left.fill_(100.0)
     gained = {}
     for away in (0.0, 1.0):
         env._reset(torch.ones(FEW.worlds, dtype=torch.bool))
         torch.manual_seed(0)
         for _ in range(4):
-            env.moves._since.fill_(MoveSchedule.SETTLES + 1.0)
+            env.moves._since.fill_(SETTLES + 1.0)
             env.moves.heading.copy_(env._heading + away)
             env.step(torch.zeros(FEW.worlds, 12))
         assert bool((env._gait > 0).all()) == (away > 0)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mimic.config.play import NOMINAL
-from mimic.config.rewards import SitDownWeights
-from mimic.config.training import UNDISTURBED, LearnSettings, MdpSettings, SitDownSettings
-from mimic.errors import AssetError, ConfigError
+from mimic.config.training import UNDISTURBED, LearnSettings, MdpSettings
+from mimic.errors import AssetError
 from mimic.geometry import heading_from_quat, up_cosine
 from mimic.policy.runtime import Policy
 
@@ -16,12 +15,11 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from mimic.train.learn import train  # noqa: E402
-from mimic.train.overrides import with_overrides  # noqa: E402
-from mimic.train.sit_down import SitDownEnv, sit_down_terms  # noqa: E402
-from mimic.train.sit_down_starts import SitDownStarts  # noqa: E402
+from mimic.train.rewards import REWARD_SCALE  # noqa: E402
+from mimic.train.sit_down import WEIGHTS, SitDownEnv, sit_down_terms  # noqa: E402
+from mimic.train.starts import SitDownStarts, StartShares, recorded_states  # noqa: E402
 
 SIT = MdpSettings(worlds=8, task="sit_down", noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED)
-LYING = SitDownSettings(steady_share=0.0, rising_share=0.0, falling_share=0.0, lying_share=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +27,8 @@ def env(description) -> SitDownEnv:
     return SitDownEnv(description, SIT, "cpu", 3)
 
 
-def test_a_word_chooses_the_task():
-    mdp, _ = with_overrides(MdpSettings(), LearnSettings(), ["task=sit_down", "sit_down.rewards.head_low=-1"])
-    assert mdp.task == "sit_down"
-    assert mdp.sit_down.rewards.head_low == -1
-    with pytest.raises(ConfigError, match="expected stand_track or sit_down"):
-        with_overrides(MdpSettings(), LearnSettings(), ["task=jump"])
-
-
 def test_training_leaves_a_policy_that_says_what_it_is_for(description, tmp_path):
-    learn = LearnSettings(iterations=1, device="cpu", steps=24, hidden=(32, 16), epochs=2, minibatches=2)
+    learn = LearnSettings(iterations=1, device="cpu", steps=12, hidden=(32, 16), epochs=2, minibatches=2)
     rows = []
     path = train(tmp_path, SIT, learn, report=lambda update, row: rows.append(row))
     contract = Policy(path, description).contract
@@ -51,7 +41,7 @@ def test_starts_are_upright_falling_rising_and_lying(description):
     start = SitDownStarts(description, dataclasses.replace(SIT, worlds=2000), "cpu").draw()
     quat, q = start.qpos[:, 3:7].numpy(), start.qpos[:, 7:].numpy()
     up = up_cosine(*quat.T)
-    assert abs(float(start.anytime.float().mean()) - SIT.sit_down.lying_share) < 0.03
+    assert abs(float(start.anytime.float().mean()) - StartShares().lying) < 0.03
     assert np.mean(up > 0.9) > 0.5
     assert np.mean((up > 0.3) & (up < 0.8)) > 0.05
     assert np.all(np.abs(np.linalg.norm(quat, axis=1) - 1) < 0.01)
@@ -67,24 +57,25 @@ def to_lie(description) -> torch.Tensor:
     return torch.as_tensor(change / SIT.action_scale, dtype=torch.float32).expand(SIT.worlds, 12)
 
 
-def test_a_robot_that_lies_and_stays_earns_all_that_can_be_earned(description):
-    env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=LYING, randomisation=NOMINAL), "cpu", 1)
+def test_a_robot_that_lies_and_stays_earns_all_that_can_be_earned(description, monkeypatch):
+    monkeypatch.setattr(SitDownStarts, "shares", StartShares(steady=0.0, rising=0.0, falling=0.0, lying=1.0))
+    env = SitDownEnv(description, dataclasses.replace(SIT, randomisation=NOMINAL), "cpu", 1)
     env.episode_length_buf.zero_()
     extras: dict = {}
     for _ in range(96):
         _, reward, done, extras = env.step(to_lie(description))
         assert not done.any()
-    w = SitDownWeights()
-    assert reward.min() > 0.85 * SIT.reward_scale * (w.height + w.level + w.pose + w.pose_fine + w.still)
+    most = sum(WEIGHTS[name] for name in ("height", "level", "pose", "pose_fine", "still"))
+    assert reward.min() > 0.85 * REWARD_SCALE * most
     assert extras["log"]["sit_down/lying"] == 1
 
 
-def test_a_robot_that_drops_pays_for_it(description):
-    upright = SitDownSettings(steady_share=1.0, rising_share=0.0, falling_share=0.0, lying_share=0.0)
-    env = SitDownEnv(description, dataclasses.replace(SIT, sit_down=upright), "cpu", 1)
+def test_a_robot_that_drops_pays_for_it(description, monkeypatch):
+    monkeypatch.setattr(SitDownStarts, "shares", StartShares(steady=1.0, rising=0.0, falling=0.0, lying=0.0))
+    env = SitDownEnv(description, SIT, "cpu", 1)
     env.episode_length_buf.zero_()
     rewards = [env.step(to_lie(description))[1] for _ in range(20)]
-    assert torch.stack(rewards).amin(0).max() < -10.0 * SIT.reward_scale
+    assert torch.stack(rewards).amin(0).max() < -10.0 * REWARD_SCALE
 
 
 def test_there_is_a_weight_for_each_term_in_its_order(env):
@@ -92,9 +83,9 @@ def test_there_is_a_weight_for_each_term_in_its_order(env):
     finite = torch.ones(SIT.worlds, dtype=torch.bool)
     low = env.worlds.lowest()
     terms = sit_down_terms(env._facts(finite, low), env._descent(finite, low), env.description.training.joint_speed)
-    assert list(terms) == [f.name for f in dataclasses.fields(SitDownWeights)]
+    assert list(terms) == list(WEIGHTS)
 
 
-def test_states_that_are_not_there_are_reported(description):
+def test_states_that_are_not_there_are_reported():
     with pytest.raises(AssetError, match=r"nowhere\.npz"):
-        SitDownEnv(description, dataclasses.replace(SIT, sit_down=SitDownSettings(states="nowhere.npz")), "cpu", 1)
+        recorded_states("nowhere.npz")

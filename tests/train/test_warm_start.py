@@ -90,23 +90,15 @@ def test_a_policy_whose_actions_mean_something_else_is_refused(policy, tmp_path)
 
 def test_what_is_played_otherwise_than_before_is_said(policy, tmp_path, caplog):
     with caplog.at_level("INFO", logger="mimic.train"):
-        train(tmp_path, dataclasses.replace(MDP, clock_hz=3.0, interpolate=False), LEARN, resume=policy)
+        train(tmp_path, dataclasses.replace(MDP, clock_hz=3.0), LEARN, resume=policy)
     said = [line for line in caplog.messages if "was trained with" in line]
-    assert said == [
-        f"policy.onnx was trained with clock_hz {MDP.clock_hz} and goes on with 3.0",
-        "policy.onnx was trained with interpolate True and goes on with False",
-    ]
+    assert said == [f"policy.onnx was trained with clock_hz {MDP.clock_hz} and goes on with 3.0"]
 
 
 def test_what_is_no_policy_is_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(AssetError, match="no ONNX file"):
         train(tmp_path / "out", MDP, LEARN, resume=tmp_path / "text.onnx")
-
-
-def test_the_plain_algorithm_cannot_go_on_from_a_policy(policy, tmp_path):
-    with pytest.raises(ConfigError, match="captured"):
-        train(tmp_path, MDP, dataclasses.replace(LEARN, captured=False), resume=policy)
 
 
 def test_a_training_goes_on_from_a_policy_without_gyro_as_that_policy_acts(policy, description, tmp_path):

@@ -27,6 +27,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import can
+import can.interfaces.socketcan
+import can.interfaces.socketcand  # the first bus opens quickly then
 import serial
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus

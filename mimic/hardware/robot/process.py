@@ -118,6 +118,7 @@ class SenderProcess:
         self._failure: tuple[str, str] | None = None
         self._taken_over = ""
         self._ending: str | None = None
+        self._heard = time.monotonic()
         try:
             self._ask(b"")
         except BaseException:
@@ -203,6 +204,7 @@ class SenderProcess:
             if not data:
                 self._lost = True
                 return
+            self._heard = time.monotonic()
             kind, content = data[:1], data[1:]
             if kind == _REPORT:
                 report = np.frombuffer(content, REPORT)[0]
@@ -223,22 +225,19 @@ class SenderProcess:
         """Damp the robot until it rests, and return how it was left."""
         if not self._started:
             return "nothing was switched on"
-        begin = last = time.monotonic()
+        end = time.monotonic() + END_WITHIN
         self._send(_FINISH)
-        while not self._lost and self._ending is None and (now := time.monotonic()) - begin < END_WITHIN:
+        while not self._lost and self._ending is None and time.monotonic() < end:
             self._read(0.02)
-            if self._reports:
-                last = now
-                self._reports.clear()
-            elif now - last > HANGS:
+            self._reports.clear()
+            if time.monotonic() - self._heard > HANGS:
                 break
         return self._damp_directly() if self._ending is None else self._ending
 
     def _damp_directly(self) -> str:
         """End the process and damp the robot from this one."""
         with suppress(ProcessLookupError):
-            self._process.kill()  # a serial adapter belongs to one process
-        self._process.wait()
+            self._process.kill()  # from now on it sends nothing
         try:
             driver = open_driver(self._settings, quick=True)
         except MimicError as reason:

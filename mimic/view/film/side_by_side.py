@@ -266,12 +266,17 @@ def text_band(height: int) -> int:
 
 
 def write_texts(picture: np.ndarray, texts: list[tuple[str, skeleton.Colour]]) -> None:
-    """Write coloured text on a dark band at the bottom of a picture."""
+    """Write coloured text on a dark band at the bottom of a picture, smaller where it would not fit."""
     import cv2
 
-    height = picture.shape[0]
+    height, width = picture.shape[:2]
     scale, line = height / 900, max(1, round(height / 480))
     edge = round(height * 0.03)
+    room = width - edge * (len(texts) + 1)
+    while scale > 0.1 and room < sum(
+        cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, scale, line)[0][0] for text, _ in texts
+    ):
+        scale *= 0.95
     x, y = edge, height - edge
     bar = picture[height - text_band(height) :]
     bar[:] = (0.35 * bar + 0.65 * np.array([30, 34, 40])).astype(np.uint8)

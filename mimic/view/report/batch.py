@@ -13,7 +13,7 @@ _WORST_ERROR = 8.0
 
 _WIDE = (
     "body{max-width:1360px}tr.noted td{border-bottom:0;padding-bottom:0}td{white-space:nowrap}"
-    "td[colspan],td+td:last-child{white-space:normal}"
+    "td[colspan],td+td:last-child,th.n{white-space:normal}th,td{padding:5px 6px}.bar{width:48px}"
 )
 
 _COLUMNS = (

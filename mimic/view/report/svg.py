@@ -15,15 +15,18 @@ LEFT, RIGHT, TOP, BOTTOM = 46, 8, 20, 22
 
 
 def round_ticks(low: float, high: float, count: int = 4) -> list[float]:
-    """Return about ``count`` round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+    """Return about ``count`` round numbers from low to high, at least two: steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not span > 0 or not math.isfinite(span):
         return [low]
     raw = span / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
-    step = next(m * power for m in (1, 2, 5, 10) if m * power >= 0.7 * raw)
-    first = math.ceil(low / step - 1e-9)
-    return [step * k for k in range(first, math.floor(high / step + 1e-9) + 1)]
+    ticks: list[float] = []
+    for step in (m * power for m in (10, 5, 2, 1, 0.5)):
+        if step >= 0.7 * raw or len(ticks) < 2:
+            first = math.ceil(low / step - 1e-9)
+            ticks = [step * k for k in range(first, math.floor(high / step + 1e-9) + 1)]
+    return ticks
 
 
 def _powers(low: float, high: float, count: float) -> list[float]:
@@ -31,7 +34,8 @@ def _powers(low: float, high: float, count: float) -> list[float]:
     powers = [float(k) for k in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)]
     if len(powers) < 3:
         fine = [k + math.log10(m) for k in range(math.floor(low), math.ceil(high) + 1) for m in (1, 2, 5)]
-        return [k for k in fine if low <= k <= high]
+        fine = [k for k in fine if low <= k <= high]
+        return fine if len(fine) > 1 else [math.log10(v) for v in round_ticks(10.0**low, 10.0**high, 3)]
     return powers[:: max(1, math.ceil(len(powers) / max(count, 2.0)))]
 
 

@@ -21,7 +21,7 @@ from mimic.robot.leg_kinematics import front_toes
 from mimic.view.film import skeleton
 from mimic.view.scene import layout
 from mimic.view.scene.floor import draw_floor
-from mimic.view.scene.robot import rerun_shapes
+from mimic.view.scene.robot_drawing import rerun_shapes
 from mimic.view.scene.robot_shapes import body_poses, visual_shapes
 from mimic.view.scene.viewer import start_viewer
 from mimic.view.scene.viewpoint import SIDEWAYS

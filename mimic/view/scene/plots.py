@@ -16,9 +16,9 @@ from mimic.view.scene.timing import shared_time
 
 ROOT = "/plots"
 
-ERROR = "toe error [cm]: left green, right pink; clamped by: pale"
-KNEES = "knee torque [N m]: left green, right pink"
-STANDING = "standing [upright 0 to 1: orange; height m: grey]"
+ERROR = "toe error [cm], clamped by: pale"
+KNEES = "knee torque [N m]"
+STANDING = "standing [orange; height m: grey]"
 TOE_AXES = ("forward", "left", "up")
 """The axes of the person's torso, in the order of torso coordinates."""
 
@@ -48,7 +48,7 @@ def plot_path(plot: str) -> str:
 
 def toe_plot(axis: str) -> str:
     """Return the title of the plot of one toe axis."""
-    return f"toe {axis} [cm], target: pale"
+    return f"toe {axis} [cm]: left green, right pink; target pale"
 
 
 def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | None) -> Iterator[Curve]:

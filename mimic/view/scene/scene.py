@@ -19,7 +19,7 @@ from mimic.view.film.skeleton import feet_seen
 from mimic.view.scene import layout, plots
 from mimic.view.scene.footage import Clip, Footage, start_footage
 from mimic.view.scene.person import draw_person
-from mimic.view.scene.robot import draw_robot
+from mimic.view.scene.robot_drawing import draw_robot
 from mimic.view.scene.timing import frame_times, hold_first_row, initial_heading, shared_time, slowed_down
 from mimic.view.scene.viewpoint import seen_from
 

@@ -125,21 +125,16 @@ def screenshot(scene: Path, picture: Path, *, time_s: float, size: tuple[int, in
 
 def _take(scene: Path, picture: Path, time_s: float, size: tuple[int, int]) -> None:
     with _headless((size[0], size[1] + _MENU_HEIGHT)) as viewer:
-        try:
-            viewer.open(str(scene.resolve()))
-            for _ in range(2):  # the first call makes the views load video and plots
-                viewer.set_time(TIMELINE, duration=time_s, play_state="paused")
-                time.sleep(_LOAD_TIME / 2)
-            viewer.save_screenshot(str(picture.resolve()))
-        except (RuntimeError, OSError) as error:
-            raise MimicError(f"the Rerun viewer could not take a picture of {scene}: {error}") from error
+        viewer.open(str(scene.resolve()))
+        for _ in range(2):  # the first call makes the views load video and plots
+            viewer.set_time(TIMELINE, duration=time_s, play_state="paused")
+            time.sleep(_LOAD_TIME / 2)
+        viewer.save_screenshot(str(picture.resolve()))
 
 
 @contextmanager
 def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
     """Run a viewer without a window, and end it on exit."""
-    from rerun.experimental import ViewerClient
-
     with socket.socket() as probe:
         probe.bind((_HERE, 0))
         port = int(probe.getsockname()[1])
@@ -152,40 +147,50 @@ def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
             start_new_session=True,
         )
         try:
-            deadline = time.monotonic() + _START_TIMEOUT
-            while True:
-                try:
-                    viewer = ViewerClient.connect(f"rerun+http://{_HERE}:{port}/proxy")
-                    viewer.get_state()
-                    break
-                except (OSError, RuntimeError) as error:
-                    if process.poll() is None and time.monotonic() < deadline:
-                        time.sleep(0.2)
-                        continue
-                    output.seek(0)
-                    raise _no_viewer(output.read()) from error
-            yield viewer
+            yield _connected(process, f"rerun+http://{_HERE}:{port}/proxy")
+        except (OSError, RuntimeError) as error:  # it may also end later, at the first picture
+            output.seek(0)
+            raise _no_viewer(output.read(), error) from error
         finally:
             _end(process)
 
 
-def _no_viewer(output: str) -> MimicError:
-    if "graphics adapter" in output:
+def _connected(process: subprocess.Popen[Any], address: str) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    deadline = time.monotonic() + _START_TIMEOUT
+    while True:
+        try:
+            viewer = ViewerClient.connect(address)
+            viewer.get_state()
+            return viewer
+        except (OSError, RuntimeError):
+            if process.poll() is not None or time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+
+
+def _no_viewer(output: str, error: Exception) -> MimicError:
+    if "graphics adapter" in output or "render context" in output:
         return MimicError(
             "the Rerun viewer found no Vulkan driver; without a graphics card it needs the software one "
             "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)"
         )
-    return MimicError(f"the Rerun viewer did not start: {output.strip()[-400:] or 'no output'}")
+    return MimicError(f"the Rerun viewer took no picture: {output.strip()[-400:] or error}")
 
 
 def _end(process: subprocess.Popen[Any]) -> None:
-    """End the viewer and its process group, because the command starts another program."""
+    """End the viewer and its process group, because the command starts another program; return when both are gone."""
     if sys.platform == "win32":
         subprocess.run(["taskkill", "/PID", str(process.pid), "/T", "/F"], capture_output=True, check=False)
-    else:
+        process.wait(timeout=10)
+        return
+    for kind in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-    process.wait(timeout=10)
+            os.killpg(process.pid, kind)
+        with suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=5)  # to the end of the output, which all of the group write to
+            return
 
 
 def _check(path: Path) -> None:

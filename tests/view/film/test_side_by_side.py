@@ -8,7 +8,7 @@ from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import read_frames
 from mimic.view.film.offscreen import NoOffscreenGL
-from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video, text_band
+from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video, text_band, write_texts
 from mimic.view.scene.timing import shared_time
 
 HEIGHT, FPS = 64, 10
@@ -118,3 +118,12 @@ def test_error_names_what_was_tried(
 
 def _fails(backend: str, width: int, height: int) -> None:
     raise OSError("no driver\nand a long explanation")
+
+
+def test_a_caption_fits_into_a_picture_of_the_default_size():
+    picture = np.zeros((480, 480, 3), np.uint8)
+    texts = ["12.3 s", "frame 123 of 1499", "tracks the targets", "toe error", "1.2 cm", "13.4 cm"]
+    write_texts(picture, [(text, (255, 255, 255)) for text in texts])
+    bright = np.flatnonzero((picture[480 - text_band(480) :] > 150).any((0, 2)))
+    assert bright[0] >= 10
+    assert 400 < bright[-1] <= 470

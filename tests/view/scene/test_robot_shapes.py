@@ -8,7 +8,7 @@ from mimic.geometry import rotation_from_quat
 from mimic.records import RunLog
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import TOES
-from mimic.view.scene.robot import capsule_starts
+from mimic.view.scene.robot_drawing import capsule_starts
 from mimic.view.scene.robot_shapes import VISUAL_GROUP, body_poses, in_world, qpos_at_ticks, visual_shapes
 
 TICK = 60

@@ -1,5 +1,6 @@
 import socket
 import sys
+import time
 import urllib.request
 from pathlib import Path
 
@@ -49,6 +50,8 @@ def test_screenshot_needs_no_display(log: RunLog, description: RobotDescription,
     try:
         screenshot(scene, picture, time_s=0.5, size=(640, 400))
     except MimicError as error:
+        if "no Vulkan driver" not in str(error):
+            raise
         pytest.skip(str(error))
     image = cv2.imread(str(picture))
     assert image is not None
@@ -75,8 +78,15 @@ def test_a_scene_is_served_to_browsers_of_this_computer_only(tmp_path: Path) -> 
     assert address.startswith("http://127.0.0.1:")
     assert status == 200
     port = int(address.removeprefix("http://127.0.0.1:").partition("?")[0])
+    until = time.monotonic() + 2.0  # a dying process closes its output a moment before its sockets
+    while _listens(port) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not _listens(port), "the server outlives the call"
+
+
+def _listens(port: int) -> bool:
     with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", port)) != 0, "the server outlives the call"
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_a_viewer_listens_on_this_computer_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

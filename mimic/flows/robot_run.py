@@ -17,13 +17,14 @@ from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.errors import AssetError, MimicError, PlantError
-from mimic.flows.camera import CameraRecord, camera_name, follow_camera
+from mimic.flows.camera import camera_name, follow_camera
+from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.operator import Operator, undisturbed
-from mimic.flows.play import load_source, play, save_played
+from mimic.flows.play import load_source, play
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
-from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder
+from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
 from mimic.io import store
 from mimic.records import CommandTrack, LiveCommands
 
@@ -193,7 +194,7 @@ def play_on_robot(
         parts, more = {"run": run, "bus": bus, "live": live}, {"ending": plant.ending}
         signals.read()
         try:
-            saved = save_played(done, folder, parts, reporter, source=file, camera=record, more=more)
+            saved = save_run(done, folder, reporter, settings=parts, source=file, camera=record, more=more)
         except OSError as reason:
             raise AssetError(
                 f"{plant.ending}; the run could not be saved in {folder}: {reason.strerror or reason}. Make room, then "

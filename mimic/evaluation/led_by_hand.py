@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ from mimic.config.leading import HandSettings
 from mimic.config.play import Randomisation
 from mimic.control.leading import lead_robot
 from mimic.control.loop import RunResult
+from mimic.evaluation.episode import play_all
 from mimic.evaluation.policy import stands_at_end
-from mimic.jobs.local import Progress, run_all
+from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy
 from mimic.records import SIDES
 from mimic.robot.description import load_description
@@ -59,7 +59,8 @@ def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[
     }
 
 
-def _play(seed: int, settings: LeadSettings, policy_path: str) -> dict[str, Any]:
+def _play(job: tuple[int, LeadSettings], policy_path: str) -> dict[str, Any]:
+    seed, settings = job
     description, policy = load_description(), cached_policy(policy_path)
     rng = np.random.default_rng([seed, 37])
     hand = replace(settings.hand, direction=float(rng.uniform(-180.0, 180.0)), toe=SIDES[int(rng.integers(2))])
@@ -74,16 +75,9 @@ def _play(seed: int, settings: LeadSettings, policy_path: str) -> dict[str, Any]
 
 
 def evaluate_leading(policy_path: Path, settings: LeadSettings, *, progress: Progress | None = None) -> dict[str, Any]:
-    """Evaluate being led by either front toe in any direction; the same seeds give the same figures.
-
-    Raises:
-        AssetError, ContractError: If the policy cannot be run on this robot.
-    """
-    cached_policy(str(policy_path))
-    plant_options(settings.robot)
-    play = partial(_play, settings=settings, policy_path=str(policy_path))
-    seeds = [settings.seed + i for i in range(settings.episodes)]
-    rows = run_all(play, seeds, workers=settings.workers, progress=progress)
+    """Evaluate being led by either front toe in any direction; the same seeds give the same figures."""
+    jobs = [(settings.seed + i, settings) for i in range(settings.episodes)]
+    rows = play_all(_play, jobs, policy_path, settings, progress)
     return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
 
 

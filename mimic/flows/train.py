@@ -1,0 +1,121 @@
+"""Training policies: settings from recipes, and the training itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from mimic.config.play import EffectsSettings
+from mimic.config.training import LearnSettings, MdpSettings
+from mimic.config.values import expected, fitted, read_toml
+from mimic.errors import AssetError, ConfigError, MissingExtra
+from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.reporter import Reporter, SilentReporter
+from mimic.io.assets import shipped
+
+S = TypeVar("S")
+
+RECIPES = ("stand_track", "sit_down")
+"""Shipped recipes, in policies/."""
+
+
+def training_settings(recipe: str = RECIPES[0], words: Sequence[str] = ()) -> tuple[MdpSettings, LearnSettings]:
+    """Return the settings of a training.
+
+    Args:
+        recipe: A TOML file of settings, or the name of a shipped recipe; what it does not name has its default.
+        words: "name=value" for single settings, such as "worlds=16" or "rewards.slip=-0.4"; the last one wins.
+
+    Raises:
+        ConfigError: If there is no such recipe or setting, or a value does not fit.
+    """
+    path = Path(recipe)
+    if path.suffix != ".toml":
+        if recipe not in RECIPES:
+            raise ConfigError(f"there is no recipe {recipe!r}; give a .toml file or one of {', '.join(RECIPES)}")
+        path = shipped("policies", f"{recipe}.toml")
+    settings: tuple[Any, ...] = MdpSettings(), LearnSettings()
+    for table in (read_toml(path), *map(_table, words)):
+        for name, value in table.items():
+            at = next((i for i, s in enumerate(settings) if name in _names(s)), None)
+            if at is None:
+                known = ", ".join(name for s in settings for name in _names(s))
+                raise ConfigError(f"there is no setting {name!r}; there are {known}")
+            changed = _changed(settings[at], {name: value})
+            settings = (*settings[:at], changed, *settings[at + 1 :])
+    return settings  # type: ignore[return-value]
+
+
+def _table(word: str) -> dict[str, Any]:
+    """Return name=value as TOML has it; a value that is none in TOML is text."""
+    name, equals, text = word.partition("=")
+    if not equals:
+        raise ConfigError(f"{word!r} is not a setting; expected name=value")
+    for value in (text, f"'{text}'"):
+        try:
+            return tomllib.loads(f"{name} = {value}")
+        except tomllib.TOMLDecodeError:
+            pass
+    raise ConfigError(f"{word!r} is not a setting; expected name=value, such as rewards.slip=-0.4")
+
+
+def _names(settings: Any) -> list[str]:
+    return [f.name for f in dataclasses.fields(settings)]
+
+
+def _changed(settings: S, table: Mapping[str, Any], above: str = "") -> S:
+    """Return settings with the values of a table, and of its tables."""
+    hints, values = get_type_hints(type(settings)), {}
+    for name, value in table.items():
+        whole = above + name
+        if name not in hints:
+            raise ConfigError(f"there is no setting {whole!r}; there are {', '.join(_names(settings))}")
+        if dataclasses.is_dataclass(hints[name]):
+            if not isinstance(value, dict):
+                fields = ", ".join(f"{whole}.{field}" for field in _names(hints[name]))
+                raise ConfigError(f"{whole} is {value!r}; set one of its fields: {fields}")
+            values[name] = _changed(getattr(settings, name), value, f"{whole}.")
+            continue
+        try:
+            values[name] = fitted(value, hints[name])
+        except TypeError:
+            raise ConfigError(f"{whole} is {value!r}; expected {expected(hints[name])}") from None
+    return dataclasses.replace(settings, **values)  # type: ignore[type-var]
+
+
+def train(
+    out: Path,
+    mdp: MdpSettings | None = None,
+    learn: LearnSettings | None = None,
+    *,
+    resume: Path | None = None,
+    report: Callable[[int, dict[str, float]], None] | None = None,
+    reporter: Reporter | None = None,
+) -> Path:
+    """Train a policy with PPO in MuJoCo Warp and return its ONNX file.
+
+    Args:
+        out: Folder for checkpoints, TensorBoard files, settings.json and policy.onnx.
+        mdp: The worlds, rewards and randomisation; by default those of stand_track. See `training_settings`.
+        learn: PPO and the length of the training.
+        resume: Checkpoint (.pt) or policy (.onnx) to go on from.
+        report: Called after each update with its number and its figures.
+        reporter: Receives warnings.
+
+    Raises:
+        MissingExtra: If the extra ``train`` is not installed.
+        AssetError: If there is no such checkpoint.
+        ConfigError: If the device is not there.
+    """
+    try:
+        from mimic.train.learn import train as learn_policy
+    except ModuleNotFoundError as missing:
+        raise MissingExtra(str(missing.name), "train") from None
+    mdp, learn = mdp or MdpSettings(), learn or LearnSettings()
+    warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
+    if resume is not None and not resume.is_file():
+        raise AssetError(f"there is no checkpoint {resume}")
+    return learn_policy(out, mdp, learn, resume=resume, report=report)

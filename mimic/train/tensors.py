@@ -1,0 +1,52 @@
+"""What the worlds' code shares: chance, masked writes into static buffers, quaternions wxyz (..., 4)."""
+
+from __future__ import annotations
+
+import torch
+
+
+class Chance:
+    """Numbers drawn for each of N worlds."""
+
+    def __init__(self, worlds: int, device: str) -> None:
+        self._n, self._device = worlds, device
+
+    def _rand(self, *shape: int) -> torch.Tensor:
+        return torch.rand(self._n, *shape, device=self._device)
+
+    def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
+        return low + (high - low) * self._rand(*shape)
+
+
+def put(buffer: torch.Tensor, where: torch.Tensor, value: torch.Tensor | float) -> None:
+    """Write into the rows of a buffer (N, ...) for which ``where`` (N,) is true."""
+    rows = where.view(-1, *[1] * (buffer.dim() - 1))
+    buffer.copy_(torch.where(rows, value, buffer))
+
+
+def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    """Return the product of quaternions."""
+    a, v, b, u = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
+    return torch.cat([a * b - (v * u).sum(-1, keepdim=True), a * u + b * v + torch.linalg.cross(v, u)], -1)
+
+
+def quat_rotate(quat: torch.Tensor, vector: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
+    """Return vectors (..., 3) turned by unit quaternions, or back."""
+    w, axis = quat[..., :1], quat[..., 1:]
+    axis = -axis if inverse else axis
+    twice = 2 * torch.linalg.cross(axis, vector)
+    return vector + w * twice + torch.linalg.cross(axis, twice)
+
+
+def quat_from_euler(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+    """Return quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll), angles (N,) [rad]."""
+    cr, sr = torch.cos(roll / 2), torch.sin(roll / 2)
+    cp, sp = torch.cos(pitch / 2), torch.sin(pitch / 2)
+    cy, sy = torch.cos(yaw / 2), torch.sin(yaw / 2)
+    parts = [
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    ]
+    return torch.stack(parts, -1)
