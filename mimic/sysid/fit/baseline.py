@@ -10,38 +10,36 @@ from dataclasses import replace
 import numpy as np
 
 from mimic.config.sysid import CalibrateSettings
-from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Asking, Fit, answered, best_of_chains, chain_costs, fit, solve
+from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.problem import Key, Point, Problem
 from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.result import Errors, LogErrors
 
-MOST_CORRECTIONS = 4
-"""Most steps of a fit from fine replays."""
-
-MOST_EXTRAPOLATIONS = 2
-"""Most times that it finds anew what steps without length would change."""
-
-ENOUGH = 1.0
-"""Standard deviations of all numbers together by which a step of such a fit still moves when it is the last."""
-
-LEAST_FALL = 2e-3
-"""Share by which what noise does not explain falls in a step that is worth another."""
-
-
-COARSE = 400.0
-"""Mean square of what is left, in noise floors, from which on fits need not converge in fine steps, which change a
-fraction of a noise floor."""
-
 
 def corrected(problem: Problem, point: Point) -> Problem:
     """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
     return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
+
+
+def settled(
+    problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray], passes: int = 2
+) -> tuple[Problem, Fit]:
+    """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it."""
+    for _ in range(passes):
+        problem = corrected(problem, fitted.point)
+        fitted = fit(problem, fitted.point, names, where, most=2, frozen=fitted)
+    return problem, fitted
+
+
+def with_fine_derivatives(problem: Problem, fitted: Fit) -> Fit:
+    """Return a fit with central differences in fine steps: in coarse ones that of a delay is off by half."""
+    columns = tuple(problem.columns_in_fine_steps(fitted.point, fitted.free_parameters))
+    return replace(fitted, columns=columns, sums=problem.sums(fitted.residual, columns, fitted.free_parameters))
 
 
 def compared(
@@ -60,110 +58,7 @@ def compared(
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         problem = corrected(problem.with_torque_noise(unsure), fitted.point)
         fitted = fit(problem, fitted.point, names, where, most=3)
-    return refine_steps(problem, fitted)
-
-
-def refine_steps(problem: Problem, fitted: Fit, every: bool = False) -> tuple[Problem, Fit]:
-    """Return the fit converged in fine steps, and the problem whose coarse replays are corrected by the difference.
-
-    Derivatives with respect to times are those of fine replays: in coarse steps that of the delay is off by half, the
-    others by a few hundredths, and steps were too short and what they did not reach seemed sure.
-    """
-    if float(np.mean(problem.mean_squares(fitted.residual, False))) > COARSE:
-        residual = problem.in_fine_steps(fitted.point)
-        changed = problem.changed(correction=residual - problem.uncorrected([fitted.point])[0])
-        return changed, _summed(problem, replace(fitted, residual=residual))
-    timed = [k for k in fitted.free_parameters if every or CATALOGUE[k.key[0]].parameter(k.key[1]).unit == "s"]
-    fine = problem.columns_in_fine_steps(fitted.point, timed, every)
-    known = {(k.key, k.joint): column for k, column in zip(timed, fine, strict=True)}
-    columns = [known.get((k.key, k.joint), own) for k, own in zip(fitted.free_parameters, fitted.columns, strict=True)]
-    settled = _converged(problem, replace(fitted, columns=tuple(columns)))
-    return problem.changed(correction=settled.residual - problem.uncorrected([settled.point])[0]), settled
-
-
-def refined(problem: Problem, fits: Sequence[Fit]) -> list[Fit]:
-    """Return fits after a step from the residuals of fine replays, which they share."""
-    if not fits:
-        return []
-    begun = zip(fits, problem.all_in_fine_steps([one.point for one in fits]), strict=True)
-    stepping = [_stepping(problem, replace(one, residual=residual), 1) for one, residual in begun]
-    return [_summed(problem, one) for one in answered(problem.all_in_fine_steps, stepping)]
-
-
-def _converged(problem: Problem, fitted: Fit) -> Fit:
-    """Return the fit converged on the residuals of fine replays.
-
-    What an extrapolation to steps without length changes is taken for the same on the way, and found anew where they
-    settle.
-    """
-    fitted = replace(fitted, residual=problem.in_fine_steps(fitted.point))
-    for again in range(MOST_EXTRAPOLATIONS):
-        beyond = fitted.residual - problem.in_steps_of_columns(fitted.point)
-        stepping = _stepping(problem, fitted, MOST_CORRECTIONS, _enough(problem, fitted) if again else 0.0)
-        (there,) = answered(
-            lambda points, beyond=beyond: np.stack([problem.in_steps_of_columns(point) + beyond for point in points]),
-            [stepping],
-        )
-        if there.point.is_at(fitted.point):
-            break
-        there = replace(there, residual=problem.in_fine_steps(there.point))
-        if not _cost(problem, there) < _cost(problem, fitted):
-            break
-        fitted = there
-    return _summed(problem, fitted)
-
-
-def _summed(problem: Problem, fitted: Fit) -> Fit:
-    return replace(fitted, sums=problem.sums(fitted.residual, fitted.columns, fitted.free_parameters))
-
-
-def _stepping(problem: Problem, fitted: Fit, most: int, worth: float = 0.0) -> Asking:
-    """Ask for replays on the way along the derivatives of a fit, and return where it leads, with its sums as they were.
-
-    Args:
-        problem: Log and model.
-        fitted: Where to begin.
-        most: Most steps.
-        worth: Fall of the sum of squares that a linear model must promise for the first of them.
-    """
-    train = problem.blocks.train
-    point, residual = fitted.point, fitted.residual
-    costs = chain_costs(problem, point, residual, fitted.free_parameters)
-    cost = float(problem.weight @ costs)
-    enough = _enough(problem, fitted)
-    for _ in range(most):
-        sums = problem.sums(residual, fitted.columns, fitted.free_parameters)
-        hessian, gradient = sums.weighed_over(train)
-        step = solve(sums, train, fitted.free_parameters, point.read(fitted.free_parameters), 0.0)
-        promised = float(step @ (2.0 * gradient - hessian @ step))
-        if promised < worth:
-            break
-        moved = point.moved(fitted.free_parameters, step)
-        after = (yield [moved])[0]
-        now = chain_costs(problem, moved, after, fitted.free_parameters)
-        part = best_of_chains(problem, fitted.free_parameters, [np.zeros_like(step), step], [costs, now])
-        if part is not None and np.any(costs < now - enough):  # the step is too long for some chains: they wait
-            moved = point.moved(fitted.free_parameters, part)
-            after = (yield [moved])[0]
-            now = chain_costs(problem, moved, after, fitted.free_parameters)
-        before, least = cost, float(problem.weight @ now)
-        if not least < cost:
-            break
-        point, residual, costs, cost = moved, after, now, least
-        if max(promised, before - cost) < enough:
-            break
-    return replace(fitted, point=point, residual=residual)
-
-
-def _cost(problem: Problem, fitted: Fit) -> float:
-    return float(problem.weight @ chain_costs(problem, fitted.point, fitted.residual, fitted.free_parameters))
-
-
-def _enough(problem: Problem, fitted: Fit) -> float:
-    """Return the fall of the sum of squares in a step that is worth another."""
-    readings = max(int(problem.blocks.fitted.sum()) * problem.channels, 1)
-    cost = _cost(problem, fitted)
-    return max(ENOUGH**2 * max(cost / readings, 1.0), LEAST_FALL * max(cost - readings, 0.0))
+    return settled(problem, fitted, names, where)
 
 
 LEAST_LOGS = 3
@@ -316,7 +211,7 @@ def fit_sending_times(
         if ("delay", "time") in values:
             values["delay", "time"] = values["delay", "time"] - shift
         other = problem.sent_at(times)
-        found = fit(other, Point(values), names, joints, most=3)
+        found = fit(other, Point(values), names, joints, most=3, frozen=fitted)
         if _left(other, found) < _left(problem, fitted):
             problem, fitted = other, found
     return problem, fitted

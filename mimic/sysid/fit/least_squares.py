@@ -12,10 +12,10 @@ from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.log.pool import Sums
 from mimic.sysid.result import Correlations
 
-DAMPINGS = (0.0, 0.1, 3.0)
+DAMPINGS = (0.0, 0.3)
 """Values of Levenberg's parameter that are tried side by side."""
 
-STIFFER = (30.0, 300.0)
+STIFFER = (10.0, 300.0)
 """Those that are tried where none of them leads down."""
 
 LARGEST = 1e12
@@ -118,6 +118,7 @@ def fit(
     *,
     most: int = 6,
     frozen: Fit | None = None,
+    every: int = 0,
 ) -> Fit:
     """Fit the numbers of the named effects.
 
@@ -127,9 +128,10 @@ def fit(
         names: Effects that are fitted.
         joints: Which joints have an effect.
         most: Most iterations.
-        frozen: Keep this fit's derivatives for the free parameters it has, instead of new ones.
+        frozen: Begin with this fit's derivatives for the free parameters it has.
+        every: After how many steps all derivatives are found anew; 0 for never.
     """
-    return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen)])[0]
+    return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen, every=every)])[0]
 
 
 def fit_all(problem: Problem, fits: Sequence[Asking]) -> list[Fit]:
@@ -169,21 +171,24 @@ def fitting(
     *,
     most: int = 6,
     frozen: Fit | None = None,
-    every: int = 1,
+    every: int = 0,
 ) -> Asking:
-    """Ask for the replays of a fit, step by step, derivatives anew in each of ``every``; see `fit` and `fit_all`."""
+    """Ask for the replays of a fit, step by step; see `fit` and `fit_all`.
+
+    Derivatives are found at the start, and anew after ``every`` steps; in between each step corrects them along its
+    way (`_by_secant`).
+    """
     free_parameters = problem.free_parameters(start, joints, names)
     point = start
     residual = (yield [point])[0]
     best = chain_costs(problem, point, residual, free_parameters)
-    known: dict[tuple[Key, int], FloatArray] = {}
+    columns: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
-        known = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
-    fresh = [k for k in free_parameters if (k.key, k.joint) not in known]
+        columns = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
     stacked: list[FloatArray] = []
-    columns = dict(known)
     for i in range(most):
-        if fresh and i % every == 0:
+        anew = bool(every and i and i % every == 0)
+        if fresh := [k for k in free_parameters if anew or (k.key, k.joint) not in columns]:
             points, groups, sizes = problem.difference_points(point, fresh)
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
@@ -209,15 +214,42 @@ def fitting(
             replayed.append((yield [point.moved(free_parameters, mixed)])[0])
             costs.append(chain_costs(problem, point.moved(free_parameters, mixed), replayed[-1], free_parameters))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
+        if winner:
+            stacked = _by_secant(problem, free_parameters, stacked, steps[winner], residual - replayed[winner])
+            columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         if not winner or (1 - best / before < CONVERGED).all():
             break
-    sums = problem.sums(
-        residual, stacked, free_parameters
-    )  # derivatives of the last step's start: near enough once it is small
+    sums = problem.sums(residual, stacked, free_parameters)
     return Fit(
         point=point, free_parameters=tuple(free_parameters), residual=residual, columns=tuple(stacked), sums=sums
     )
+
+
+def _by_secant(
+    problem: Problem,
+    free_parameters: Sequence[FreeParameter],
+    columns: Sequence[FloatArray],
+    step: FloatArray,
+    change: FloatArray,
+) -> list[FloatArray]:
+    """Return derivatives (T, C) with which a step (P,) gives the change of the prediction (T, C) that it made.
+
+    Source: Broyden 1965, for each chain, numbers in steps that matter.
+    """
+    size = np.array([k.step for k in free_parameters])
+    of = np.array([-1 if k.joint < 0 else problem.machine.chain[k.joint] for k in free_parameters])
+    corrected = [column.copy() for column in columns]
+    for chain in np.unique(problem.channel_chain):
+        mine = problem.channel_chain == chain
+        index = np.flatnonzero(((of == chain) | (of < 0)) & (step != 0.0))
+        length = float(np.sum((step[index] / size[index]) ** 2))
+        missing = change[:, mine] - sum(np.float32(step[i]) * columns[i][:, mine] for i in index.tolist())
+        if not len(index) or not np.isfinite(missing[problem.blocks.index >= 0]).all():
+            continue
+        for i in index.tolist():
+            corrected[i][:, mine] += missing * np.float32(step[i] / size[i] ** 2 / length)
+    return corrected
 
 
 def chain_costs(

@@ -9,7 +9,6 @@ Longer than 350 lines: one class, whose methods share the replays that it rememb
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -201,10 +200,6 @@ FINE_SEGMENT = 0.5
 MANY_SEGMENT = 1.5
 """That of the many for central differences [s]: less time is spent on settling."""
 
-REMEMBERED = 4
-"""Replays in fine steps that are kept: they are dear, and some points are asked for again."""
-
-
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
 
@@ -249,12 +244,11 @@ class Problem:
         self.encoder_steps = np.zeros(joints)
         """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""
         self._scales = scales(replay)
-        self._fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
 
     def changed(self, **fields: Any) -> Problem:
-        """Return the problem with other fields; replays in fine steps are remembered together."""
+        """Return the problem with other fields."""
         other = copy(self)
         for name, value in fields.items():
             setattr(other, name, value)
@@ -262,8 +256,7 @@ class Problem:
 
     def sent_at(self, sending: SendingTimes) -> Problem:
         """Return the problem with targets sent at these times."""
-        fine: deque[tuple[Point, tuple[object, ...], FloatArray]] = deque(maxlen=REMEMBERED)
-        return self.changed(replay=self.replay.sent_at(sending), correction=None, _fine=fine)
+        return self.changed(replay=self.replay.sent_at(sending), correction=None)
 
     @property
     def readings(self) -> IntArray:
@@ -293,55 +286,19 @@ class Problem:
         From replays with ``FINE`` and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
-        return self.all_in_fine_steps([point])[0]
+        both = [self._replayed(self.replay.finer(FINE * more, FINE_SEGMENT), [point])[0] for more in (1, 2)]
+        found = self._whitened(np.stack(both))
+        return 2.0 * found[1] - found[0]
 
-    def all_in_fine_steps(self, points: Sequence[Point]) -> FloatArray:
-        """Return `in_fine_steps` of several points (N, T, C), replayed together."""
-        pairs = [self._known_pair(point) for point in points]
-        new = [i for i, pair in enumerate(pairs) if pair is None]
-        if new:
-            asked = [points[i] for i in new]
-            both = [self._replayed(self.replay.finer(FINE * more, FINE_SEGMENT, len(asked)), asked) for more in (1, 2)]
-            for i, *pair in zip(new, *both, strict=True):
-                pairs[i] = np.stack(pair)
-                self._fine.append((points[i], (self.replay.late, self.replay.heat), np.stack(pair)))
-        found = self._whitened(np.stack([pair for pair in pairs if pair is not None]))
-        return 2.0 * found[:, 1] - found[:, 0]
-
-    def in_steps_of_columns(self, point: Point) -> FloatArray:
-        """Return whitened residuals (T, C) in finer steps, without extrapolation: a third of the cost."""
-        made = self._known_pair(point)
-        if made is None:
-            return self._whitened(self._replayed(self.replay.finer(FINE, FINE_SEGMENT), [point])[0])
-        return self._whitened(made[0].copy())
-
-    def _known_pair(self, point: Point) -> FloatArray | None:
-        """Return remembered residuals (2, T, C) in finer steps and in steps half as long, or None.
-
-        They are in the units of the log, with the present targets and heat.
-        """
-        for known, (late, heat), made in self._fine:
-            if late is self.replay.late and heat is self.replay.heat and known.is_at(point):
-                return made
-        return None
-
-    def columns_in_fine_steps(
-        self, point: Point, free_parameters: Sequence[FreeParameter], both_sides: bool = False
-    ) -> list[FloatArray]:
+    def columns_in_fine_steps(self, point: Point, free_parameters: Sequence[FreeParameter]) -> list[FloatArray]:
         """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.
 
-        With ``both_sides`` they are central differences, where the bounds leave room. What one-sided ones are wrong by
-        is small beside each derivative, but not beside their sum along a direction that the log hardly determines: it
-        seems determined then.
+        They are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
+        derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
         """
-        points, groups, sizes = self.difference_points(point, free_parameters, NARROW if both_sides else WIDE)
+        points, groups, sizes = self.difference_points(point, free_parameters, NARROW)
         if not points:
             return []
-        finer = self.replay.finer(FINE, MANY_SEGMENT if both_sides else FINE_SEGMENT, len(points))
-        if not both_sides:
-            moved = self._whitened(self._replayed(finer, points))
-            base = self.in_steps_of_columns(point)
-            return self.columns(base, moved, groups, free_parameters, sizes)
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
         at = point.read(free_parameters)
         back = np.clip(at - sizes, low, high) - at
@@ -350,7 +307,8 @@ class Problem:
             by = np.zeros(len(free_parameters))
             by[group] = back[group]
             opposite.append(point.moved(free_parameters, by))
-        made = self._whitened(self._replayed(finer, [*points, *opposite]))
+        asked = [*points, *opposite]
+        made = self._whitened(self._replayed(self.replay.finer(FINE, MANY_SEGMENT, len(asked)), asked))
         return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
     def warmed_up(self, point: Point) -> Problem:

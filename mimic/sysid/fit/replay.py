@@ -215,6 +215,9 @@ class Replay:
             total = sum(part.end - part.begin for part in self.parts)
             segment = float(np.clip(total / SEGMENTS, *SEGMENT))
         cuts = [self._cut(part, segment) for part in self.parts]
+        longest = max(float(np.diff(c).max()) for c in cuts) * timestep
+        if longest > 1.5 * segment:  # all run as long as one that cannot be cut
+            cuts = [self._cut(part, longest) for part in self.parts]
         self._part_of = np.repeat(np.arange(len(cuts)), [len(c) - 1 for c in cuts])
         first, last = (np.concatenate([c[a : len(c) + b] for c in cuts]) for a, b in ((0, -1), (1, 0)))
         self._begin = np.maximum(first - self._lead, np.array([c[0] for c in cuts])[self._part_of])

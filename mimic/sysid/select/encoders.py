@@ -29,7 +29,7 @@ def as_read(model: FittedModel, has: BoolArray) -> FloatArray:
     problem = model.problem
     angle = np.where(has, problem.encoder_steps, 0.0)
     point = model.fitted.point.with_effect("encoder_step", problem.machine, {"angle": angle})
-    both = (problem.in_steps_of_columns(point), model.fitted.residual)
+    both = (problem.residuals([point])[0], model.fitted.residual)
     chains = np.unique(problem.channel_chain)
     costs = [[problem.mean_squares(r, False)[problem.channel_chain == c].sum() for c in chains] for r in both]
     less = [c for c, rounded, smooth in zip(chains, *costs, strict=True) if rounded < smooth]

@@ -20,8 +20,8 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.baseline import corrected, errors_of, refine_steps, refined
-from mimic.sysid.fit.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all, of_white_noise
+from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
+from mimic.sysid.fit.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
@@ -44,8 +44,8 @@ elasticity of its own."""
 POORLY_EXPLAINED = 4.0
 """Mean square of what is left, in noise floors, from which on fits also begin with the model's own baseline."""
 
-MOST_STEPS, POLISHING = 6, 2
-"""Most steps of the fit of a candidate, and most passes of the last fit."""
+MOST_STEPS = 4
+"""Most steps of the fit of a candidate."""
 
 
 # ---------------------------------------------------------------------- the rule
@@ -434,7 +434,7 @@ class Selection:
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         again = {s.name: s for s in starts}
         fits = self._finished(model, [again[t.name] for t in strong], [t.fitted for t in strong])
-        done = self._judged(model, [again[t.name] for t in strong], refined(problem, fits))
+        done = self._judged(model, [again[t.name] for t in strong], fits)
         names_done = [t.name for t in done]
         return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
 
@@ -446,7 +446,7 @@ class Selection:
             points = [_apart_from_shared(f.point, s)]
             if bent and CATALOGUE[s.name].structural:
                 points.append(own_baseline(problem, points[0]))
-            asked += [self._fitting(model, s, p, MOST_STEPS, every=2) for p in points]
+            asked += [self._fitting(model, s, p, MOST_STEPS, f if p is points[0] else None, every=2) for p in points]
             of += [i] * len(points)
         fits = fit_all(problem, asked)
         squares = [float(problem.block_squares(f.residual)[problem.blocks.train].sum()) for f in fits]
@@ -455,7 +455,7 @@ class Selection:
         ]
 
     def _fitting(
-        self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 1
+        self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 0
     ) -> Asking:
         where = {**model.joints, s.name: s.joints}
         return fitting(model.problem, point, [*model.names, s.name], where, most=most, frozen=frozen, every=every)
@@ -499,8 +499,8 @@ class Selection:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
             child = replace(child, joints={**model.joints, t.name: t.joints})
             problem = corrected(model.problem, point).weighed(t.fitted.residual)
-            fitted = fit(problem, point, child.names, child.joints, most=3)
-        problem, fitted = refine_steps(problem, fitted)
+            fitted = fit(problem, point, child.names, child.joints, most=3, frozen=t.fitted)
+        problem, fitted = settled(problem, fitted, child.names, child.joints, passes=1)
         return replace(child, problem=problem, fitted=fitted)
 
 
@@ -619,13 +619,8 @@ def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     problem = model.problem
     if "kt_heat" in model.names:
         problem = corrected(problem.warmed_up(model.fitted.point), model.fitted.point)
-    fitted = fit(problem, model.fitted.point, model.names, model.joints, most=1)
-    for _ in range(POLISHING):
-        before = fitted
-        problem, fitted = refine_steps(problem, fitted, every=True)
-        moved = fitted.point.read(fitted.free_parameters) - before.point.read(fitted.free_parameters)
-        if np.all(np.abs(moved) <= 2.0 * of_white_noise(fitted, problem)):
-            break  # near enough for the derivatives of where it began
+    fitted = with_fine_derivatives(problem, fit(problem, model.fitted.point, model.names, model.joints, most=1))
+    problem, fitted = settled(problem, fitted, model.names, model.joints)
     return replace(model, problem=problem, fitted=fitted)
 
 
@@ -653,7 +648,7 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
             row = {k: v for k, v in _only_on(model, t.name, t.joints, t.fitted.point).values.items() if k[0] == t.name}
             start = Point({**point.values, **row})
             asked.append(fitting(model.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS))
-        fits = refined(model.problem, fit_all(model.problem, asked))
+        fits = fit_all(model.problem, asked)
         same = []
         for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, model.problem), strict=True):
             more = len(model.fitted.free_parameters) - len(f.free_parameters)

@@ -12,7 +12,7 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.least_squares import fit, left_out
-from mimic.sysid.fit.problem import FINE, Point, Problem
+from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.fit.replay import Replay
 from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import make_blocks
@@ -63,37 +63,6 @@ def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: 
     assert np.all(squares < 10.0 * without.max())
 
 
-def test_fine_replays_of_a_point_are_made_once(pair: MachineModel) -> None:
-    problem, point = problem_of(pair, log_of(pair))
-    once = problem.in_fine_steps(point)
-    made = problem.replay.replays
-    again = problem.in_fine_steps(point.moved([], np.zeros(0)))
-    assert np.array_equal(again, once, equal_nan=True)
-    assert problem.replay.replays == made
-    other = problem.in_fine_steps(point.with_effect("coulomb", pair, {"level": 0.1}))
-    assert problem.replay.replays > made
-    assert np.nanmax(np.abs(other - once)) > 1.0
-    late = problem.changed(replay=problem.replay.with_late(np.full(len(problem.replay.sent), 0.01)))
-    assert np.nanmax(np.abs(late.in_fine_steps(point) - once)) > 1.0
-    assert np.array_equal(problem.in_fine_steps(point), once, equal_nan=True)
-
-
-@pytest.mark.slow
-def test_the_shorter_of_two_fine_replays_is_the_same_whether_both_were_made_or_not(pair: MachineModel) -> None:
-    """What the extrapolation adds hardly depends on the point: so steps on the way take the shorter one alone."""
-    problem, point = problem_of(pair, log_of(pair))
-    near = point.moved([], np.zeros(0)).with_effect("coulomb", pair, {"level": 0.051})
-    alone = problem.in_steps_of_columns(point)
-    both = problem.in_fine_steps(point)
-    made = problem.replay.replays
-    assert np.array_equal(problem.in_steps_of_columns(point), alone, equal_nan=True)
-    assert problem.replay.replays == made
-    there = problem.in_steps_of_columns(near)
-    assert problem.replay.replays == made + FINE
-    moved = np.nanstd(there - alone)
-    assert np.nanstd(problem.in_fine_steps(near) - (there + both - alone)) < 0.1 * moved
-
-
 def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel) -> None:
     log = log_of(pair, EffectValues(name="encoder_step", joints=("a",), values={"angle": np.array([0.0025])}))
     noise = noise_floor(log.q, log.rate)
@@ -133,10 +102,6 @@ def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: M
     names = ["coulomb", "viscous", "link_mass", "armature", "gains"]
     point = Point.of(names, pair)
     free_parameters = problem.free_parameters(point, {}, names)
-    left = []
-    for both_sides in (False, True):
-        columns = problem.columns_in_fine_steps(point, free_parameters, both_sides)
-        together = sum(value * column for value, column in zip(point.read(free_parameters), columns, strict=True))
-        left.append(float(np.sqrt(np.nanmean(np.square(together)))))
-    assert left[0] > 1.0
-    assert left[1] < 0.2 * left[0]
+    columns = problem.columns_in_fine_steps(point, free_parameters)
+    together = sum(value * column for value, column in zip(point.read(free_parameters), columns, strict=True))
+    assert np.sqrt(np.nanmean(np.square(together))) < 0.2
