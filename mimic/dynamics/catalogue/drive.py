@@ -47,7 +47,7 @@ DRIVE = (
         parameters=(
             Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.02, starts=(0.2, 0.4, 0.8)),
             Parameter(
-                name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.5, 1.2, 4.0)
+                name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.5, 1.2, 4.0, 100.0)
             ),
             Parameter(
                 name="flat",

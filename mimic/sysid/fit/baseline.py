@@ -32,7 +32,7 @@ def settled(
     """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it."""
     for _ in range(passes):
         problem = corrected(problem, fitted.point)
-        fitted = fit(problem, fitted.point, names, where, most=2, frozen=fitted)
+        fitted = fit(problem, fitted.point, names, where, most=1, frozen=fitted)
     return problem, fitted
 
 
@@ -51,13 +51,13 @@ def compared(
         if (weighed := problem.weighed(fitted.residual)) is problem:
             break
         problem = weighed
-        fitted = fit(problem, fitted.point, names, where, most=3)
+        fitted = fit(problem, fitted.point, names, where, most=3, every=3)
     if problem.channels > joints:
         problem = corrected(problem, fitted.point)
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         problem = corrected(problem.with_torque_noise(unsure), fitted.point)
-        fitted = fit(problem, fitted.point, names, where, most=3)
+        fitted = fit(problem, fitted.point, names, where, most=3, every=3)
     return settled(problem, fitted, names, where)
 
 

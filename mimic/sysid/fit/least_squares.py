@@ -24,6 +24,9 @@ LARGEST = 1e12
 DOUBTFUL = 1.5
 """Growth of a block's sum of squares when it is left out, from which on the linear model is not believed."""
 
+MOST_DOUBTFUL = 6
+"""Most blocks of a fit for which that is replayed, those that grow most; the others keep what the linear model says."""
+
 MOVE_SHARES = (1.0, 0.3)
 """Shares of a move that are replayed then."""
 
@@ -129,7 +132,7 @@ def fit(
         joints: Which joints have an effect.
         most: Most iterations.
         frozen: Begin with this fit's derivatives for the free parameters it has.
-        every: After how many steps all derivatives are found anew; 0 for never.
+        every: After how many steps, and at the end, all derivatives are found anew; 0 for never.
     """
     return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen, every=every)])[0]
 
@@ -175,8 +178,8 @@ def fitting(
 ) -> Asking:
     """Ask for the replays of a fit, step by step; see `fit` and `fit_all`.
 
-    Derivatives are found at the start, and anew after ``every`` steps; in between each step corrects them along its
-    way (`_by_secant`).
+    Derivatives are found at the start, and with ``every`` anew after so many steps and at the end; in between each step
+    corrects them along its way (`_by_secant`).
     """
     free_parameters = problem.free_parameters(start, joints, names)
     point = start
@@ -214,12 +217,15 @@ def fitting(
             replayed.append((yield [point.moved(free_parameters, mixed)])[0])
             costs.append(chain_costs(problem, point.moved(free_parameters, mixed), replayed[-1], free_parameters))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
-        if winner:
+        if winner and i + 1 < most:
             stacked = _by_secant(problem, free_parameters, stacked, steps[winner], residual - replayed[winner])
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         if not winner or (1 - best / before < CONVERGED).all():
             break
+    if every and free_parameters:
+        points, groups, sizes = problem.difference_points(point, free_parameters)
+        stacked = problem.columns(residual, (yield points), groups, free_parameters, sizes)
     sums = problem.sums(residual, stacked, free_parameters)
     return Fit(
         point=point, free_parameters=tuple(free_parameters), residual=residual, columns=tuple(stacked), sums=sums
@@ -370,7 +376,9 @@ def _trials(fitted: Fit, problem: Problem, made: Judged) -> tuple[BoolArray, lis
     """
     own = problem.channel_chain[:, None] == np.arange(int(problem.machine.chain.max()) + 1)
     inside = np.minimum(problem.block_squares(fitted.residual)[problem.blocks.train], LARGEST)
-    doubt = made[0] @ own > DOUBTFUL * (inside @ own)
+    growth = (made[0] @ own) / np.maximum(inside @ own, 1e-9)
+    doubt = growth > DOUBTFUL
+    doubt[np.argsort(-growth.max(1))[MOST_DOUBTFUL:]] = False
     rows = np.flatnonzero(doubt.any(1))
     moves = [share * made[1][row] for row in rows for share in MOVE_SHARES]
     return doubt, [fitted.point, *(fitted.point.moved(fitted.free_parameters, m) for m in moves)] if moves else []

@@ -41,11 +41,11 @@ SOFT = 0.1
 """Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an
 elasticity of its own."""
 
-POORLY_EXPLAINED = 4.0
-"""Mean square of what is left, in noise floors, from which on fits also begin with the model's own baseline."""
-
-MOST_STEPS = 4
+MOST_STEPS = 6
 """Most steps of the fit of a candidate."""
+
+MOST_REPLAYS = 900
+"""Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
 
 
 # ---------------------------------------------------------------------- the rule
@@ -288,18 +288,6 @@ def _candidate(
     )
 
 
-def own_baseline(problem: Problem, point: Point) -> Point:
-    """Return a start with the model's own baseline parameters of each joint.
-
-    Without the effect that is tried they were bent to make up for it.
-    """
-    values = dict(point.values)
-    for name, parameter in values:
-        if CATALOGUE[name].baseline and CATALOGUE[name].scope != "machine" and not CATALOGUE[name].structural:
-            values[name, parameter] = neutral(name, parameter, problem.machine)
-    return Point(values)
-
-
 def _only_on(model: FittedModel, name: str, joints: BoolArray, point: Point) -> Point:
     """Return a point with an effect on some joints (J,) only."""
     if CATALOGUE[name].scope == "machine":
@@ -330,6 +318,10 @@ class Selection:
         best = replace(baseline, problem=baseline.problem.warmed_up(baseline.fitted.point))
         beam, last, base = [best], (), None
         for _ in range(self.settings.most_effects):
+            if baseline.problem.replay.replays > MOST_REPLAYS:
+                note = "further effects were not looked for: the search has a limit, and what is left is reported"
+                best = replace(best, notes=(*best.notes, note))
+                break
             grown: list[FittedModel] = []
             for i, model in enumerate(beam):
                 made, tried, swings = self.extended(model)
@@ -423,7 +415,7 @@ class Selection:
         problem = model.problem
         self.tick(f"refitting {len(names)} effects")
         starts = starting_points(problem, model.fitted, names, predicted(problem, model.fitted))
-        asked = [self._fitting(model, s, s.point, 2, model.fitted) for s in starts]
+        asked = [self._fitting(model, s, s.point, 2, None if s.own_baseline else model.fitted) for s in starts]
         quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
         asked_first = list(names[:2])  # by gain and by z
         strong = sorted((t for t in quick if t.numbers or t.name in asked_first), key=lambda t: -t.score(problem))
@@ -439,20 +431,12 @@ class Selection:
         return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
 
     def _finished(self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit]) -> list[Fit]:
-        """Return quick fits fitted to the end, the better of two where a threshold may have bent the baseline."""
-        problem, asked, of = model.problem, [], []
-        bent = float(np.mean(problem.mean_squares(model.fitted.residual, False))) > POORLY_EXPLAINED
-        for i, (s, f) in enumerate(zip(starts, quick, strict=True)):
-            points = [_apart_from_shared(f.point, s)]
-            if bent and CATALOGUE[s.name].structural:
-                points.append(own_baseline(problem, points[0]))
-            asked += [self._fitting(model, s, p, MOST_STEPS, f if p is points[0] else None, every=2) for p in points]
-            of += [i] * len(points)
-        fits = fit_all(problem, asked)
-        squares = [float(problem.block_squares(f.residual)[problem.blocks.train].sum()) for f in fits]
-        return [
-            fits[min((k for k in range(len(of)) if of[k] == i), key=squares.__getitem__)] for i in range(len(starts))
+        """Return quick fits fitted to the end."""
+        asked = [
+            self._fitting(model, s, _apart_from_shared(f.point, s), MOST_STEPS, f, every=3)
+            for s, f in zip(starts, quick, strict=True)
         ]
+        return fit_all(model.problem, asked)
 
     def _fitting(
         self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 0
@@ -647,7 +631,9 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         for t in alike:
             row = {k: v for k, v in _only_on(model, t.name, t.joints, t.fitted.point).values.items() if k[0] == t.name}
             start = Point({**point.values, **row})
-            asked.append(fitting(model.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS))
+            asked.append(
+                fitting(model.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS, every=3)
+            )
         fits = fit_all(model.problem, asked)
         same = []
         for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, model.problem), strict=True):
