@@ -254,7 +254,7 @@ def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str
     where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
-    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS, every=2)
+    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
     problem, fitted = fit_sending_times(problem, fitted, names, where)
     for name in settings.baseline:
         if name not in names:
@@ -268,7 +268,7 @@ def _refined(h: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     problem, fitted = h.problem.with_equal_logs(h.fitted.residual), h.fitted
     if problem is not h.problem:
         tick("fitting the baseline model with logs of equal weight")
-        fitted = fit(problem, fitted.point, h.names, h.joints, most=MOST_STEPS, every=2)
+        fitted = fit(problem, fitted.point, h.names, h.joints, most=MOST_STEPS)
     tick("refining the step size")
     problem, fitted = compared(problem, fitted, h.names, h.joints)
     return replace(h, problem=problem, fitted=fitted)
@@ -298,7 +298,7 @@ def _torques(h: FittedModel) -> tuple[Torques, ...]:
 def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:
     """Return the best fit with an effect that has no derivative where it is none, from all its starts."""
     starts = starts_of(name, fitted, problem, predicted(problem, fitted))
-    fits = fit_all(problem, [fitting(problem, p, [*names, name], where, most=MOST_STEPS, every=2) for p in starts])
+    fits = fit_all(problem, [fitting(problem, p, [*names, name], where, most=MOST_STEPS) for p in starts])
     return min(fits, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
 
 

@@ -58,7 +58,7 @@ RULES = Thresholds()
 """Those in use."""
 
 
-FORMAT = 2
+FORMAT = 3
 """Version of the keys of `Calibration.to_json`."""
 
 CORRELATED = 0.7

@@ -32,7 +32,7 @@ def settled(
     """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it."""
     for _ in range(passes):
         problem = corrected(problem, fitted.point)
-        fitted = fit(problem, fitted.point, names, where, most=1, frozen=fitted)
+        fitted = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
     return problem, fitted
 
 
@@ -51,13 +51,13 @@ def compared(
         if (weighed := problem.weighed(fitted.residual)) is problem:
             break
         problem = weighed
-        fitted = fit(problem, fitted.point, names, where, most=3, every=3)
+        fitted = fit(problem, fitted.point, names, where, most=3)
     if problem.channels > joints:
         problem = corrected(problem, fitted.point)
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         problem = corrected(problem.with_torque_noise(unsure), fitted.point)
-        fitted = fit(problem, fitted.point, names, where, most=3, every=3)
+        fitted = fit(problem, fitted.point, names, where, most=3)
     return settled(problem, fitted, names, where)
 
 
@@ -128,7 +128,7 @@ def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
 def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> FloatArray:
     """Return the residual (T, C) of a fit to all but some rows."""
     names = list(dict.fromkeys(name for name, _ in fitted.point.values))
-    return fit(problem.holding_out(rows), fitted.point, names, where, most=REFITS).residual
+    return fit(problem.holding_out(rows), fitted.point, names, where, most=REFITS, frozen=fitted, every=0).residual
 
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
@@ -211,7 +211,7 @@ def fit_sending_times(
         if ("delay", "time") in values:
             values["delay", "time"] = values["delay", "time"] - shift
         other = problem.sent_at(times)
-        found = fit(other, Point(values), names, joints, most=3, frozen=fitted)
+        found = fit(other, Point(values), names, joints, most=3, frozen=fitted, every=0)
         if _left(other, found) < _left(problem, fitted):
             problem, fitted = other, found
     return problem, fitted

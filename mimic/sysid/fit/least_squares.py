@@ -121,7 +121,7 @@ def fit(
     *,
     most: int = 6,
     frozen: Fit | None = None,
-    every: int = 0,
+    every: int = 2,
 ) -> Fit:
     """Fit the numbers of the named effects.
 
@@ -174,7 +174,7 @@ def fitting(
     *,
     most: int = 6,
     frozen: Fit | None = None,
-    every: int = 0,
+    every: int = 2,
 ) -> Asking:
     """Ask for the replays of a fit, step by step; see `fit` and `fit_all`.
 

@@ -94,12 +94,6 @@ class Point:
             values[free.key][at] = np.clip(values[free.key][at] + delta, *free.bounds)
         return Point(values)
 
-    def is_at(self, other: Point) -> bool:
-        """Return whether another point has the same values."""
-        if self.values.keys() != other.values.keys():
-            return False
-        return all(np.array_equal(row, other.values[key]) for key, row in self.values.items())
-
     def at(self, free: FreeParameter) -> float:
         """Return the value of a free parameter."""
         return self.values[free.key][max(free.joint, 0)]

@@ -483,7 +483,7 @@ class Selection:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
             child = replace(child, joints={**model.joints, t.name: t.joints})
             problem = corrected(model.problem, point).weighed(t.fitted.residual)
-            fitted = fit(problem, point, child.names, child.joints, most=3, frozen=t.fitted)
+            fitted = fit(problem, point, child.names, child.joints, most=3, frozen=t.fitted, every=0)
         problem, fitted = settled(problem, fitted, child.names, child.joints, passes=1)
         return replace(child, problem=problem, fitted=fitted)
 
@@ -547,7 +547,7 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         return None
     chain, least = problem.machine.chain, None
     bare = [_bare(model, name, joints) for name, joints in units]
-    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=model.fitted) for n, w, p in bare])
+    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=model.fitted, every=0) for n, w, p in bare])
     for (name, joints), (squares, _) in zip(units, left_out_all(fits, problem), strict=True):
         parts = [joints] if CATALOGUE[name].scope == "machine" else [joints & (chain == c) for c in np.unique(chain)]
         for part in (p for p in parts if p.any()):
