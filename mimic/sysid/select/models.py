@@ -603,7 +603,8 @@ def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     problem = model.problem
     if "kt_heat" in model.names:
         problem = corrected(problem.warmed_up(model.fitted.point), model.fitted.point)
-    fitted = with_fine_derivatives(problem, fit(problem, model.fitted.point, model.names, model.joints, most=1))
+    fitted = fit(problem, model.fitted.point, model.names, model.joints, most=1, frozen=model.fitted, every=0)
+    fitted = with_fine_derivatives(problem, fitted)
     problem, fitted = settled(problem, fitted, model.names, model.joints)
     return replace(model, problem=problem, fitted=fitted)
 
@@ -621,9 +622,6 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         alike = [t for t in m.tried if t is not best and t.better and t.name not in model.names and t.lateness is None]
         alike = [t for t in alike if not compare(m.problem, best.squares, t.squares, best.numbers - t.numbers).better]
         if not alike or best.lateness is not None:
-            continue
-        if len(model.added) == 1:  # nothing was added since
-            groups[best.name] = tuple(t.name for t in alike)
             continue
         tick(f"comparing {CATALOGUE[best.name].title} with {', '.join(CATALOGUE[t.name].title for t in alike)}")
         names, where, point = _bare(model, best.name, model.mask(best.name))
