@@ -354,7 +354,9 @@ class Replay:
         size, made = self.sets_per_batch, []
         for begin in range(0, count, size):
             rows = slice(begin, min(begin + size, count))
-            values = {k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()}
+            values: dict[tuple[str, str], FloatArray] = {
+                k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
+            }
             made.append(self._run(values, self._grid if targets is None else targets.some(rows)))
         self.replays += count
         torque = np.concatenate([p.torque_residual for p in made]) if self.torque else None  # type: ignore[misc]
