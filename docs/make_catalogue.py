@@ -36,7 +36,6 @@ def _section(effect: Effect) -> str:
         "Always refitted: a derivative at its neutral value is blind to it.": effect.structural,
         "Read from the log, one command at a time.": effect.random,
         "Read from the positions.": effect.read_off and not effect.random,
-        "A calibration looks for it only where it is named: `--effects`.": effect.by_request,
     }
     items = {
         "Equation": f"`{effect.equation}`",

@@ -24,7 +24,7 @@ from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import load_description
-from mimic.sysid.replay import Replay
+from mimic.sysid.fit.replay import Replay
 
 
 def true_effects(machine: Machine, hidden: bool) -> EffectSet:

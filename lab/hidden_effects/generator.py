@@ -93,16 +93,6 @@ ALIENS: Mapping[str, str] = {
 }
 """Name and size."""
 
-UNTRIED = {
-    "integral": "drive_integral",
-    "target_filter": "target_filter",
-    "deadband": "deadband",
-    "friction_wave": "position_friction",
-    "cable_hysteresis": "presliding",
-    "eccentricity": "encoder_eccentricity",
-}
-"""Aliens that an effect of the catalogue describes, which no run of the suite tries (it is tried by request only)."""
-
 OTHER_LAWS: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "load_friction": ("grows with |tau|^0.8", {"load_power": 0.8}),
     "stribeck": ("exp(-|v|/speed)", {"stribeck_power": 1.0}),

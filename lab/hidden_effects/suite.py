@@ -25,7 +25,6 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -50,12 +49,12 @@ UNSEEN_BY_ONE_LEG = {"supply_sag", "joint_delay"}
 """Effects of one leg on another: what the others draw, and how much later than the others it gets its targets."""
 
 
-def calibrate_log(log: JointLog, device: str = "cpu") -> Calibration:
+def calibrate_log(log: JointLog) -> Calibration:
     """Calibrate the hung robot, or the leg of it that the log has, against a log, as ``mimic calibrate`` does."""
     from mimic.config.sysid import CalibrateSettings
     from mimic.sysid.calibrate import calibrate
 
-    return calibrate(log, hung(log.joints), CalibrateSettings(device=device, threads=1))
+    return calibrate(log, hung(log.joints), CalibrateSettings(threads=1))
 
 
 def legs_mjcf(joints: Sequence[str]) -> str:
@@ -326,7 +325,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--log-limit", type=float, default=float("inf"), help="seconds after which a log is given up")
     parser.add_argument("--half", choices=("choosing", "reported"), help="only the scenarios of this half")
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0, … for the replays")
     parser.add_argument("--list", action="store_true", help="print the keys and stop")
     args = parser.parse_args(argv)
     began = time.monotonic()
@@ -346,8 +344,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     built = build(warm)
     simulate(built.machine, built.motion, 0)  # compiles the physics once, before the workers fork
     limit = min(args.limit, 1e9) - (time.monotonic() - began)
-    calibrate = partial(calibrate_log, device=args.device)
-    done = run_suite(chosen, args.out, args.processes, limit, calibrate, args.log_limit)
+    done = run_suite(chosen, args.out, args.processes, limit, calibrate_log, args.log_limit)
     print(f"{done} of {len(chosen)} scenarios done now; results in {args.out / 'results.jsonl'}")
     return 0
 

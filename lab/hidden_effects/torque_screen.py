@@ -25,8 +25,8 @@ from lab.real_logs.logs import EMPS_MJCF, SERVO_MJCF, emps_log, go2_log, identif
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
-from mimic.sysid.torque_columns import Column
-from mimic.sysid.torque_regression import Score, Torques, evidence
+from mimic.sysid.torque.columns import Column
+from mimic.sysid.torque.regression import Score, Torques, evidence
 
 try:
     from numba import njit
@@ -62,9 +62,6 @@ SINGLES: dict[str, tuple[str, dict[str, float]]] = {
     "backlash": ("backlash", {"gap": 0.015, "soft": 1 / 2500}),
     "torque lag": ("torque_lag", {"lag": 0.006}),
     "torque limit": ("torque_speed", {"limit": 2.0}),
-    "integral": ("drive_integral", {"integral": 20.0}),
-    "deadband": ("deadband", {"dead": 0.006}),
-    "friction over position, other: cosine": ("position_friction", {"where": 0.05}),
     "tilt": ("base_tilt", {"tilt": 0.06}),
 }
 PAIRS = (
@@ -74,7 +71,14 @@ PAIRS = (
     ("load friction", "asymmetric friction"),
     ("compliance", "spring"),
 )
-ALIENS = {"cubic spring": {"cubic": 1.5}, "beating force": {"beat": 0.1}, "slip of the encoder": {"slip": 0.05}}
+ALIENS = {
+    "integral": {"integral": 20.0},
+    "deadband": {"dead": 0.006},
+    "friction over position": {"where": 0.05},
+    "cubic spring": {"cubic": 1.5},
+    "beating force": {"beat": 0.1},
+    "slip of the encoder": {"slip": 0.05},
+}
 
 
 @njit(cache=True)

@@ -3,13 +3,15 @@
     python -m lab.real_logs.logs ../shared/data/logs OUT
 
 writes OUT/emps.parquet, emps_pulses.parquet, emps.xml, go2.parquet, its halves go2_first and go2_second.parquet,
-go2.xml, four servo_MOTION.parquet and servo.xml, and prints what the EMPS data say about their own controller and how
-well the published parameters replay in closed loop.
+go2.xml, four servo_MOTION.parquet and servo.xml, eight xl330_NAME.parquet and xl330.xml, and prints what the EMPS data
+say about their own controller and how well the published parameters replay in closed loop.
 
 EMPS: a DC motor and a ball screw at 1 kHz. Source: Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019.
 Go2: a Unitree Go2 hung up, at 200 Hz. Source: iit-DLSLab/sim2real-robot-identification, BSD-3-Clause.
 STS3250: a pendulum on a hobby servo, four motions of 6 s at about 47 Hz. Source: Rhoban/bam, data_raw_feetech,
 Apache-2.0.
+XL330: the same for a Dynamixel XL330, a voltage drive, at 150 to 290 Hz and two gains. Source: Rhoban/bam,
+data.bak/raw, Apache-2.0.
 """
 
 from __future__ import annotations
@@ -69,6 +71,24 @@ SERVO_MJCF = """<mujoco model="servo">
   <actuator><position joint="j" kp="1" forcerange="-9 9"/></actuator>
 </mujoco>
 """
+
+
+XL330_MJCF = """<mujoco model="xl330">
+  <!-- A pendulum of 0.49 kg at 0.1 m on a Dynamixel XL330. What the motor gives is in the notes of the logs. -->
+  <worldbody>
+    <body name="arm" pos="0 0 1">
+      <joint name="j" axis="0 1 0" armature="0.005"/>
+      <inertial pos="0 0 -0.1" mass="0.49" diaginertia="4e-4 4e-4 4e-4"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+XL330_MOTOR = {"kt": 0.35, "resistance": 4.0}
+"""Guesses, which the calibration corrects [N m/A, ohm]."""
+
+DUTY = 4096 / (2 * np.pi) / (256 * 885)
+"""Duty for each radian and unit of the gain register of the XL330. Source: README of the data."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +202,25 @@ def servo_logs(folder: Path, kp: float = SERVO_GAINS["kp"], kd: float = SERVO_GA
     return made
 
 
+def xl330_logs(folder: Path) -> dict[str, JointLog]:
+    """Return the XL330 logs by name, as logs of a voltage drive with the supply of each row."""
+    made = {}
+    for path in sorted(folder.glob("*.parquet")):
+        table = pq.read_table(path)
+        notes = {k.decode(): v.decode() for k, v in table.schema.metadata.items() if k != b"pandas"}
+        columns = {n: table[n].to_numpy().astype(np.float64) for n in table.column_names}
+        gain = float(notes["kp"]) * DUTY
+        made[path.stem] = JointLog(
+            joints=("j",),
+            t=columns["timestamp"],
+            q=columns["position"][:, None],
+            q_des=columns["goal_position"][:, None],
+            extra={"enabled": columns["torque_enable"], "voltage": columns["input_volts"]},
+            metadata={"drive": "voltage", "gain": gain, "voltage": float(notes["vin"]), **XL330_MOTOR},
+        )
+    return made
+
+
 def halves(log: JointLog) -> tuple[JointLog, JointLog]:
     """Return the first and the second half of a log as two logs."""
     middle = len(log.t) // 2
@@ -195,7 +234,7 @@ def _relative(made: FloatArray, measured: FloatArray) -> float:
 def main() -> None:
     """Write the logs and models, and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder with emps/, go2_air_chirp/ and sts3250/")
+    parser.add_argument("data", type=Path, help="folder with emps/, go2_air_chirp/, sts3250/ and xl330/")
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -223,6 +262,9 @@ def main() -> None:
     for motion, log in servo_logs(arguments.data / "sts3250").items():
         write_log(log, arguments.out / f"servo_{motion}.parquet")
     (arguments.out / "servo.xml").write_text(SERVO_MJCF, encoding="utf-8")
+    for name, log in xl330_logs(arguments.data / "xl330").items():
+        write_log(log, arguments.out / f"xl330_{name}.parquet")
+    (arguments.out / "xl330.xml").write_text(XL330_MJCF, encoding="utf-8")
     shutil.copyfile(arguments.data / "go2_air_chirp" / "go2_hung.xml", arguments.out / "go2.xml")
     print(f"wrote {arguments.out}")
 

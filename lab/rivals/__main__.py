@@ -29,7 +29,7 @@ from lab.rivals.cases import Case, emps_case, leg_case, servo_case
 from lab.rivals.methods import METHODS, Found
 from mimic.dynamics.machine import as_logged
 from mimic.errors import MimicError
-from mimic.sysid.noise import noise_floor
+from mimic.sysid.log.noise import noise_floor
 from mimic.sysid.predict import predict
 
 LEGS = (

@@ -19,12 +19,12 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import MimicError
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray
-from mimic.sysid.baseline import problem_of, step_of
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.logs import pool
-from mimic.sysid.residuals import Point, Problem
-from mimic.sysid.torque_columns import Motion
-from mimic.sysid.torque_regression import Torques
+from mimic.sysid.fit.baseline import problem_of, step_of
+from mimic.sysid.fit.problem import Point, Problem
+from mimic.sysid.log.pool import pool
+from mimic.sysid.torque.columns import Motion
+from mimic.sysid.torque.regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
@@ -260,7 +260,6 @@ LIBRARY: Library = {
     ("load_friction", "ratio"): lambda m, s: np.abs(m.tau) * s,
     ("asymmetric_friction", "coefficient"): lambda m, s: np.abs(m.dq),
     ("quadratic_drag", "coefficient"): lambda m, s: m.dq * np.abs(m.dq),
-    ("position_friction", "slope"): lambda m, s: m.q * s,
 }
 """Terms of the torque of one joint; s is the sign of its velocity."""
 

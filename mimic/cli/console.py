@@ -26,7 +26,7 @@ from mimic.flows.reporter import Progress as Steps
 
 console = Console(highlight=False)
 
-LINE_INTERVAL = 20.0
+LINE_INTERVAL = 5.0
 """Without a terminal, long work prints a line this often, also while it reports nothing new [s]."""
 
 

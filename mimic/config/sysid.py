@@ -13,38 +13,29 @@ from mimic.errors import ConfigError
 class CalibrateSettings:
     """How a log is explained."""
 
-    method: Literal["least-squares", "random"] = "least-squares"
-    """Least squares and diagnosis, or the paper's search: random samples of the baseline parameters, the best wins."""
     baseline: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
     """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
     effects: tuple[str, ...] = ()
     """Effects that may be reported; by default all but those that must be named here."""
+    drive: Literal["log", "torque", "voltage"] = "log"
+    """What the drives control: as the notes of the log say, torque, or voltage (hobby servos; the notes then have gain,
+    voltage, kt and resistance)."""
     most_effects: int = 5
     """Most effects that are added."""
     torque: bool = True
     """Explain measured torque too, where the log has it."""
-    samples: int = 8192
-    """Samples of the random search; paper: 8192."""
     timestep: float = 0.0
     """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
     threads: int = 0
     """Threads; 0 takes one for each core."""
-    device: str = "cpu"
-    """Where replays run: cpu, or cuda (cuda:1, …) for MuJoCo Warp on a GPU, which needs the extra train."""
-    seed: int = 0
-    """Seed of the random search."""
 
     def __post_init__(self) -> None:
         for option, names in (("baseline", self.baseline), ("effects", self.effects)):
             if len(set(names)) < len(names):
                 raise ConfigError(f"--{option} names an effect twice: {', '.join(names)}")
         check_range("most-effects", self.most_effects, 0, 20)
-        check_range("samples", self.samples, 1, 10_000_000)
         check_range("threads", self.threads, 0, 1024)
-        check_range("seed", self.seed, 0, 2**63)
         check_range("timestep", self.timestep, 0.0, 0.005, "s")
-        if self.device != "cpu" and not self.device.startswith("cuda"):
-            raise ConfigError(f"device is {self.device}; it must be cpu, cuda or, of several GPUs, cuda:0, cuda:1, …")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

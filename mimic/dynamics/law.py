@@ -34,9 +34,6 @@ NEWTON, EXACT = 10, 1e-9
 """Most steps towards the share of the supply that is left, and by how much it may be off; in single precision by a few
 roundings, below which steps would leave the root again."""
 
-OWN_STATES = {"goal": "target_filter", "integral": "drive_integral", "bristle": "presliding"}
-"""States that only one effect needs."""
-
 UNLIMITED = 1e6
 """Stands for no limit on a torque [N m]."""
 
@@ -64,6 +61,16 @@ class Drives:
     """[kg m^2]"""
     neighbour: Any
     """Index of the next joint of the chain; of the one before, for the last (J,)."""
+    volts: Any = None
+    """Supply of voltage drives (J,) [V]; None where drives control torque.
+
+    A voltage drive gives tau = kt / R (V duty - kt v), duty = gain e within -1 to 1: Kp is gain kt V / R and Kd is
+    kt^2 / R, and the duty is limited, not the torque.
+    """
+    kt: Any = None
+    """Torque constant of voltage drives, gear included (J,) [N m/A]."""
+    resistance: Any = None
+    """Resistance of their windings (J,) [ohm]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,6 +135,8 @@ class Law:
                 ("torque_speed", "torque"): self._d.torque,
                 ("torque_speed", "flat"): self._d.flat,
                 ("torque_speed", "speed"): self._d.speed,
+                ("motor", "kt"): self._d.kt,
+                ("motor", "resistance"): self._d.resistance,
             }
             return own[name, parameter][None]
         return neutral
@@ -140,6 +149,7 @@ class Law:
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
         self._most: Any = None
+        self._supply: Any = 1.0
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
         self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
@@ -149,10 +159,8 @@ class Law:
             state += ["heat"]
         if self.rotor is not None:
             state += ["theta", "omega", "omega_open", "omega_slope"]
-        state += [name for name, of in OWN_STATES.items() if of in has]
         for name in state:
             self.states[name] = xp.zeros_like(self._zero)
-        self._lag_u = self._lag("target_filter")
         self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
 
     def _lag(self, name: str) -> tuple[Any, Any] | None:
@@ -190,7 +198,18 @@ class Law:
         ):
             if name in self._has:
                 kp, kd = kp * self.get(name, of_kp), kd * self.get(name, of_kd)
+        if self._d.volts is not None:
+            more = self._stall() / (self._d.volts * self._d.kt / self._d.resistance)
+            kp, kd = kp * more, kd * more * self.get("motor", "kt") / self._d.kt
         self._kp[:], self._kd[:] = kp, kd
+
+    def _stall(self) -> Any:
+        """Return the torque of voltage drives at rest with full duty (N, J)."""
+        return self._zero + self._d.volts * self.get("motor", "kt") / self.get("motor", "resistance")
+
+    def set_supply(self, share: Any) -> None:
+        """Let voltage drives have this share of their supply from now on, (N, 1) or a number."""
+        self._supply = share
 
     def scale_supply(self, share: Any) -> None:
         """Let the supply have this share of its voltage from now on (N, 1): the torque-speed line moves with it."""
@@ -216,7 +235,6 @@ class Law:
             "omega": dq,
             "omega_open": dq,
             "heat": heat,
-            "goal": q,
         }
         for name, before in self.states.items():
             value = known.get(name)
@@ -230,27 +248,11 @@ class Law:
             q = q - self.get("encoder_offset", "angle")
         if "encoder_scale" in self._has:
             q = q / self.get("encoder_scale", "factor")
-        return self._centred(q)
-
-    def _centred(self, turned: Any) -> Any:
-        """Return the angle that an eccentric encoder reads as this one."""
-        q = turned
-        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
-            q = turned - self._beside(q)
         return q
-
-    def _beside(self, q: Any) -> Any:
-        """Return what an eccentric encoder reads too much."""
-        xp, get = self.xp, self.get
-        angle = self._zero + q
-        cosine = get("encoder_eccentricity", "cosine") * xp.cos(angle)
-        return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
         """Return what the encoders read at link positions q; call it after `step` or `reset`."""
         value = self._position(q)
-        if "encoder_eccentricity" in self._has:
-            value = value + self._beside(value)
         if "encoder_scale" in self._has:
             value = value * self.get("encoder_scale", "factor")
         if "encoder_offset" in self._has:
@@ -270,10 +272,6 @@ class Law:
     def settle(self, dq: Any) -> None:
         """Bring the states to the end of the step just made, whose velocities are dq (N, J)."""
         s, dt = self.states, self.dt
-        if "bristle" in s:
-            sign = self.xp.where(dq < 0, self._zero - 1.0, self._zero + 1.0)
-            left = self.xp.exp(-self.xp.abs(dq) * dt / self.get("presliding", "way"))
-            s["bristle"] = sign + (s["bristle"] - sign) * left
         if self.rotor is not None:
             s["omega"] = s["omega_open"] + s["omega_slope"] * dq
             s["theta"] = s["theta"] + dt * s["omega"]
@@ -310,10 +308,8 @@ class Law:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
-        if self._lag_u is not None:
-            left, held = self._lag_u
-            wanted, ctrl, parts = ctrl, ctrl + held * (s["goal"] - ctrl), ()
-            s["goal"] = wanted + left * (s["goal"] - wanted)
+        if self._d.volts is not None:
+            kp = kp * self._supply
         if has & {"kt_drift", "kt_heat"}:
             factor = 1.0 + get("kt_drift", "rate") * (time / 100.0)
             if "heat" in s:
@@ -322,12 +318,6 @@ class Law:
             kp, kd = kp * factor, kd * factor
         if "encoder_step" in has:
             bias = bias - kp * (self._rounded(theta) - theta)
-        error = ctrl - theta
-        if "encoder_eccentricity" in has:
-            more = self._beside(theta)
-            bias, error = bias - kp * more, error - more
-        if has & {"deadband", "drive_integral"}:
-            bias = bias + self._beyond_kp(error, kp)
         if "velocity_before" in s:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:
@@ -357,18 +347,6 @@ class Law:
         return StepInputs(
             ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
         )
-
-    def _beyond_kp(self, error: Any, kp: Any) -> Any:
-        """Return what the drive makes of an error of its position beside kp times the error."""
-        xp, torque = self.xp, self._zero
-        if "deadband" in self._has:
-            width = self._zero + self.get("deadband", "width")
-            inside = xp.minimum(xp.maximum(error, -width), width)
-            torque, error = torque - kp * inside, error - inside
-        if "drive_integral" in self._has:
-            self.states["integral"] = self.states["integral"] + self.dt * error
-            torque = torque + self.get("drive_integral", "gain") * self.states["integral"]
-        return torque
 
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
@@ -411,6 +389,9 @@ class Law:
         slope = torque / (speed - flat)
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
+        if self._d.volts is not None:
+            stall, brake = self._stall() * self._supply, self._kd * omega
+            low, high = xp.maximum(low, -stall - brake), xp.minimum(high, stall - brake)
         if self._most is not None:
             low, high = xp.maximum(low, -self._most), xp.minimum(high, self._most)
         return low, high
@@ -456,9 +437,6 @@ class Law:
             level = level + get("load_friction", "ratio") * load
         if "gear_load_friction" in self._has:
             level = level + get("gear_load_friction", "ratio") * xp.abs(tau + self.needed)
-        if "position_friction" in self._has:
-            level = level + (get("position_friction", "slope") + get("position_friction", "curvature") * q) * q
-            level = xp.clip(level, 0.0, None)
         if "asymmetric_friction" in self._has:
             more = get("asymmetric_friction", "level")
             forward, backward = xp.clip(level + more, 0.0, None), xp.clip(level - more, 0.0, None)
@@ -469,8 +447,6 @@ class Law:
         xp, get, has, applied = self.xp, self.get, self._has, self._zero
         if "asymmetric_friction" in has:
             applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
-        if "bristle" in self.states:
-            applied = applied - get("presliding", "level") * self.states["bristle"]
         if "quadratic_drag" in has:
             applied = applied - get("quadratic_drag", "coefficient") * dq * xp.abs(dq)
         if "coupling" in has:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mimic.dynamics.law import UNLIMITED, Drives
-from mimic.errors import AssetError
+from mimic.errors import AssetError, ConfigError
 from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import read_model, remove_free_joint
@@ -163,6 +163,8 @@ def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = 
 
 def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
     """Return the machine with the gains that a log was made with (see `read_machine`)."""
+    if gains.get("drive") == "voltage":
+        return _voltage_drives(machine, gains)
     rows = {}
     for key in ("kp", "kd"):
         given, own = gains.get(key), np.asarray(getattr(machine.drives, key))
@@ -171,6 +173,52 @@ def with_gains(machine: MachineModel, gains: Mapping[str, Any]) -> MachineModel:
         elif given is not None:
             rows[key] = np.broadcast_to(np.asarray(given, dtype=float), own.shape).copy()
     return replace(machine, drives=replace(machine.drives, **rows)) if rows else machine
+
+
+VOLTAGE_DRIVE = {"gain": "duty for each radian", "voltage": "V", "kt": "N m/A", "resistance": "ohm"}
+"""What the notes of a log say of a voltage drive, and in which unit; one supply for all joints."""
+
+
+def _voltage_drives(machine: MachineModel, notes: Mapping[str, Any]) -> MachineModel:
+    """Return the machine with voltage drives; see `mimic.dynamics.law.Drives`.
+
+    Raises:
+        ConfigError: If the notes lack a number.
+    """
+    rows = {}
+    for key, unit in VOLTAGE_DRIVE.items():
+        given = notes.get(key)
+        values = [given.get(j) for j in machine.joints] if isinstance(given, Mapping) else [given] * len(machine.joints)
+        good = [isinstance(v, int | float) and not isinstance(v, bool) and 0.0 < v < 1e9 for v in values]
+        if not all(good):
+            raise ConfigError(
+                f"a voltage drive needs {', '.join(VOLTAGE_DRIVE)} in the notes of the log; {key} is {given!r},"
+                f" expected a number above 0 [{unit}]"
+            )
+        rows[key] = np.array(values, dtype=float)
+    stall = rows["voltage"] * rows["kt"] / rows["resistance"]
+    drives = replace(
+        machine.drives,
+        kp=rows["gain"] * stall,
+        kd=rows["kt"] ** 2 / rows["resistance"],
+        volts=rows["voltage"],
+        kt=rows["kt"],
+        resistance=rows["resistance"],
+    )
+    return replace(machine, drives=drives)
+
+
+def drive_notes(machine: MachineModel) -> dict[str, Any]:
+    """Return what the notes of a log say of the drives."""
+    d = machine.drives
+
+    def by_joint(values: Any) -> dict[str, float]:
+        return dict(zip(machine.joints, map(float, values), strict=True))
+
+    if d.volts is None:
+        return {"kp": by_joint(d.kp), "kd": by_joint(d.kd)}
+    rows = {"kt": d.kt, "resistance": d.resistance, "gain": d.kp * d.resistance / d.kt / d.volts}
+    return {"drive": "voltage", "voltage": float(d.volts[0]), **{k: by_joint(values) for k, values in rows.items()}}
 
 
 def _machine(

@@ -124,7 +124,14 @@ def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
     value = spec.parameter(parameter).neutral
     if value != "model":
         return np.full(len(machine.joints) if spec.scope == "joint" else 1, float(value))
+    if name == "motor" and machine.drives.volts is None:
+        raise ConfigError(
+            "effect 'motor' is of voltage drives, and the drives here control torque; give the log a drive, see"
+            " docs/manual/log-format.md"
+        )
     own: dict[tuple[str, str], Any] = {
+        ("motor", "kt"): machine.drives.kt,
+        ("motor", "resistance"): machine.drives.resistance,
         ("coulomb", "level"): machine.drives.friction,
         ("viscous", "coefficient"): machine.model.dof_damping,
         ("armature", "inertia"): machine.drives.armature,

@@ -18,7 +18,7 @@ from mimic.io import store
 if TYPE_CHECKING:
     from mimic.dynamics.machine import MachineModel
     from mimic.io.joint_log import JointLog
-    from mimic.sysid.checks import LogCheck
+    from mimic.sysid.log.checks import LogCheck
     from mimic.sysid.result import Calibration
 
 REPORT, RESULT, EFFECTS = "report.html", "calibration.json", "effects.toml"
@@ -58,7 +58,7 @@ def calibrate(
     from mimic.dynamics.effect_set import EffectSet
     from mimic.sysid.calibrate import calibrate as explain
     from mimic.sysid.calibrate import check_names
-    from mimic.sysid.logs import refuse_contradictions
+    from mimic.sysid.log.pool import refuse_contradictions
 
     settings, reporter = settings or CalibrateSettings(), reporter or SilentReporter()
     if out is not None:
@@ -70,7 +70,8 @@ def calibrate(
     given = [*logs, *held_out]
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")
-    names, said = _names(given), _said(notes, given)
+    kind = [] if settings.drive == "log" else [f"drive={settings.drive}"]
+    names, said = _names(given), _said([*notes, *kind], given)
     checks, machines, warnings, read = [], [], [], []
     with reporter.activity("replays") as show:
         for one, called, told in zip(given, names, said, strict=True):
@@ -186,7 +187,7 @@ def checked_log(
     import numpy as np
 
     from mimic.io.joint_log import unit_fault
-    from mimic.sysid.checks import check_log
+    from mimic.sysid.log.checks import check_log
 
     log = _read(log, {})
     machine = machine_of(model, log.metadata)
@@ -222,7 +223,7 @@ def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]
 
 def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:
     """Return a warning where the log lacks gains that its targets need."""
-    lacking = [key for key in ("kp", "kd") if key not in log.metadata]
+    lacking = [key for key in ("kp", "kd") if key not in log.metadata and machine.drives.volts is None]
     if log.q_des is None or not lacking:
         return []
     own = ((key, sorted(set(map(float, getattr(machine.drives, key))))) for key in lacking)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,31 +14,29 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, as_logged, loaded
+from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
-from mimic.sysid.baseline import (
+from mimic.sysid.fit.baseline import (
     MOST_STEPS,
     compared,
     errors_by_log,
     errors_of,
     errors_of_unseen,
-    fit_baseline,
     fit_sending_times,
     problem_of,
-    random_search,
     step_of,
 )
-from mimic.sysid.checks import targets_match_log
-from mimic.sysid.evidence import stopped
-from mimic.sysid.hypotheses import Hypothesis, as_read, coarse_encoders, pruned, with_encoders
-from mimic.sysid.jitter import widening
-from mimic.sysid.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
-from mimic.sysid.logs import pool
-from mimic.sysid.residuals import Point, Problem
+from mimic.sysid.fit.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
+from mimic.sysid.fit.problem import FreeParameter, Point, Problem
+from mimic.sysid.log.checks import targets_match_log
+from mimic.sysid.log.pool import pool
 from mimic.sysid.result import RULES, Calibration, Errors, LogErrors, Traces
-from mimic.sysid.search import Search, predicted, starts_of
-from mimic.sysid.torque_regression import Torques, torques_of
+from mimic.sysid.select.encoders import as_read, coarse_encoders, with_encoders
+from mimic.sysid.select.models import FittedModel, Selection
+from mimic.sysid.select.starts import predicted, starts_of
+from mimic.sysid.torque.regression import Torques, torques_of
 from mimic.sysid.unexplained import (
     experiments,
     next_logs,
@@ -49,6 +48,9 @@ from mimic.sysid.unexplained import (
     unexplained_residuals,
     weak,
 )
+
+STEP_SHARE = 0.85
+"""Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""
@@ -115,6 +117,8 @@ def _calibrated(
     together = pool(logs, model, step_of(logs, settings), called[: len(logs)])
     log = together.log
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
+    if machine.drives.volts is not None and "motor" not in settings.baseline:
+        settings = replace(settings, baseline=(*settings.baseline, "motor"))
     problem = problem_of(together, machine, settings)
     start = Point.of(settings.baseline, machine)
     _check_bounds(start, machine)
@@ -123,8 +127,11 @@ def _calibrated(
     problem = problem.without(~np.isfinite(first).all(-1))
     nominal = errors_of(problem, first)
 
+    steps = itertools.count(1)
+
     def tick(text: str) -> None:
-        report(text, problem.replay.replays)
+        done = 1.0 - STEP_SHARE ** next(steps)
+        report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
 
     before = _baseline(problem, settings, tick)
     problem = before.problem
@@ -134,12 +141,12 @@ def _calibrated(
     log_matches_model = follows and error < RULES.most
     final, stages = before, before.stages(())[:1]
     residual, coarse = before.fitted.residual, np.zeros(len(machine.joints), dtype=bool)
-    if settings.method == "least-squares" and log_matches_model:
+    if log_matches_model:
         before = final = _refined(before, tick)
         stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
-            found, last = Search(settings=settings, tick=tick, torques=_torques(before)).run(before)
-            final = pruned(found, tick)
+            final, last = Selection(settings=settings, tick=tick, torques=_torques(before)).run(before)
+            final = _no_worse(final, before)
             stages, residual = final.stages(last), final.fitted.residual
             if (coarse := coarse_encoders(final)).any():
                 tick("adding encoder rounding")
@@ -170,7 +177,7 @@ def _calibrated(
     effects = _effect_set(final, coarse)
     if not log_matches_model:
         said = no_match(why)
-    elif settings.method == "random" or not settings.most_effects:
+    elif not settings.most_effects:
         said = of_baseline(stages, rest, scale, machine.unit)
     else:
         said = sentence(stages, rest, scale, machine, effects)
@@ -199,7 +206,7 @@ def _calibrated(
         sentence=said,
         log_matches_model=log_matches_model,
         experiments=(*experiments(stages), *of_base(final.base), *next_logs(rest)) if log_matches_model else (),
-        warnings=(*final.rejections, *(stopped_at(*row, machine) for row in stopped(final.fitted, problem))),
+        warnings=(*final.notes, *(stopped_at(*row, machine) for row in _at_bounds(final))),
         not_identifiable=weak(final.fitted, problem),
         correlations=correlations(final.fitted, problem),
         traces=traces,
@@ -215,28 +222,48 @@ def _calibrated(
     )
 
 
-def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str], None]) -> Hypothesis:
-    """Return the baseline parameters, fitted in coarse steps or drawn."""
+def _no_worse(final: FittedModel, before: FittedModel) -> FittedModel:
+    """Return the final model, or the baseline where that predicts the held-out blocks better."""
+    left = [
+        float(np.mean(m.problem.mean_squares(m.problem.in_floors(m.fitted.residual), True))) for m in (before, final)
+    ]
+    if final is before or not left[1] > left[0]:
+        return final
+    if not final.added:
+        return before
+    titles = " and ".join(CATALOGUE[n].title for n in final.added)
+    note = f"{titles} made the prediction of held-out blocks worse, so that the baseline stays"
+    return replace(before, notes=(*final.notes, note), base=final.base)
+
+
+def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
+    """Return the numbers that are at a bound which does not mean none, and the bound."""
+    found = []
+    for free in h.fitted.free_parameters:
+        none = neutral(*free.key, h.problem.machine)[max(free.joint, 0)]
+        for bound in free.bounds:
+            if abs(h.fitted.point.at(free) - bound) < 1e-9 and bound not in (none, 0.0):
+                found.append((free, bound))
+    return found
+
+
+def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str], None]) -> FittedModel:
+    """Return the baseline parameters, fitted in coarse steps."""
     machine = problem.machine
     moves = np.ptp(problem.replay.log.q, axis=0) > 0
     where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
-    if settings.method == "random":
-        tick(f"{settings.samples} random samples")
-        start = Point.of(settings.baseline, machine)
-        drawn = random_search(problem, start, settings.samples, settings.seed, lambda text, count: tick(text))
-        return Hypothesis(problem=problem, fitted=drawn, names=settings.baseline, joints=where)
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
-    fitted = fit_baseline(problem, Point.of(names, machine), names, where)
+    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
     problem, fitted = fit_sending_times(problem, fitted, names, where)
     for name in settings.baseline:
         if name not in names:
             fitted = _with_threshold(problem, fitted, name, names, where)
             names.append(name)
-    return Hypothesis(problem=problem, fitted=fitted, names=tuple(names), joints=where)
+    return FittedModel(problem=problem, fitted=fitted, names=tuple(names), joints=where)
 
 
-def _refined(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
+def _refined(h: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     """Return the baseline parameters fitted in fine steps, to logs of equal weight."""
     problem, fitted = h.problem.with_equal_logs(h.fitted.residual), h.fitted
     if problem is not h.problem:
@@ -247,7 +274,7 @@ def _refined(h: Hypothesis, tick: Callable[[str], None]) -> Hypothesis:
     return replace(h, problem=problem, fitted=fitted)
 
 
-def _torques(h: Hypothesis) -> tuple[Torques, ...]:
+def _torques(h: FittedModel) -> tuple[Torques, ...]:
     """Return the torques of the fitted blocks of a log, of drives as the baseline fit has them."""
     problem, replay, values = h.problem, h.problem.replay, h.fitted.point.values
     limits = {k: values["torque_speed", k] for k in ("torque", "flat", "speed") if ("torque_speed", k) in values}
@@ -256,6 +283,10 @@ def _torques(h: Hypothesis) -> tuple[Torques, ...]:
     logs, rows, sent = [], [], []
     for part in replay.parts:
         own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}
+        if machine.drives.volts is not None:
+            d, volts = machine.drives, machine.drives.volts * part.supply
+            own_gains = {"voltage": volts, "gain": part.kp * d.resistance / (d.kt * volts)}
+            own_gains |= {k: values.get(("motor", k), getattr(d, k)) for k in ("kt", "resistance")}
         gains = {k: dict(zip(machine.joints, row, strict=True)) for k, row in own_gains.items()}
         own = replay.log.part(part.slice)
         logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(machine, part.payload)))
@@ -288,12 +319,10 @@ def _check_bounds(start: Point, machine: MachineModel) -> None:
             )
 
 
-def _effect_set(h: Hypothesis, coarse: BoolArray) -> EffectSet:
+def _effect_set(h: FittedModel, coarse: BoolArray) -> EffectSet:
     """Return everything that was fitted, with intervals, and the encoders (J,) that are coarse."""
     problem, final = h.problem, h.fitted
     deviation = deviations(final, problem, h.left_out[1])
-    if (late := problem.replay.late) is not None and "delay_jitter" in h.names:
-        deviation = deviation * widening(problem, final, float(np.var(late)))
     spread = {(k.key, k.joint): d for k, d in zip(final.free_parameters, deviation, strict=True)}
     effects = []
     for name in h.names:
@@ -310,7 +339,6 @@ def _effect_set(h: Hypothesis, coarse: BoolArray) -> EffectSet:
                 intervals[p.name] = np.array([h.intervals[name]])
             elif not p.fixed and (name, p.name) not in problem.pinned:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
-                half = np.hypot(half, h.unsure.get((name, p.name), 0.0))
                 low, high = values[p.name] - half, values[p.name] + half
                 if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
                     times = problem.replay.sending

@@ -9,14 +9,17 @@ import numpy as np
 
 from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet
-from mimic.dynamics.machine import MachineModel
+from mimic.dynamics.machine import MachineModel, drive_notes
 from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.logs import valid_samples
-from mimic.sysid.replay import Replay, physics_step
-from mimic.sysid.residuals import FINE
-from mimic.sysid.timing import AT_ROW, SENT, sending_times
+from mimic.sysid.fit.problem import FINE
+from mimic.sysid.fit.replay import Replay, physics_step
+from mimic.sysid.log.pool import valid_samples
+from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
+
+PIECE = 6.0
+"""Length of the pieces of a log that is not replayed in one [s]."""
 
 
 def predict(
@@ -42,7 +45,7 @@ def predict(
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     p.pop(("lost_commands", "share"), None)
     p = p or {("delay", "time"): np.zeros((1, 1))}
-    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {}
+    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {"segment": PIECE}
     made = []
     for times in (FINE, 2 * FINE):
         step = physics_step(log.rate) / times
@@ -100,7 +103,6 @@ def simulate_log(
         q = settings.resolution * np.round(q / settings.resolution)
     there = rng.random(len(times)) >= settings.lost_samples
     there[0] = True
-    drives = machine.drives
     return JointLog(
         joints=machine.joints,
         t=times[there],
@@ -108,8 +110,7 @@ def simulate_log(
         q_des=q_des[rows][there],
         tau=tau[there],
         metadata={
-            "kp": dict(zip(machine.joints, map(float, drives.kp), strict=True)),
-            "kd": dict(zip(machine.joints, map(float, drives.kd), strict=True)),
+            **drive_notes(machine),
             "simulated": True,
             SENT: AT_ROW,
         },

@@ -23,27 +23,21 @@ class Thresholds:
     """
 
     z: float = 3.0
-    """Gain over its standard error over blocks, and how far a number is from none in standard deviations. Holm's
-    correction over 25 candidates at 5 %."""
-    apart: float = 2.0
-    """Standard errors by which a set must be behind the best to be told from it, and from which on a fit of two steps
-    is fitted to the end: about 95 %. Late commands need no more: that the chains agree on them is tested command by
-    command, and a short log has few blocks."""
+    """Standard errors over the blocks by which a model must be better. Holm's correction over 25 candidates at 5 %."""
     gain: float = 0.01
     """Share by which the error of blocks judged without themselves must fall: less is of no use in a simulation."""
-    improvement: float = 0.35
-    """Error removed at some joint, in noise floors: smaller ones are differences between integrators (suite)."""
     share: float = 0.15
-    """Share of what noise does not explain, on the joints where an effect acts; less is a wrong name (suite)."""
+    """Share of what noise does not explain that it must remove where it acts; less is a wrong name (suite)."""
+    enough: float = 1.06
+    """Error over noise floor in all joints from which on more effects are looked for: below, what is left is the
+    difference between integrators (suite)."""
+    rounding: float = 0.25
+    """Share of what is left of a joint that its encoder must round off to be called coarse (suite)."""
     most: float = 0.5
     """Share that is most of something: of the spread of positions (with more error, log and model have nothing to do
-    with each other), and of what is left (what an effect takes on further joints, a base, or single events)."""
-    negligible: float = 0.1
-    """What an effect removes at a joint, in noise floors, as a share of the joint of its chain where it removes most,
-    and of what is left in its chain (suite); and the share of what is left that state or time predict. Less is a
-    crumb."""
-    beyond: float = 2.0
-    """Steps by which a number would cross its bound, from which on nothing is named in its chain (suite)."""
+    with each other), and of what is left (what a base, or single events, explain)."""
+    predictable: float = 0.1
+    """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
     peak: float = 40.0
@@ -51,22 +45,20 @@ class Thresholds:
     machine leaves 2 to 8."""
     coherent: float = 0.4
     """Coherence with the torque at a peak, from which on the robot's own motion made it; chosen, not measured."""
-    shortlist: int = 8
+    shortlist: int = 5
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
     the worst was fifth of either (lab/hidden_effects/torque_screen)."""
-    finished: int = 4
-    """Effects of each set that are fitted to the end, most of the cost of a search."""
+    finished: int = 3
+    """Effects of each model that are fitted to the end, most of the cost of a search."""
     beam: int = 2
-    """Sets that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
-    hopeless: float = 6.0
-    """Standard errors behind the best from which on an effect is not fitted to the end (suite)."""
+    """Models that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
 
 
 RULES = Thresholds()
 """Those in use."""
 
 
-FORMAT = 2
+FORMAT = 3
 """Version of the keys of `Calibration.to_json`."""
 
 CORRELATED = 0.7
@@ -114,7 +106,7 @@ class Candidate:
     z: float
     """How sure that is, in standard errors: by the mean over the blocks, or by the ranks of blocks of single joints."""
     improvement: float
-    """What leaves the error (root of the difference of the mean squares) over the noise floor."""
+    """Share of the unexplained error that it removes on blocks judged without themselves."""
     values: Mapping[str, FloatArray]
     """Fitted value of each parameter (J,) or (1,)."""
     joints: tuple[str, ...]
@@ -127,7 +119,7 @@ class Candidate:
     none was accepted.
     """
     alternative_z: float = 0.0
-    """How far, in standard errors, the accepted one is better; below 2 they cannot be told apart."""
+    """How far, in standard errors, the accepted one is better."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,11 +15,11 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.least_squares import Fit, weak_directions
-from mimic.sysid.residuals import FreeParameter, Problem
+from mimic.sysid.fit.least_squares import Fit, weak_directions
+from mimic.sysid.fit.problem import FreeParameter, Problem
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
-from mimic.sysid.search import PredictedMotion
-from mimic.sysid.torque_regression import BaseMotion
+from mimic.sysid.select.starts import PredictedMotion
+from mimic.sysid.torque.regression import BaseMotion
 
 BURST_TIME = 0.1
 """Share of the time in which most of the squares are single events."""
@@ -80,7 +80,7 @@ def _remainder(
     inputs = {k: v[rows] for k, v in state.items()}
     r2 = predicted(slow, inputs, blocks[rows])
     depends: tuple[str, ...] = ()
-    if ratio >= RULES.explained and r2 > RULES.negligible:
+    if ratio >= RULES.explained and r2 > RULES.predictable:
         alone = {k: predicted(slow, {k: v}, blocks[rows]) for k, v in inputs.items()}
         lost = {k: r2 - predicted(slow, {n: v for n, v in inputs.items() if n != k}, blocks[rows]) for k in inputs}
         score = {k: max(alone[k], 0.0) + max(lost[k], 0.0) for k in inputs}
@@ -88,12 +88,12 @@ def _remainder(
         depends = tuple(sorted((k for k in score if score[k] > 0.4 * top), key=lambda k: -score[k]))
     if ratio < RULES.explained:
         verdict = "explained"
-    elif r2 > RULES.negligible:
+    elif r2 > RULES.predictable:
         verdict = "state-dependent"
     elif peak_ratio > RULES.peak and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) >= RULES.coherent:
         verdict = "state-dependent"
         depends = ("torque",)
-    elif peak_ratio > RULES.peak and _steady(slow, t[rows], blocks[rows], peak_hz) > RULES.negligible:
+    elif peak_ratio > RULES.peak and _steady(slow, t[rows], blocks[rows], peak_hz) > RULES.predictable:
         verdict = "periodic"
         depends = ("time",)
     else:
@@ -327,8 +327,9 @@ def _left(rest: tuple[UnexplainedResidual, ...]) -> str:
 
 
 def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
-    """Return that a parameter stopped at its bound, and where."""
-    return f"{free.called(machine.joints)} stopped at its bound {bound:g}: the model is wrong there in another way"
+    """Return that a parameter is at a bound of its validity, and where."""
+    end = "largest" if bound == free.bounds[1] else "smallest"
+    return f"{free.called(machine.joints)} is at its {end}, {bound:g}: the log does not say more of it"
 
 
 def weak(final: Fit, problem: Problem) -> tuple[str, ...]:

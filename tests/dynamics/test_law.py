@@ -14,6 +14,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import Law
 from mimic.dynamics.machine import SOLREF_STEPS, MachineModel, read_machine
 from mimic.dynamics.servo import Servo, neutral, static_model
+from mimic.errors import ConfigError
 
 INERTIA, ARMATURE = 0.02, 0.003
 
@@ -28,15 +29,24 @@ class Bench:
     """Two shafts that know nothing of each other, each with a drive."""
 
     def __init__(
-        self, folder: Path, effects: dict | None = None, *, kp=30.0, kd=3.0, dt=0.0025, inertia=INERTIA, weight=0.0
+        self,
+        folder: Path,
+        effects: dict | None = None,
+        *,
+        kp=30.0,
+        kd=3.0,
+        dt=0.0025,
+        inertia=INERTIA,
+        weight=0.0,
+        drive: dict | None = None,
     ) -> None:
         path = folder / "bench.xml"
         # a weight of so many N m at q = 0: mass 1 kg on an arm of 0.1 m
         text = BENCH.format(g=10 * weight, arm=-0.1 if weight else 0, mass=1, i=inertia, j=ARMATURE)
         path.write_text(text)
-        machine = read_machine(path, {"kp": kp, "kd": kd})
+        machine = read_machine(path, drive or {"kp": kp, "kd": kd})
         drives = replace(machine.drives, torque=np.full(2, 12.0), flat=np.full(2, 10.0), speed=np.full(2, 30.0))
-        self.machine: MachineModel = replace(machine, drives=drives)
+        self.machine: MachineModel = machine if drive else replace(machine, drives=drives)
         p = {
             (name, key): np.full((1, 1 if CATALOGUE[name].scope == "machine" else 2), value)
             for name, values in (effects or {}).items()
@@ -373,55 +383,51 @@ def test_a_periodic_force_shakes_at_its_frequency(bench):
     assert np.sum(np.diff(np.sign(ddq)) != 0) == pytest.approx(16, abs=1)
 
 
-def test_an_integral_term_takes_away_the_error_under_a_load(bench):
-    sagging = bench(kp=30.0, kd=3.0).run(4.0, force=lambda t: 0.6)
-    assert sagging["q"][-1] == pytest.approx(0.02, rel=0.02)
-    lifted = bench({"drive_integral": {"gain": 60.0}}, kp=30.0, kd=3.0).run(4.0, force=lambda t: 0.6)
-    assert abs(lifted["q"][-1]) < 2e-4
+# ---------------------------------------------------------------------- voltage drives
+
+SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistance": 4.0}
+"""1 N m at rest with full duty, 25 rad/s without a load."""
 
 
-def test_within_a_deadband_the_drive_lets_go_and_beyond_it_acts(bench):
-    made = bench({"deadband": {"width": 0.05}}, kp=30.0, kd=3.0)
-    assert made.run(3.0, force=lambda t: 0.6)["q"][-1] == pytest.approx(0.05 + 0.02, rel=0.02)
-    assert abs(bench({"deadband": {"width": 0.05}}).run(1.0, target=lambda t: 0.04)["q"]).max() < 1e-9
+def test_a_voltage_drive_gives_its_full_duty_and_no_more(bench):
+    assert bench(drive=SERVO).run(0.0025, target=lambda t: 0.1)["tau"][0] == pytest.approx(0.5)
+    assert bench(drive=SERVO).run(0.0025, target=lambda t: 3.0)["tau"][0] == pytest.approx(1.0)
 
 
-def test_friction_over_position_holds_where_it_is_and_not_elsewhere(bench):
-    effects = {"coulomb": {"level": 0.1}, "position_friction": {"slope": 1.0, "curvature": 0.0}}
-    assert pull(bench(effects, **FREE), 0.15)["dq"][-1] < 0.4 * 0.05 / WHOLE  # it gets slower on its way
-    made = pull(bench(effects, **FREE), 0.15, seconds=1.5)
-    assert abs(made["dq"][-1]) < 1e-2
-    assert made["q"][-1] == pytest.approx(0.1, abs=0.02)  # what it took from the first half is given in the second
+def test_a_voltage_drive_at_full_duty_runs_up_to_the_supply_over_its_constant(bench):
+    assert bench(drive=SERVO).run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(25.0, rel=1e-3)
+    low = bench(drive=SERVO)
+    low.law.set_supply(0.5)
+    assert low.run(5.0, target=lambda t: 1e4)["dq"][-1] == pytest.approx(12.5, rel=1e-3)
 
 
-def test_presliding_friction_lets_go_over_a_way_and_springs_back_before(bench):
-    effects = {"presliding": {"level": 0.2, "way": 0.05}, "viscous": {"coefficient": 0.5}}
-    small = pull(bench(effects, **FREE), 0.05, seconds=2.0)
-    assert small["q"][-1] == pytest.approx(-0.05 * np.log(1 - 0.05 / 0.2), rel=0.03)
-    assert pull(bench(effects, **FREE), 0.3, seconds=2.0)["dq"][-1] == pytest.approx(0.1 / 0.5, rel=0.03)
+def test_another_motor_constant_moves_torque_and_speed(bench):
+    made = bench({"motor": {"kt": 0.2, "resistance": 4.0}}, drive=SERVO).run(12.0, target=lambda t: 1e5)
+    assert made["tau"][0] == pytest.approx(0.5)
+    assert made["dq"][-1] == pytest.approx(50.0, rel=1e-2)
 
 
-def test_an_eccentric_encoder_reads_and_is_driven_by_what_it_reads(bench):
-    made = bench({"encoder_eccentricity": {"cosine": 0.03, "sine": -0.05}})
-    run = made.run(2.0, target=lambda t: 0.5)
-    q = run["q"][-1]
-    assert run["reading"][-1] == pytest.approx(q + 0.03 * np.cos(q) - 0.05 * np.sin(q), abs=1e-9)
-    assert run["reading"][-1] == pytest.approx(0.5, abs=1e-4)
-    assert made.law.unread(np.array([[0.5, 0.5]]))[0, 0] == pytest.approx(q, abs=2e-4)
+def test_a_voltage_drive_driven_beyond_its_speed_brakes(bench):
+    made = bench(drive=SERVO).run(0.0025, target=lambda t: 1e4, speed=50.0)
+    assert made["tau"][0] == pytest.approx(-1.0)
 
 
-def test_a_filtered_target_arrives_with_its_time_constant(bench):
-    made = bench({"target_filter": {"time": 0.2}}, kp=300.0, kd=8.0).run(0.4, target=lambda t: 0.3)
-    slow = bench(kp=300.0, kd=8.0).run(0.4, target=lambda t: 0.3 * (1 - np.exp(-(t + 0.00125) / 0.2)))
-    assert np.abs(made["q"] - slow["q"]).max() < 2e-3
+def test_motor_constants_of_a_drive_that_controls_torque_are_refused(bench):
+    with pytest.raises(ConfigError, match="'motor' is of voltage drives"):
+        neutral("motor", "kt", bench().machine)
+
+
+def test_a_voltage_drive_without_its_numbers_is_refused(bench):
+    with pytest.raises(ConfigError, match=r"needs gain, voltage, kt, resistance .* kt is None"):
+        bench(drive={k: v for k, v in SERVO.items() if k != "kt"})
 
 
 # ---------------------------------------------------------------------- all of them
 
-IN_LAW = [
-    name for name in CATALOGUE if name not in ("delay", "joint_delay", "delay_jitter", "lost_commands", "base_tilt")
-]
-"""Effects but those of the path of commands and of the stand."""
+ELSEWHERE = ("delay", "joint_delay", "delay_jitter", "lost_commands", "base_tilt", "motor")
+"""Effects of the path of commands, of the stand, and of drives that this bench does not have."""
+
+IN_LAW = [name for name in CATALOGUE if name not in ELSEWHERE]
 
 
 def wave(t: float) -> float:
@@ -467,12 +473,6 @@ LARGE = {
     "payload": {"mass": 1.0},
     "com_shift": {"distance": 0.05},
     "periodic_force": {"cosine": 1.0, "sine": 1.0, "frequency": 10.0},
-    "drive_integral": {"gain": 20.0},
-    "deadband": {"width": 0.02},
-    "position_friction": {"slope": 1.0, "curvature": 1.0},
-    "presliding": {"level": 0.3, "way": 0.05},
-    "encoder_eccentricity": {"cosine": 0.05, "sine": 0.05},
-    "target_filter": {"time": 0.05},
 }
 
 

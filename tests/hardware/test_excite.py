@@ -30,7 +30,7 @@ from mimic.hardware.wiring import load_wiring
 from mimic.io.joint_log import read_log, write_log
 from mimic.records import JOINTS
 from mimic.sysid.calibrate import calibrate
-from mimic.sysid.checks import check_log
+from mimic.sysid.log.checks import check_log
 
 SHORT = ProbeSettings(seconds=14.0, rate_hz=100.0, approach=0.3)
 """The shortest that calibration takes."""

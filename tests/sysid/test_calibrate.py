@@ -1,6 +1,5 @@
 """A whole calibration on a small arm: truth is found, nothing is invented."""
 
-import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -13,7 +12,6 @@ from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import CATALOGUE, UnknownEffect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.machine import MachineModel, read_machine, with_gains
-from mimic.errors import MissingExtra
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.predict import simulate_log
@@ -183,20 +181,6 @@ def test_with_no_effects_to_add_none_is_said_to_be_looked_for(arm: MachineModel)
     assert "No missing effects were searched for" in result.sentence
 
 
-@pytest.mark.slow
-def test_random_search_needs_more_replays_for_a_larger_error(arm: MachineModel) -> None:
-    log = clean_log(arm)
-    random = calibrate(log, arm, settings(method="random", samples=256))
-    ours = clean_result(arm)
-    assert random.replays > 256
-    assert np.sqrt(np.mean(random.stages[0].errors.held_out ** 2)) > 1.5 * np.sqrt(
-        np.mean(ours.stages[0].errors.held_out ** 2)
-    )
-
-    assert "No missing effects were searched for" in random.sentence
-    assert all(not e.intervals for e in random.effects)
-
-
 def test_effects_that_do_not_exist_are_reported_before_anything_is_fitted(arm: MachineModel) -> None:
     told: list[str] = []
     for wrong in (settings(effects=("stribek",)), settings(baseline=("coulom",))):
@@ -244,21 +228,13 @@ def test_a_log_of_forces_is_replayed_without_a_servo(arm: MachineModel) -> None:
 
 
 @pytest.mark.slow
-def test_baseline_parameters_that_stop_at_a_bound_are_reported(arm: MachineModel) -> None:
+def test_a_bound_that_means_none_is_no_warning(arm: MachineModel) -> None:
     """A drive that brakes less than its gains say asks for less than no friction."""
     log = clean_log(arm)
     stiffer = replace(log, metadata={**log.metadata, "kd": {"shoulder": 1.2, "elbow": 0.8}})
-    told = calibrate(stiffer, arm, settings(most_effects=0)).warnings
-    assert any("viscous.coefficient of shoulder stopped at its bound 0" in line for line in told)
-    assert not any("viscous" in line and "elbow" in line for line in told)
-    assert clean_result(arm).warnings == ()
-
-
-def test_a_device_whose_libraries_are_missing_is_reported_in_a_line(arm: MachineModel, monkeypatch) -> None:
-    monkeypatch.delitem(sys.modules, "mimic.sysid.gpu_replay", raising=False)
-    monkeypatch.setitem(sys.modules, "mujoco_warp", None)
-    with pytest.raises(MissingExtra, match=r"(torch|mujoco_warp).*pip install '\.\[train\]'"):
-        calibrate(clean_log(arm), arm, settings(device="cuda"))
+    made = calibrate(stiffer, arm, settings(most_effects=0))
+    assert next(e for e in made.effects if e.name == "viscous").values["coefficient"][0] == 0.0
+    assert made.warnings == clean_result(arm).warnings == ()
 
 
 @pytest.mark.slow
@@ -271,43 +247,19 @@ def test_the_same_log_gives_the_same_answer(arm: MachineModel) -> None:
 
 
 @pytest.mark.slow
-def test_an_effect_larger_than_a_machine_can_have_is_not_named(arm: MachineModel, monkeypatch) -> None:
-    """What it stands for is something else: here half of what the catalogue would have to allow."""
+def test_a_number_at_a_bound_of_its_validity_is_reported_beside_the_name(arm: MachineModel, monkeypatch) -> None:
+    """The bound says how large a number may be, and nothing against the effect."""
     stiff = EffectValues(
         name="spring", joints=("elbow",), values={"stiffness": np.array([0.5]), "moment": np.array([0.0])}
     )
     log = log_of(arm, stiff)
     spec = CATALOGUE["spring"]
-    narrow = tuple(replace(p, high=0.25) if p.name == "stiffness" else p for p in spec.parameters)
+    narrow = tuple(replace(p, high=0.4) if p.name == "stiffness" else p for p in spec.parameters)
     monkeypatch.setitem(CATALOGUE, "spring", replace(spec, parameters=narrow))
     result = calibrate(log, arm, settings(effects=("spring",), most_effects=1))
-    assert added(result) == []
-    assert any(
-        "spring.stiffness of elbow, in the same chain, stops at its bound 0.25" in line for line in result.warnings
-    )
-    assert "No effect of the catalogue explains the remaining error" in result.sentence
-    assert [e.name for e in result.effects] == ["coulomb", "viscous", "link_mass", "delay"]
-    tried = next(c for c in result.stages[-1].candidates if c.name == "spring")
-    assert not tried.accepted
-    assert "spring.stiffness of elbow, in the same chain, stops at its bound 0.25" in tried.why
-
-
-@pytest.mark.slow
-def test_a_name_that_takes_little_beside_what_is_left_in_its_chain_is_withheld(arm: MachineModel) -> None:
-    """Shaken by something that is not looked for, the shoulder says nothing sure of a weak spring in the elbow."""
-    shaken = {"cosine": np.array([0.5]), "sine": np.array([0.0]), "frequency": np.array([2.7])}
-    weak = {"stiffness": np.array([0.15]), "moment": np.array([0.03])}
-    log = log_of(
-        arm,
-        EffectValues(name="periodic_force", joints=("shoulder",), values=shaken),
-        EffectValues(name="spring", joints=("elbow",), values=weak),
-    )
-    result = calibrate(log, arm, settings(effects=("spring",), most_effects=1))
-    assert added(result) == []
-    assert [r.verdict for r in result.unexplained] == ["state-dependent", "state-dependent"]
-    assert any(
-        "spring" in line and "elbow" in line and "its contribution is negligible" in line for line in result.warnings
-    )
+    assert added(result) == ["spring"]
+    assert next(e for e in result.effects if e.name == "spring").joints == ("elbow",)
+    assert any("spring.stiffness of elbow is at its largest, 0.4" in line for line in result.warnings)
 
 
 @pytest.mark.slow

@@ -1,11 +1,13 @@
 """What a model foretells of a log, on a pendulum whose effects are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mimic.config.sysid import LogSettings
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.dynamics.machine import MachineModel, as_logged, read_machine
 from mimic.errors import ConfigError
 from mimic.sysid.predict import predict, simulate_log
 
@@ -65,3 +67,19 @@ def test_a_joint_that_the_machine_lacks_is_reported(pendulum):
     elsewhere = EffectSet((EffectValues(name="spring", joints=("elbow",), values={"stiffness": np.array([2.0])}),))
     with pytest.raises(ConfigError, match="names joint 'elbow'"):
         predict(logged(pendulum, EffectSet(), 2.0), pendulum, elsewhere)
+
+
+def test_a_voltage_drive_is_followed_with_its_register_gain_and_supply(pendulum, tmp_path):
+    """Half of the supply moves it less, and a log that says so is predicted as well."""
+    notes = {"drive": "voltage", "gain": 3.0, "voltage": 12.0, "kt": 1.0, "resistance": 4.0}
+    (tmp_path / "servo.xml").write_text(PENDULUM)
+    servo = read_machine(tmp_path / "servo.xml", notes)
+    log = logged(servo, EffectSet())
+    assert {k: log.metadata[k] for k in ("drive", "voltage")} == {"drive": "voltage", "voltage": 12.0}
+    again = as_logged(pendulum, log.metadata)
+    assert rms(predict(log, again, EffectSet(), whole=True, threads=1)) == pytest.approx(0.0003, rel=0.15)
+    low = replace(log, extra={"voltage": np.full(len(log.t), 6.0)})
+    weak = as_logged(pendulum, {**log.metadata, "voltage": 6.0})
+    apart = predict(low, again, EffectSet(), whole=True, threads=1)
+    assert rms(apart) > 0.01
+    np.testing.assert_allclose(apart, predict(log, weak, EffectSet(), whole=True, threads=1), atol=1e-6)

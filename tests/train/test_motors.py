@@ -62,15 +62,9 @@ VALUES: dict[str, dict[str, float]] = {
     "com_shift": {"distance": 0.02},
     "periodic_force": {"cosine": 0.5, "sine": 0.3, "frequency": 3.0},
     "joint_delay": {"time": 0.004},
-    "drive_integral": {"gain": 20.0},
-    "deadband": {"width": 0.02},
-    "position_friction": {"slope": 0.1, "curvature": 0.05},
-    "presliding": {"level": 0.1, "way": 0.05},
-    "encoder_eccentricity": {"cosine": 0.02, "sine": -0.03},
-    "target_filter": {"time": 0.01},
 }
-ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction"}
-"""Of a stand, drawn by generators that are not the same, or by what the links needed in the physics step before."""
+ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction", "motor"}
+"""Of a stand, of voltage drives, drawn by other generators, or by what the links needed in the physics step before."""
 
 
 def one(name: str, *, exact: bool = True, **values: float) -> EffectValues:

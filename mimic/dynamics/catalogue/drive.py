@@ -28,13 +28,26 @@ DRIVE = (
         source="Li et al. 2024, Table II",
     ),
     Effect(
+        name="motor",
+        title="motor constants of a voltage drive",
+        equation="tau = kt / resistance (V duty - kt v), duty = gain e within -1 to 1",
+        parameters=(
+            Parameter(name="kt", unit="N m/A", neutral=MODEL, low=0.001, high=100.0, step=0.01, spread=20),
+            Parameter(name="resistance", unit="ohm", neutral=MODEL, low=0.01, high=1000.0, step=0.1, spread=20),
+        ),
+        signature="as gains and viscous friction together; more torque at a higher supply",
+        experiment="logs with two register gains, and steps that reach full duty",
+        enters="actuator_gainprm, actuator_biasprm, actuator_forcerange at every step",
+        source="DC motor; the drives of hobby servos, as in Duclos et al., bam, 2025",
+    ),
+    Effect(
         name="torque_speed",
         title="torque limit and torque-speed line",
         equation="|tau| <= torque, and <= torque (speed - |v|) / (speed - flat) while driving",
         parameters=(
             Parameter(name="torque", unit="N m", neutral=MODEL, low=0.1, high=500.0, step=0.02, starts=(0.2, 0.4, 0.8)),
             Parameter(
-                name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.3, 0.7, 1.5)
+                name="speed", unit="rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.5, 1.2, 4.0, 100.0)
             ),
             Parameter(
                 name="flat",
@@ -139,32 +152,5 @@ DRIVE = (
         experiment="steps with a high Kd",
         enters="actuator bias at every step",
         source="first-order low-pass in the drive",
-    ),
-    Effect(
-        name="drive_integral",
-        title="integral term of the drive",
-        equation="tau = kp e + gain times the integral of e, from 0 at the beginning of the log",
-        parameters=(Parameter(name="gain", unit="N m/(rad s)", neutral=0.0, low=0.0, high=2000.0, step=0.02),),
-        by_request=True,
-        signature="errors under a steady load fade within seconds, and overshoot follows",
-        experiment="hold a loaded pose for seconds, after a step",
-        enters="actuator bias at every step",
-        source="PID drives of hobby and industrial servos",
-    ),
-    Effect(
-        name="deadband",
-        title="deadband of the drive",
-        equation="the Kp term sees e - width, 0 or e + width: nothing while |e| < width",
-        parameters=(
-            Parameter(
-                name="width", unit="rad", neutral=0.0, low=0.0, high=0.2, step=0.004, starts=(2.5, 6.0, 15.0), spread=50
-            ),
-        ),
-        structural=True,
-        by_request=True,
-        signature="a constant error on the side that the load pushes to",
-        experiment="slow reversals with a small load",
-        enters="actuator bias at every step",
-        source="servo registers that stop hunting",
     ),
 )

@@ -64,10 +64,6 @@ class Effect:
     """
     random: bool = False
     """Drawn anew for each target, so a replay needs what was drawn: it is read off the log, not fitted."""
-    by_request: bool = False
-    """A calibration looks for it only where it is asked for by name: how often it is found, and named in place of
-    another, has not been measured with replays yet.
-    """
     signature: str
     """What its residual looks like."""
     experiment: str

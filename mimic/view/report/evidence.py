@@ -26,8 +26,8 @@ def evidence(c: Calibration) -> str:
         return ""
     lead = (
         "All tested effects. The error is that of blocks of the log, each predicted by a fit without this block. z"
-        f" is the gain over its standard error. An accepted effect exceeds both marks, {LEAST_GAIN:.0%} and"
-        f" {LEAST_Z:g}; the verdicts name further conditions."
+        f" is the gain over its standard error, after a price for each number. An accepted effect exceeds both marks,"
+        f" {LEAST_GAIN:.0%} and {LEAST_Z:g}, and removes {RULES.share:.0%} of the unexplained error where it acts."
     )
     return section("Evidence", lead, *(_stage(s, i + 1, c.unit) for i, s in enumerate(stages)))
 
@@ -37,7 +37,7 @@ def _stage(stage: Stage, index: int, positions: str) -> str:
     ranked = sorted(stage.candidates, key=lambda x: (not x.accepted, -x.gain if np.isfinite(x.gain) else np.inf))
     top = max([x.gain for x in ranked if np.isfinite(x.gain)] + [0.02])
     rows = [_candidate(x, top, positions, stage) for x in ranked]
-    headings = ("effect", "error reduced by", "z", "improvement / noise", "values", "verdict")
+    headings = ("effect", "error reduced by", "z", "unexplained error removed", "values", "verdict")
     head = "".join(f"<th>{h}</th>" for h in headings)
 
     def block(lines: list[str]) -> str:
@@ -67,7 +67,7 @@ def _candidate(x: Candidate, top: float, positions: str, stage: Stage) -> str:
         f"<td class=n>{_bar(x.gain, top, LEAST_GAIN)}"
         f"<span class=beside>{fixed(100 * (1 - np.exp(-x.gain)), 1)} %</span></td>"
         f"<td class=n>{_bar(x.z, 12.0, LEAST_Z)}<span class=beside>{fixed(x.z, 1)}</span></td>"
-        f"<td class=n>{fixed(x.improvement, 2)}</td><td class=why>{escape(values)}</td>"
+        f"<td class=n>{fixed(100 * x.improvement, 0)} %</td><td class=why>{escape(values)}</td>"
         f"<td class=why>{verdict}</td></tr>"
     )
 

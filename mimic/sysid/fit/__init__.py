@@ -1,0 +1,1 @@
+"""Logged commands through the model, and the numbers that explain the log."""

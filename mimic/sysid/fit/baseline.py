@@ -1,0 +1,224 @@
+"""The least-squares problem of a log and a model, the fit of the baseline parameters, fits that converge on fine steps
+and correct all coarse ones, and the errors of logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mimic.config.sysid import CalibrateSettings
+from mimic.dynamics.machine import MachineModel
+from mimic.io.joint_log import JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.problem import Key, Point, Problem
+from mimic.sysid.fit.replay import Replay, physics_step
+from mimic.sysid.log.noise import coarse_steps, noise_floor
+from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
+from mimic.sysid.result import Errors, LogErrors
+
+
+def corrected(problem: Problem, point: Point) -> Problem:
+    """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
+    return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
+
+
+def settled(
+    problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray], passes: int = 2
+) -> tuple[Problem, Fit]:
+    """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it."""
+    for _ in range(passes):
+        problem = corrected(problem, fitted.point)
+        fitted = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
+    return problem, fitted
+
+
+def with_fine_derivatives(problem: Problem, fitted: Fit) -> Fit:
+    """Return a fit with central differences in fine steps: in coarse ones that of a delay is off by half."""
+    columns = tuple(problem.columns_in_fine_steps(fitted.point, fitted.free_parameters))
+    return replace(fitted, columns=columns, sums=problem.sums(fitted.residual, columns, fitted.free_parameters))
+
+
+def compared(
+    problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray]
+) -> tuple[Problem, Fit]:
+    """Return problem and baseline fit again, with coarse steps corrected by fine ones."""
+    joints = problem.joints
+    for _ in range(2):
+        if (weighed := problem.weighed(fitted.residual)) is problem:
+            break
+        problem = weighed
+        fitted = fit(problem, fitted.point, names, where, most=3)
+    if problem.channels > joints:
+        problem = corrected(problem, fitted.point)
+        assert problem.correction is not None
+        unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
+        problem = corrected(problem.with_torque_noise(unsure), fitted.point)
+        fitted = fit(problem, fitted.point, names, where, most=3)
+    return settled(problem, fitted, names, where)
+
+
+LEAST_LOGS = 3
+"""Fewest logs of which each is left out once."""
+
+REFITS = 4
+"""Most steps of a fit without one of the logs."""
+
+
+def errors_of(problem: Problem, residual: FloatArray) -> Errors:
+    """Return the errors of each joint [rad or m] of a residual (T, C) in noise floors."""
+    joints = problem.joints
+    scale, residual = problem.noise[:joints], problem.in_floors(residual)
+    train, held = (np.sqrt(problem.mean_squares(residual, side)[:joints]) * scale for side in (False, True))
+    return Errors(train=train, held_out=held)
+
+
+def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str, BoolArray]) -> tuple[LogErrors, ...]:
+    """Return the errors of each fitted log; of three or more also under a fit to the others.
+
+    Args:
+        problem: All logs, and their model.
+        before: The fit of the baseline parameters.
+        final: That of everything.
+        where: Joints that have an effect.
+    """
+    parts, found = problem.replay.parts, []
+    alone = len(parts) >= LEAST_LOGS
+    for part in parts:
+        here = np.zeros(len(problem.replay.log.t), dtype=bool)
+        here[part.slice] = True
+        unseen = [
+            _rms(problem, _without(problem, one, where, here), here) if alone else None for one in (before, final)
+        ]
+        found.append(
+            LogErrors(
+                name=part.name,
+                fitted=True,
+                baseline=_rms(problem, before.residual, here),
+                final=_rms(problem, final.residual, here),
+                left_out_baseline=unseen[0],
+                left_out_final=unseen[1],
+            )
+        )
+    return tuple(found)
+
+
+def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogErrors, ...]:
+    """Return the errors of logs that nothing was fitted to."""
+    left = [unseen.in_fine_steps(one.point) for one in (before, final)]
+    found = []
+    for part in unseen.replay.parts:
+        here = np.zeros(len(unseen.replay.log.t), dtype=bool)
+        here[part.slice] = True
+        baseline, after = (_rms(unseen, residual, here) for residual in left)
+        found.append(LogErrors(name=part.name, fitted=False, baseline=baseline, final=after))
+    return tuple(found)
+
+
+def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
+    """Return the root mean square of the positions in some rows (J,), in the unit of the log."""
+    joints = problem.joints
+    inside = problem.in_floors(residual)[rows & (problem.blocks.index >= 0), :joints].astype(np.float64)
+    return np.sqrt(np.nanmean(inside**2, axis=0)) * problem.noise[:joints]
+
+
+def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> FloatArray:
+    """Return the residual (T, C) of a fit to all but some rows."""
+    names = list(dict.fromkeys(name for name, _ in fitted.point.values))
+    return fit(problem.holding_out(rows), fitted.point, names, where, most=REFITS, frozen=fitted, every=0).residual
+
+
+SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
+"""Numbers that brake as viscous friction does; measured torque tells them from it, another Kd, or drives that are off.
+"""
+
+LEAST_NOISE = 1e-9
+"""Noise floor where no reading shows any [rad or m]."""
+
+MOST_STEPS = 10
+"""Most steps of the baseline fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends
+at 1.
+"""
+
+
+def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: CalibrateSettings) -> Problem:
+    """Return the problem of logs and a model, as they say (`mimic.dynamics.machine.as_logged`).
+
+    Raises:
+        CalibrationError: If the log cannot be replayed.
+    """
+    together = logs if isinstance(logs, Pool) else pool([logs], machine, step_of([logs], settings))
+    log = together.log
+    replay = Replay(
+        machine,
+        log,
+        timestep=together.step,
+        threads=settings.threads,
+        torque=settings.torque,
+        sending=together.sending[0],
+        parts=together.parts,
+    )
+    noise = _of_moving(log.q[valid_samples(log)], _noise(log, replay, log.q, valid_samples(log)))
+    steps = np.zeros_like(noise)
+    if not settings.effects or "encoder_step" in settings.effects:
+        steps, noise = coarse_steps(log.q[valid_samples(log)], noise)
+    torque = None
+    if log.tau is not None and replay.torque:
+        torque = _of_moving(log.tau, _noise(log, replay, log.tau))
+    rows = [part.slice for part in together.parts]
+    blocks = make_blocks(log.t, replay.counts & valid_samples(log), logs=rows, enabled=enabled(log))
+    problem = Problem(replay, noise, torque, blocks)
+    problem.encoder_steps, problem.sending = steps, together.sending
+    kd = np.stack([part.kd for part in together.parts])
+    if torque is None and "viscous" in settings.baseline and np.all(kd == kd[0]) and enabled(log).all():
+        problem.pinned = frozenset(SAME_AS_VISCOUS)
+    return problem
+
+
+def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return noise floors (J,); a constant channel (T, J) gets the largest floor of the others."""
+    moves = (np.ptp(readings, axis=0) > 0) & (noise > 0)
+    return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
+
+
+def step_of(logs: Sequence[JointLog], settings: CalibrateSettings) -> float:
+    """Return the physics step for logs [s]."""
+    return settings.timestep or physics_step(max(log.rate for log in logs))
+
+
+def _noise(log: JointLog, replay: Replay, x: FloatArray, known: BoolArray | None = None) -> FloatArray:
+    """Return the noise floors of signals (T, J), over all logs (J,)."""
+    known = np.ones(len(x), dtype=bool) if known is None else known
+    floors = [noise_floor(x[rows], log.part(rows).rate, known[rows]) for rows in (p.slice for p in replay.parts)]
+    return np.sqrt(np.mean(np.square(floors), axis=0))
+
+
+def fit_sending_times(
+    problem: Problem, fitted: Fit, names: Sequence[str], joints: Mapping[str, BoolArray]
+) -> tuple[Problem, Fit]:
+    """Return problem and fit with the sending times of targets that explain most, of all that the log allows.
+
+    From rows alone it is open whether a steady clock sends targets beside rows that jitter, or whoever writes the rows
+    sends them too. The motion tells: the probability of the logs where their drives follow the targets, the residual of
+    each log of a size of its own.
+    """
+    for times in problem.sending[1:]:
+        shift = float(np.mean(times.at - problem.replay.sending.at))
+        values = dict(fitted.point.values)
+        if ("delay", "time") in values:
+            values["delay", "time"] = values["delay", "time"] - shift
+        other = problem.sent_at(times)
+        found = fit(other, Point(values), names, joints, most=3, frozen=fitted, every=0)
+        if _left(other, found) < _left(problem, fitted):
+            problem, fitted = other, found
+    return problem, fitted
+
+
+def _left(problem: Problem, fitted: Fit) -> float:
+    counts = problem.blocks.fitted & enabled(problem.replay.log).all(axis=1)
+    squares = np.mean(problem.in_floors(fitted.residual).astype(np.float64) ** 2, axis=1)
+    parts = [squares[part.slice][counts[part.slice]] for part in problem.replay.parts]
+    return float(sum(len(own) * np.log(np.mean(own)) for own in parts if len(own)))

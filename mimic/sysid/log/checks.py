@@ -1,0 +1,461 @@
+"""Checks of a log before anything is fitted: each fault yields a line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mimic.errors import CalibrationError
+from mimic.io.joint_log import CHANNELS, UNITS, JointLog
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.log.noise import (
+    Following,
+    find_repeat,
+    following,
+    noise_floor,
+    repeatability,
+    reversals,
+    speed,
+)
+from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
+
+GAP = 1.5
+"""Two readings further apart than this many usual distances have others missing between them."""
+ANSWERED = 0.1
+"""A joint that does not read otherwise so long after its target moved does not answer [s]."""
+LEAST_MOTION = 3.0
+"""A joint whose positions spread by no more than so many noise floors does not move."""
+JUMP = 1.5
+"""A reading that was frozen goes on so many of the largest usual changes further; a joint that sticks goes on there."""
+FOLLOWS, STRANGER = 0.9, 0.5
+"""Correlation of a joint with a target that it certainly follows, and certainly does not."""
+
+
+def gaps(log: JointLog) -> Iterator[str]:
+    """Readings that are missing, too few, or read more slowly than logged."""
+    steps = np.diff(log.t)
+    usual = float(np.median(steps))
+    wide = np.flatnonzero(steps > GAP * usual)
+    if len(wide):
+        missing = int(np.round(steps[wide] / usual - 1).clip(1).sum())
+        longest = int(wide[steps[wide].argmax()])
+        yield (
+            f"about {missing} readings are missing ({missing / (missing + len(log.t)):.1%}); the longest gap is"
+            f" {1e3 * steps[longest]:.0f} ms at t = {log.t[longest]:.2f} s"
+        )
+    if log.rate < 100.0:
+        yield (
+            f"only {log.rate:.0f} readings a second: effects above {log.rate / 2:.0f} Hz, delays and lags are hard to"
+            " see; 200 Hz or more are better"
+        )
+    fast = np.abs(np.diff(log.q, axis=0)).max(axis=1) > 0
+    moving = np.abs(speed(log.t, log.q)).max(axis=1)[1:] > 0.2 * np.abs(speed(log.t, log.q)).max()
+    stale = float((~fast)[moving].mean()) if moving.any() else 0.0
+    if stale > 0.1:
+        yield (
+            f"{stale:.0%} of the rows repeat the reading before while the machine moves: it is read more slowly than"
+            " logged, or rows are duplicated"
+        )
+
+
+def units(log: JointLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
+    """Degrees for radians, thousandths for units."""
+    for name in ("q", "q_des"):
+        value = getattr(log, name)
+        if value is None:
+            continue
+        if unit == "rad":
+            furthest = np.abs(value).max(axis=0)
+            bound = np.full(len(log.joints), np.inf)
+            if limits is not None:
+                bound = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
+                bound[~np.isfinite(limits).any(axis=1)] = np.inf
+            turns_far = np.inf if log.metadata.get(UNITS) == "rad" else 20.0
+            far = furthest > np.where(np.isfinite(bound), 3.0 * bound + 1.0, turns_far)
+            if (far := far & (np.ptp(value, axis=0) > 2 * np.pi)).any():
+                i = int(np.argmax(np.where(far, furthest, 0.0)))
+                limit = (
+                    f"the limit of the joint is {bound[i]:.2f} rad" if np.isfinite(bound[i]) else "a turn is 6.28 rad"
+                )
+                yield (
+                    f"{name}.{log.joints[i]} reaches {furthest[i]:.1f}, and {limit}: the log seems to be in degrees;"
+                    ' multiply by pi/180, or write "units": "deg" into its notes ("rad" if that is right)'
+                )
+    if log.q_des is None:
+        return
+    spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
+    moves = (spread > LEAST_MOTION * noise_floor(log.q, log.rate)) & (wanted > 0)
+    ratio = np.where(moves, spread / np.maximum(wanted, 1e-300), 1.0)
+    for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
+        for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
+            found = [joint for joint, r in zip(log.joints, of, strict=True) if abs(r / factor - 1.0) < 0.3]
+            if found:
+                yield (
+                    f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des:"
+                    f" {what}; divide {larger} by {factor:.6g}"
+                )
+
+
+def turns(log: JointLog, unit: str) -> Iterator[str]:
+    """An encoder that wraps around."""
+    if unit != "rad":
+        return
+    for name in ("q", "q_des"):
+        value = getattr(log, name)
+        if value is None:
+            continue
+        jump = np.diff(value, axis=0)
+        for i in np.flatnonzero((np.abs(np.abs(jump) - 2 * np.pi) < 0.5).any(axis=0)):
+            row = int(np.abs(jump[:, i]).argmax())
+            yield (
+                f"{name}.{log.joints[i]} jumps by {jump[row, i]:+.2f} rad at t = {log.t[row]:.2f} s: the encoder wraps"
+                " around; unwrap it"
+            )
+
+
+def misassigned(log: JointLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
+    """Joints that follow another's target, or their own backwards."""
+    from scipy.optimize import linear_sum_assignment
+
+    own = np.diag(correlation)
+    for i in np.flatnonzero(moves & (own < -STRANGER)):
+        yield (
+            f"{log.joints[i]} moves against its target (correlation {own[i]:+.2f}): its sign is wrong;"
+            f" multiply q.{log.joints[i]} or q_des.{log.joints[i]} by -1, whichever differs from the model"
+        )
+    _, match = linear_sum_assignment(-np.abs(correlation))
+    lost = [i for i in np.flatnonzero(moves) if abs(own[i]) < STRANGER and abs(correlation[i, match[i]]) > FOLLOWS]
+    done: set[int] = set()
+    for i in lost:
+        j = int(match[i])
+        if j == i or i in done:
+            continue
+        sign = "" if correlation[i, j] > 0 else ", with the other sign"
+        follows = (
+            f"{log.joints[i]} follows the target of {log.joints[j]}{sign}"
+            f" (correlation {correlation[i, j]:+.2f}, with its own {own[i]:+.2f})"
+        )
+        if match[j] == i:
+            done.add(j)
+            yield f"{follows} and the other way round: exchange q.{log.joints[i]} and q.{log.joints[j]}"
+        else:
+            yield f"{follows}: name q.{log.joints[i]} q.{log.joints[j]}"
+
+
+def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
+    """Joints that follow their target badly, or before it comes."""
+    own = np.diag(correlation)
+    weak = np.flatnonzero(moves & (own < 0.7))
+    if len(weak):
+        worst = weak[own[weak].argmin()]
+        yield (
+            f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
+            f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
+        )
+    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -1.5 / log.rate))
+    if len(early):
+        i = int(early[0])
+        yield (
+            f"{log.joints[i]} moves {-1e3 * lag[i]:.0f} ms before its target: the clocks of targets and readings"
+            " differ; give the target in effect when the row was read"
+        )
+
+
+def stuck(log: JointLog) -> Iterator[str]:
+    """Readings that are frozen or clipped."""
+    asked = log.q_des if log.q_des is not None else log.force
+    assert asked is not None
+    for i, joint in enumerate(log.joints):
+        x, wanted = log.q[:, i], asked[:, i]
+        if np.ptp(wanted) <= 1e-9:
+            continue
+        if np.ptp(x) == 0:
+            yield (
+                f"q.{joint} reads {x[0]:g} for the whole log while its target moves: a dead encoder or a blocked joint"
+            )
+            continue
+        still = np.diff(x) == 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            seconds = log.t[stop] - log.t[start]
+            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - ANSWERED]
+            if seconds < 0.25 or np.ptp(asked_of_it) < 0.1 * np.ptp(wanted):
+                continue
+            goes_on = abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= JUMP * np.quantile(np.abs(np.diff(x)), 0.99)
+            where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
+            if where:
+                yield (
+                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from"
+                    f" t = {log.t[start]:.2f} s while its target moves: clipped, or at a stop"
+                )
+            elif goes_on:
+                continue  # it sticks
+            else:
+                yield (
+                    f"q.{joint} is frozen at {x[start]:.4g} for {seconds:.2f} s from t = {log.t[start]:.2f} s while its"
+                    " target moves: readings were lost"
+                )
+            break
+
+
+def excitation(log: JointLog, moves: BoolArray, noise: FloatArray, unit: str) -> Iterator[str]:
+    """Parameters that this motion cannot show.
+
+    Raises:
+        CalibrationError: If nothing moves.
+    """
+    idle = [joint for joint, moving in zip(log.joints, moves, strict=True) if not moving]
+    if len(idle) == len(log.joints):
+        raise CalibrationError(
+            "no target of the log moves, so that nothing can be fitted; see the motion to log in docs"
+        )
+    if idle:
+        yield f"the target of {_list(idle)} never moves: nothing can be fitted to {'it' if len(idle) == 1 else 'them'}"
+    velocity = speed(log.t, log.q)
+    few, slow, narrow = [], [], []
+    for i in np.flatnonzero(moves):
+        span = float(np.ptp(log.q[:, i]))
+        if reversals(log.q[:, i], max(0.02 * span, 10.0 * noise[i])) < 4:
+            few.append(log.joints[i])
+        quick = float(np.quantile(np.abs(velocity[:, i]), 0.99))
+        if quick <= 0 or span / quick > 5.0:
+            slow.append(log.joints[i])
+        if unit == "rad" and span < 0.1:
+            narrow.append(log.joints[i])
+    if few:
+        yield f"{_list(few)}: fewer than four reversals, so dry friction cannot be separated from an offset"
+    if slow:
+        yield (
+            f"{_list(slow)}: no fast motion, so that viscous friction, rotor inertia and delay cannot be fitted;"
+            " add fast sines or steps"
+        )
+    if narrow:
+        yield (
+            f"{_list(narrow)}: moves by less than 0.1 rad, so that gravity hardly changes and the mass of the link"
+            " cannot be fitted; add static poses"
+        )
+
+
+def beyond(log: JointLog, limits: FloatArray | None) -> Iterator[str]:
+    """Targets outside the joint limits."""
+    if limits is None or log.q_des is None:
+        return
+    for i, joint in enumerate(log.joints):
+        low, high = limits[i]
+        past = np.maximum(low - log.q_des[:, i], log.q_des[:, i] - high)
+        share = float((past > 1e-6).mean())
+        if share > 0:
+            yield (
+                f"the target of {joint} is beyond its limits ({low:.3f} to {high:.3f}) by up to {past.max():.3f} in"
+                f" {share:.1%} of the rows: the joint may rest on its stop there"
+            )
+
+
+def full(log: JointLog, torque: FloatArray | None) -> Iterator[str]:
+    """Motors at their limit: a share of the readings of torque within 1 % of the largest."""
+    if log.tau is None:
+        return
+    for i, joint in enumerate(log.joints):
+        size = np.abs(log.tau[:, i])
+        top = size.max() if torque is None else torque[i]
+        share = float((size > 0.99 * top).mean())
+        if top > 0 and share > 0.02:
+            yield f"the torque of {joint} is at its limit, {top:.3g}, in {share:.1%} of the rows"
+
+
+def _list(names: list[str]) -> str:
+    return ", ".join(names)
+
+
+MOST_LOST = 0.2
+"""Greatest share of rows that may be left out."""
+
+SHORTEST = 5.0
+"""Shortest log that is accepted [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LogCheck:
+    """What a usable log holds; arrays are (J,) in the order of its joints."""
+
+    log: JointLog
+    """The log without repeated and unreadable rows: the one to fit."""
+    noise: FloatArray
+    """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
+    repeatability: FloatArray | None
+    """Difference of two repetitions of an excitation over the square root of 2, where one comes twice; with heat or
+    drift it is more than noise."""
+    warnings: tuple[str, ...]
+    """What the user should know, a line each."""
+
+
+def check_log(
+    log: JointLog, limits: FloatArray | None = None, torque: FloatArray | None = None, unit: str = "rad"
+) -> LogCheck:
+    """Return the properties of a usable log, with warnings.
+
+    Args:
+        log: Readings of a machine.
+        limits: Lower and upper joint limit (J, 2), infinite where there is none.
+        torque: Largest torque of each motor (J,), where known.
+        unit: Of the positions: "rad", or "m" where the joints slide.
+
+    Raises:
+        CalibrationError: If nothing can be fitted to it; a line for each reason.
+    """
+    log, warnings = _readable(log)
+    warnings += gaps(log)
+    wrong = [*units(log, limits, unit)] or [*turns(log, unit)]
+    if wrong:
+        raise CalibrationError("\n".join(wrong))
+    target = followed(log)
+    if target is not None:
+        found = following(log.t, log.q, target)
+        wrong = list(misassigned(log, found.correlation, found.moves))
+        if wrong:
+            raise CalibrationError("\n".join(wrong))
+        warnings += weak_following(log, found.correlation, found.lag, found.moves)
+    noise = noise_floor(log.q, log.rate, valid_samples(log))
+    asked = target if target is not None else log.force
+    assert asked is not None  # the reader refuses a log with neither
+    if target is not None and log.force is not None:
+        asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
+    moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
+    warnings += [
+        *stuck(log),
+        *excitation(log, moves, noise, unit),
+        *beyond(log, limits),
+        *full(log, torque),
+    ]
+    repeat = find_repeat(log.t, asked)
+    return LogCheck(
+        log=log,
+        noise=noise,
+        repeatability=None if repeat is None else repeatability(log.t, log.q, asked, repeat),
+        warnings=tuple(warnings),
+    )
+
+
+def targets_match_log(log: JointLog) -> tuple[bool, str]:
+    """Return whether the targets can belong to the positions, and why not.
+
+    Only what is certain is refused: targets that nothing follows, that a position precedes, or that fit far better
+    reversed or shifted in time. Whether log and model belong together is for the fit to say.
+    """
+    if log.q_des is None:
+        return True, ""
+    asked = followed(log)
+    assert asked is not None
+    near = following(log.t, log.q, asked)
+    moving = near.moves & (np.ptp(log.q, axis=0) > 0)
+    if not moving.any():
+        return False, "no target of the log moves"
+
+    def median(of: Following) -> float:
+        return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
+
+    follows, lag = median(near), near.lag[moving]
+    if follows > FOLLOWS and (np.nan_to_num(lag) < -1.5 / log.rate).all():
+        early = -1e3 * float(np.median(lag))
+        return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
+    back = median(following(log.t, log.q, asked[::-1]))
+    if back > FOLLOWS and back > follows + 0.01:
+        return False, f"positions follow the targets read backwards (correlation {back:.3f}, forwards {follows:.3f})"
+    far = following(log.t, log.q, asked, (-0.4 * log.duration, 0.4 * log.duration))
+    if median(far) > FOLLOWS and median(far) > follows + 0.1:
+        late = float(np.nanmedian(far.lag[moving]))
+        when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
+        return False, f"positions follow the targets logged {when}: two clocks, or rows that do not match"
+    if follows < 0.7:
+        return False, f"positions do not follow the targets (correlation {follows:.2f})"
+    return True, ""
+
+
+def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
+    """Return the log without rows that cannot be used, and what was wrong with them.
+
+    Raises:
+        CalibrationError: If too little is left.
+    """
+    warnings: list[str] = []
+    if len(log.t) < 2:
+        raise CalibrationError(f"the log has {len(log.t)} rows; a calibration needs {SHORTEST:g} s of readings")
+    empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
+    if empty:
+        log = replace(log, **dict.fromkeys(empty))
+    if log.tau is not None and not (np.fmax.reduce(log.tau) > np.fmin.reduce(log.tau)).any():
+        warnings.append("the measured torque never changes: the drives do not report it; left out")
+        log = replace(log, tau=None)
+    ok, told = np.isfinite(log.t), np.zeros(len(log.t), dtype=bool)
+    for name in CHANNELS:
+        value = getattr(log, name)
+        if value is None or name == "dq":  # which nothing is fitted to
+            continue
+        finite = np.isfinite(value)
+        for i in np.flatnonzero(finite.mean(axis=0) < 0.5):
+            share = 1.0 - finite[:, i].mean()
+            what = f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; log it, or "
+            raise CalibrationError(
+                what + ("leave tau out for all joints" if name == "tau" else "take the joint out of log and model")
+            )
+        told |= ~finite.all(axis=1)
+        if name in ("q_des", "force"):
+            ok &= finite.all(axis=1)
+    lost = float((told | ~ok).mean())
+    if lost > 0:
+        what = f"hold something that is not a number, the first of them {_first_gap(log)}"
+        if lost > MOST_LOST:
+            raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
+        warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
+        log = log.part(ok)
+    if (spiked := spikes(log)).any():
+        i, j = (int(x[0]) for x in np.nonzero(spiked))
+        rows = spiked.any(axis=1)
+        warnings.append(
+            f"{int(rows.sum())} rows ({rows.mean():.1%}) have a reading far off those around it, as in corrupt frames,"
+            f" such as q.{log.joints[j]} {log.q[i, j]:g} at t = {log.t[i]:.3f} s; left out"
+        )
+        log = replace(log, q=np.where(spiked, np.nan, log.q))
+    gone = missing(log)
+    odd = at_odd_times(log, MOST_LOST) & ~gone
+    if odd.any():
+        warnings.append(
+            f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"
+        )
+    if (unseen := gone | odd).any():
+        log = filled(log, unseen)
+    back = np.flatnonzero(np.diff(log.t) < 0)
+    if len(back):
+        i = int(back[0])
+        raise CalibrationError(
+            f"the clock of the log goes back in row {i + 2}, from {log.t[i]:.4f} s to {log.t[i + 1]:.4f} s"
+            f" ({len(back)} times in all); give one run per log, with rows in the order of time"
+        )
+    twice = np.flatnonzero(np.diff(log.t) == 0) + 1
+    if len(twice):
+        warnings.append(f"{len(twice)} rows have the same time as the row before; left out")
+        log = log.part(np.delete(np.arange(len(log.t)), twice))
+    distance = float(np.median(np.diff(log.t)))
+    if distance >= 0.5:
+        raise CalibrationError(
+            f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
+            " or more. If t is in milliseconds, divide it by 1000"
+        )
+    if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 5 s ends a target before
+        raise CalibrationError(
+            f"the log lasts {log.duration:.2f} s by its column t (in seconds);"
+            f" {SHORTEST:g} s are needed, 120 s are good"
+        )
+    return log, warnings
+
+
+def _first_gap(log: JointLog) -> str:
+    """Return column and time of the first value that is not a number."""
+    for name in ("q", "tau", "q_des", "force"):
+        value = getattr(log, name)
+        if value is not None and not np.isfinite(value).all():
+            i, j = (int(x[0]) for x in np.nonzero(~np.isfinite(value)))
+            return f"{name}.{log.joints[j]} at t = {log.t[i]:.3f} s"
+    return "t"

@@ -1,0 +1,1 @@
+"""Which effects the logs ask for, by one rule."""

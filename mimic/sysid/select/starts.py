@@ -1,0 +1,261 @@
+"""Where the fit of an effect begins, and what the model does at a fit.
+
+A derivative at neutral is blind to effects with a threshold, so those start from a small grid away from neutral.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mimic.dynamics.catalogue import CATALOGUE
+from mimic.dynamics.servo import neutral
+from mimic.records import BoolArray, FloatArray
+from mimic.sysid.fit.least_squares import Fit, linear_step
+from mimic.sysid.fit.problem import Point, Problem
+
+LEAST_PERIODS = 1.5
+"""Fewest periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""
+
+FINEST_ORDER = 0.5
+"""Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
+
+MOST_PERIODS = 40
+"""Most periods of cogging in the range of motion."""
+
+POORLY_EXPLAINED = 4.0
+"""Mean square of what is left, in noise floors, from which on fits also begin with the model's own baseline."""
+
+BINS = 20
+"""Places that the residual is averaged over, in the shortest period of cogging."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StartingPoint:
+    """One place from which an effect may be fitted."""
+
+    name: str
+    point: Point
+    joints: BoolArray
+    """Joints that may have the effect (J,)."""
+    own_baseline: bool = False
+    """Whether the baseline parameters are the model's own, not those that made up for the effect."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PredictedMotion:
+    """What the model does at a fit; arrays (T, J)."""
+
+    t: FloatArray
+    q: FloatArray
+    dq: FloatArray
+    tau: FloatArray
+
+
+def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMotion) -> list[Point]:
+    """Return the points from which an effect is tried."""
+    spec, machine = CATALOGUE[name], problem.machine
+    if name == "torque_speed":
+        torque, speed = spec.parameter("torque").starts, spec.parameter("speed").starts
+        peak, fast = np.abs(motion.tau).max(0), np.abs(motion.dq).max(0)
+        grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
+        return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
+    if name == "cogging":
+        best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
+        return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
+    if name == "periodic_force":
+        best = [_best_frequency(problem, incumbent, motion, j) for j in range(len(machine.joints))]
+        return [incumbent.point.with_effect(name, machine, {"frequency": np.array(best)})]
+    joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
+    axes = [
+        [(p.name, np.array([v * p.step * problem.scale(p.unit, j) for j in joints])) for v in p.starts]
+        for p in spec.parameters
+        if p.starts and not p.fixed
+    ]
+    return [_clipped(incumbent.point.with_effect(name, machine, dict(v))) for v in itertools.product(*axes)]
+
+
+def _clipped(point: Point) -> Point:
+    values = {}
+    for (name, parameter), row in point.values.items():
+        p = CATALOGUE[name].parameter(parameter)
+        values[name, parameter] = np.clip(row, p.low, p.high)
+    return Point(values)
+
+
+def _left(incumbent: Fit, joint: int) -> FloatArray:
+    residual = incumbent.residual[:, joint].astype(np.float64)
+    return np.where(np.isfinite(residual), residual, 0.0)
+
+
+def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
+    """Order whose sine and cosine over position explain most of the residual."""
+    r, q, v = _left(incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
+    bounds = CATALOGUE["cogging"].parameter("order")
+    span = max(float(np.ptp(q)), 1e-9)
+    most = min(2 * np.pi * MOST_PERIODS / span, bounds.high)
+    orders = np.arange(max(least_order(q), bounds.low), most, FINEST_ORDER / span)
+    if not len(orders):
+        return bounds.high
+    calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
+    if not calm.any():
+        return float(orders[0])
+    r, q = r[calm], q[calm]
+    bins = ((q - q.min()) * (BINS * MOST_PERIODS / max(np.ptp(q), 1e-9))).astype(int)
+    count = np.bincount(bins)
+    there = count > 0
+    total = np.bincount(bins, r - r.mean())[there]
+    place, count = np.bincount(bins, q)[there] / count[there], count[there]
+    a, b = (wave(orders[:, None] * place) for wave in (np.cos, np.sin))
+    a, b = (wave - (wave @ count / len(q))[:, None] for wave in (a, b))
+    aa, bb, ab, ar, br = (a * a) @ count, (b * b) @ count, (a * b) @ count, a @ total, b @ total
+    power = (bb * ar**2 - 2 * ab * ar * br + aa * br**2) / np.maximum(aa * bb - ab**2, 1e-9)
+    return float(orders[int(np.argmax(power))])
+
+
+def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
+    """Frequency at which the residual is strongest, of those that the motion itself does not have."""
+    r = _left(incumbent, joint)
+    dt = float(np.median(np.diff(motion.t)))
+    size = 8 * len(r)
+    spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
+    frequency = np.fft.rfftfreq(size, dt)
+    inside = (frequency > 0.1) & (frequency < 20.0) & ~on_harmonic(problem, frequency)
+    return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
+
+
+def starting_points(
+    problem: Problem, incumbent: Fit, names: Sequence[str], motion: PredictedMotion
+) -> list[StartingPoint]:
+    """Return the best start of each of the named effects: a joint takes the one that suits it best, or none.
+
+    Each start is replayed alone, with the numbers of the incumbent free to make up for it. Where much is unexplained,
+    those of effects with a threshold are also tried with the model's own baseline: without the effect it was bent to
+    make up for it.
+    """
+    points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
+    bent = float(np.mean(problem.mean_squares(incumbent.residual, False))) > POORLY_EXPLAINED
+    own_from = len(points)
+    points += [(name, own_baseline(problem, p)) for name, p in points if bent and CATALOGUE[name].structural]
+    moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
+    replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
+    left = {
+        i: _refitted(problem, incumbent, residual)
+        for i, residual in replayed.items()
+        if np.isfinite(problem.block_squares(residual)).all()
+    }
+    own = _channel_squares(problem, incumbent.residual)
+    found = []
+    for name in names:
+        usable = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
+        best = np.inf
+        for rows in ([i for i in usable if i < own_from], [i for i in usable if i >= own_from]):
+            if not rows:
+                continue
+            point, joints, least = points[rows[0]][1], np.ones(problem.joints, dtype=bool), 0.0
+            if rows[0] in replayed and CATALOGUE[name].scope == "machine":
+                i = min(rows, key=lambda i: float(left[i].sum()))
+                point, least = points[i][1], float(left[i].sum())
+            elif rows[0] in replayed:
+                mine = [left[i] for i in rows]
+                point, joints = _mixed(name, [points[i][1] for i in rows], mine, own, problem)
+                least = float(np.minimum.reduce(mine).sum())
+            start = StartingPoint(name=name, point=point, joints=joints, own_baseline=rows[0] >= own_from)
+            if least < best:
+                found = [*(s for s in found if s.name != name), start]
+                best = least
+    return found
+
+
+def own_baseline(problem: Problem, point: Point) -> Point:
+    """Return a start with the model's own baseline parameters of each joint."""
+    values = dict(point.values)
+    for name, parameter in values:
+        if CATALOGUE[name].baseline and CATALOGUE[name].scope != "machine" and not CATALOGUE[name].structural:
+            values[name, parameter] = neutral(name, parameter, problem.machine)
+    return Point(values)
+
+
+def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
+    """Return the sum of squares of each channel (C,) after one linear step of the incumbent's numbers."""
+    _, left = linear_step(problem, incumbent.point, residual, incumbent.columns, incumbent.free_parameters, 0.0)
+    return min((_channel_squares(problem, r) for r in (left, residual)), key=np.sum)
+
+
+def _channel_squares(problem: Problem, residual: FloatArray) -> FloatArray:
+    return problem.block_squares(residual)[problem.blocks.train].sum(0)
+
+
+def _mixed(
+    name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem
+) -> tuple[Point, BoolArray]:
+    """Return the point at which each joint has the start that suits it best, or none, and which joints have one."""
+    joints = problem.joints
+    by_joint = np.zeros((len(points) + 1, joints))
+    for row, square in enumerate((own, *squares)):
+        np.add.at(by_joint[row], problem.channel_joint, square)
+    choice = np.argmin(by_joint, axis=0)
+    mask = choice > 0
+    if not CATALOGUE[name].structural:  # a derivative at neutral tells of the joints that no start suits
+        mask = np.ones(joints, dtype=bool)
+    elif not mask.any():  # the mildest start where it does the least harm
+        harm = by_joint[1:] - by_joint[0]
+        choice[:] = 0
+        j = int(np.argmin(harm.min(0)))
+        choice[j] = 1 + int(np.argmin(harm[:, j]))
+        mask = choice > 0
+    values = dict(points[0].values)
+    for p in CATALOGUE[name].parameters:
+        rows = np.stack([neutral(name, p.name, problem.machine), *(x.values[name, p.name] for x in points)])
+        values[name, p.name] = rows[np.maximum(choice, 1) if p.shape and not p.fixed else choice, np.arange(joints)]
+    return Point(values), mask
+
+
+def _acts(name: str, point: Point, problem: Problem) -> bool:
+    """Return whether any number of an effect that is not a shape differs from none."""
+    return any(
+        not np.array_equal(point.values[name, p.name], neutral(name, p.name, problem.machine))
+        for p in CATALOGUE[name].parameters
+        if not p.shape and not p.fixed
+    )
+
+
+def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
+    """Return what the model does; velocities from the predicted positions, torques from the servo."""
+    machine, log = problem.machine, problem.replay.log
+    joints = len(machine.joints)
+    left = problem.in_floors(fitted.residual)[:, :joints].astype(np.float64)
+    residual = np.nan_to_num(left) * problem.noise[:joints]
+    q = log.q - residual
+    t = log.t - log.t[0]
+    dq = np.gradient(q, t, axis=0)
+    target = log.q_des if log.q_des is not None else q
+    delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
+    delay -= float(np.mean(t[problem.replay.sent] - problem.replay.sending.at))
+    late = np.stack([np.interp(t - delay, t, column) for column in target.T], -1)
+    kp, kd = problem.replay.row_gains
+    tau = kp * (late - q) - kd * dq
+    if log.force is not None:
+        tau = tau + log.force
+    limit = np.asarray(machine.drives.torque)
+    return PredictedMotion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))
+
+
+def least_order(q: FloatArray) -> float:
+    """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
+    return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
+
+
+def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
+    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
+
+    What depends on the state repeats with the motion, so that nothing external can be told from it there.
+    """
+    every = problem.period
+    if every is None:
+        return np.zeros(np.shape(frequency), dtype=bool)
+    turns = np.asarray(frequency) * every
+    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration

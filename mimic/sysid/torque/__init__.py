@@ -1,0 +1,1 @@
+"""What the torques say of effects, within seconds."""

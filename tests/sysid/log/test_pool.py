@@ -1,0 +1,196 @@
+"""Several logs of one machine: what each says of itself acts on it alone, and contradictions are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mimic.config.sysid import CalibrateSettings, LogSettings
+from mimic.dynamics.catalogue import BASELINE
+from mimic.dynamics.effect_set import EffectSet, EffectValues
+from mimic.dynamics.machine import MachineModel, read_machine, with_gains
+from mimic.errors import CalibrationError
+from mimic.io.joint_log import JointLog
+from mimic.sysid.fit.baseline import problem_of
+from mimic.sysid.fit.problem import Point
+from mimic.sysid.log.pool import make_blocks, pool
+from mimic.sysid.predict import simulate_log
+
+PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" frictionloss="0.05"/>
+<inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.004 0.004 0.0001"/><site pos="0 0 -0.15"/></body></worldbody>
+</mujoco>"""
+QUIET: dict[str, Any] = {"noise": 0.0, "resolution": 0.0, "torque_noise": 0.0, "timestep": 0.0005}
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.xml"
+    path.write_text(PENDULUM)
+    return read_machine(path, {"kp": 20.0, "kd": 0.8})
+
+
+def swung(machine: MachineModel, seconds: float = 6.0, payload: float = 0.0, **notes: Any) -> JointLog:
+    """Return a log without noise of a pendulum with a payload at its end and gains of its own."""
+    t = np.arange(0.0, seconds, 0.02)
+    q_des = 0.5 * np.sin(5.0 * t[:, None]) + 0.2 * np.sign(np.sin(9.0 * t[:, None]))
+    load = EffectValues(name="payload", joints=("hinge",), values={"mass": np.array([payload])})
+    log = simulate_log(with_gains(machine, notes), t, q_des, EffectSet((load,)), LogSettings(**QUIET))
+    return replace(log, tau=None, metadata={**log.metadata, **({"payload": payload} if payload else {})})
+
+
+def left(logs: list[JointLog], machine: MachineModel) -> np.ndarray:
+    """Return what the machine as given leaves of each log [rad]."""
+    problem = problem_of(pool(logs, machine, 0.0005), machine, CalibrateSettings(threads=1))
+    residual = problem.residuals([Point.of(BASELINE, machine)])[0] * problem.noise
+    return np.array([np.sqrt(np.nanmean(residual[part.slice] ** 2)) for part in problem.replay.parts])
+
+
+def test_each_log_is_replayed_with_its_own_gains_and_payload(pendulum: MachineModel) -> None:
+    logs = [swung(pendulum, kp=20.0, kd=0.8), swung(pendulum, 5.4, kp=9.0, kd=0.4), swung(pendulum, payload=0.15)]
+    assert np.all(left(logs, pendulum) < 2e-4)
+    for wrong in ({"kp": 20.0}, {"payload": 0.1}):
+        worse = [logs[0], *(replace(log, metadata={**log.metadata, **wrong}) for log in logs[1:])]
+        assert left(worse, pendulum)[1:].max() > 2e-3
+
+
+def test_a_log_without_feed_forward_beside_one_with_it_has_none(pendulum: MachineModel) -> None:
+    """A force acts like a shift of the target by it over Kp."""
+    log = swung(pendulum)
+    shift = 0.1 * np.sign(np.sin(3.0 * log.t[:, None]))
+    assert log.q_des is not None
+    pushed = replace(log, q_des=log.q_des - shift, force=20.0 * shift)
+    assert np.all(left([log, pushed], pendulum) < 2e-4)
+    assert np.all(left([pushed, log], pendulum) < 2e-4)
+    assert left([log, replace(pushed, force=None)], pendulum)[1] > 0.02
+
+
+def test_a_drive_that_is_switched_off_lets_its_joint_fall(pendulum: MachineModel) -> None:
+    """The closed form: a pendulum without friction that is let go swings back to the height it came from."""
+    free = replace(pendulum, drives=replace(pendulum.drives, friction=np.zeros(1)))
+    t = np.arange(0.0, 6.0, 0.005)
+    on = t < 2.0
+    inertia, moment = 0.004 + 0.2 * 0.1**2, 0.2 * 9.81 * 0.1
+    q, v, path = 0.8, 0.0, []
+    for time in np.arange(0.0, 6.0, 0.0001):
+        held = time < 2.0
+        v += 0.0001 * (0.0 if held else -moment * np.sin(q) / inertia)
+        q += 0.0001 * v
+        path.append(0.8 if held else q)
+    log = JointLog(
+        joints=("hinge",),
+        t=t,
+        q=np.array(path)[::50, None],
+        q_des=np.where(on, 0.8 + moment * np.sin(0.8) / 20.0, 0.3)[:, None],
+        extra={"enabled": on.astype(float)},
+        metadata={"kp": 20.0, "kd": 0.8, "sent": "row"},
+    )
+    problem = problem_of(log, free, CalibrateSettings(threads=1, timestep=0.0005))
+    none = {("coulomb", "level"): np.zeros((1, 1)), ("viscous", "coefficient"): np.zeros((1, 1))}
+    residual = problem.replay.run(none, 1).residual[0, :, 0]
+    assert np.nanmax(np.abs(residual)) < 0.02
+    without = problem_of(replace(log, extra={}), free, CalibrateSettings(threads=1, timestep=0.0005))
+    assert np.nanmax(np.abs(without.replay.run(none, 1).residual)) > 0.5
+
+
+def test_the_last_reading_of_a_log_before_others_is_replayed_in_any_step(pendulum: MachineModel) -> None:
+    """A row that fine steps lack and coarse ones have would make every fit look as if it had blown up.
+
+    The drive is off from 2 s on, so that in fine steps no piece is longer than the rest of the first log.
+    """
+    whole = swung(pendulum, kp=20.0, kd=0.8)
+    first = whole.part(slice(1000))
+    t = np.append(first.t[:-1], first.t[-1] + 0.0011)
+    first = replace(first, t=t, extra={"enabled": (t < 2.0).astype(float)})
+    problem = problem_of(
+        pool([first, whole], pendulum, 0.0025), pendulum, CalibrateSettings(threads=1, timestep=0.0025)
+    )
+    start = Point.of(BASELINE, pendulum)
+    counted = np.isfinite(problem.residuals([start])[0]).all(axis=1)
+    assert counted[len(t) - 1]
+    assert np.isfinite(problem.in_fine_steps(start)[counted]).all()
+
+
+def test_a_log_is_judged_alike_whatever_logs_are_before_it(pendulum: MachineModel) -> None:
+    """Its residual, the blocks that are held out of it and the times of its targets, which a log with a clock of its
+    own for them and one without would have each decide for the other.
+    """
+    rng = np.random.default_rng(0)
+    long, short = (replace(log, metadata={"kp": 20.0, "kd": 0.8}) for log in (swung(pendulum), swung(pendulum, 5.4)))
+    beside = replace(long, t=long.t + 0.0004 * rng.standard_normal(len(long.t)))
+    uneven = np.maximum.accumulate(short.t + 0.004 * rng.uniform(size=len(short.t)))
+    assert short.q_des is not None
+    shown = np.searchsorted(short.t, uneven + 1e-9) - 1
+    odd = replace(short, t=uneven, q_des=short.q_des[np.maximum(shown - 3 * rng.integers(0, 2, len(shown)), 0)])
+    start, settings = Point.of(BASELINE, pendulum), CalibrateSettings(threads=1, timestep=0.0025)
+    seen: dict[str, list[Any]] = {}
+    for logs in ((beside, odd), (odd, beside)):
+        names = tuple("beside" if one is beside else "odd" for one in logs)
+        problem = problem_of(pool(list(logs), pendulum, 0.0025, names), pendulum, settings)
+        residual, blocks = problem.residuals([start])[0], problem.blocks
+        for part in problem.replay.parts:
+            index = blocks.index[part.slice]
+            held = np.where(index < 0, -1, blocks.held_out[np.maximum(index, 0)])
+            times = [one.of_part(part.slice, part.begin).at for one in problem.sending]
+            seen.setdefault(part.name, []).append((residual[part.slice], held, times))
+    for one, other in seen.values():
+        assert np.allclose(one[0], other[0], atol=0.02, equal_nan=True)
+        assert np.isfinite(one[0][-1]).all()
+        assert np.array_equal(one[1], other[1])
+        assert len(one[2]) == len(other[2]) > 1
+        for early, late in zip(one[2], other[2], strict=True):
+            assert late == pytest.approx(early)
+
+
+def test_a_block_in_which_a_drive_is_switched_is_fitted_and_the_next_is_held_out() -> None:
+    t = np.arange(0.0, 12.0, 0.01)
+    logs, counts = [slice(0, 600), slice(600, 1200)], np.ones(len(t), dtype=bool)
+    plain = make_blocks(t, counts, logs=logs)
+    assert plain.index[[0, 599, 600, 1199]].tolist() == [0, 5, 6, 11]
+    assert np.flatnonzero(plain.held_out).tolist() == [2, 8]
+    on = np.ones((len(t), 2), dtype=bool)
+    on[850:1100, 1] = False  # from 2.5 s of the second log
+    assert np.flatnonzero(make_blocks(t, counts, logs=logs, enabled=on).held_out).tolist() == [2, 9]
+
+
+def test_a_lower_supply_moves_the_torque_speed_line(pendulum: MachineModel) -> None:
+    fast = replace(pendulum, drives=replace(pendulum.drives, torque=np.ones(1), flat=np.ones(1), speed=np.full(1, 4.0)))
+    t = np.arange(0.0, 6.0, 0.02)
+    q_des = 1.2 * np.sign(np.sin(5.0 * t[:, None]))
+    weak = replace(fast, drives=replace(fast.drives, torque=np.ones(1), flat=np.zeros(1), speed=np.full(1, 3.0)))
+    # 1 N m to 1 rad/s and none at 4 is 4/3 N m at rest; three quarters of it are 1 N m, and none at 3 rad/s
+    logs = [replace(simulate_log(m, t, q_des, EffectSet(()), LogSettings(**QUIET)), tau=None) for m in (fast, weak)]
+    logs = [replace(log, metadata={**log.metadata, "voltage": v}) for log, v in zip(logs, (12.0, 9.0), strict=True)]
+    assert np.all(left(logs, fast) < 3e-4)
+    same = [replace(log, metadata={**log.metadata, "voltage": 12.0}) for log in logs]
+    assert left(same, fast)[1] > 5e-3
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"metadata": {"kp": 20.0, "sent": "row"}}, r"a\.parquet says its kd, but b\.csv does not"),
+        ({"joints": ("knee",)}, r"a\.parquet has joints hinge, but b\.csv has knee"),
+        ({"q_des": None, "force": 0.0}, r"a\.parquet has targets \(q_des\), but b\.csv has none"),
+        ({"metadata": {"kp": 20.0, "kd": 0.8, "gravity": [0, 0, -1]}}, r"a\.parquet and b\.csv have different gravity"),
+        (
+            {"metadata": {"kp": 20.0, "kd": 0.8, "payload": {"knee": 1}}},
+            r"b\.csv: payload at 'knee'; the joints are",
+        ),
+        ({"metadata": {"kp": 20.0, "kd": 0.8, "payload": -1.0}}, r"b\.csv: the payload at hinge is -1\.0; expected"),
+        ({"scale": 57.3}, r"b\.csv moves 57 times as far as a\.parquet: degrees"),
+    ],
+)
+def test_logs_that_contradict_each_other_are_refused_with_both_names(
+    pendulum: MachineModel, changed: dict[str, Any], message: str
+) -> None:
+    log = swung(pendulum)
+    changed = dict(changed)
+    scale = changed.pop("scale", 1.0)
+    if "force" in changed:
+        changed["force"] = np.zeros_like(log.q)
+    other = replace(log, q=scale * log.q, **changed)
+    with pytest.raises(CalibrationError, match=message):
+        pool([log, other], pendulum, 0.0025, ("a.parquet", "b.csv"))
