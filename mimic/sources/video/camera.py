@@ -245,7 +245,7 @@ def _run_camera(
         pipe.send(str(reason))
         return
     latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
-    assert pose.pose_model is not None
+    assert isinstance(pose.pose_model, Path)
     with BlazePose(pose.pose_model) as detect:
         detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
         pipe.send(True)

@@ -20,13 +20,13 @@ from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
-from mimic.sources.video.pose_model import BUNDLE, pose_model
+from mimic.sources.video.pose_model import BUNDLE, HEAVY_BUNDLE, pose_model
 from mimic.sources.video.screening import jump_share, person_rows, upside_down
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 9
+ALGORITHM = 10
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -134,7 +134,8 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     this code.
     """
     given = settings.pose_model
-    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
+    named = HEAVY_BUNDLE if given == "heavy" else BUNDLE
+    model = sha256_of(given) if isinstance(given, Path) and given.is_file() else named
     others = plain(replace(settings, pose_model=None))
     parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
