@@ -154,16 +154,20 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
             stamps.append(frame.stamp_ms)
             change.append(frame.change)
             shown = people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)
+            if people.astray:
+                detect.forget()
             landmarks, image, score = detect(shown) or no_person
             height, width = frame.rgb.shape[:2]
             rows.append((landmarks, people.in_picture(image, width, height), score))
-            people.saw(rows[-1][1])
             light.append(lightness(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
+            people.saw(rows[-1][1], clothes[-1])
             if progress is not None:
                 progress(len(rows), video.frame_count)
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
+    other = ~people.followed_rows()
+    landmarks[other], image[other], score[other] = no_person
     looks = np.array(change), np.array(light), np.array(clothes)
     said = people.sentences()
     return _Detections(path.name, t, landmarks, image, score, *looks, video.size, missing_bytes(path), repaired, said)
