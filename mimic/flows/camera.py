@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
+from mimic.errors import SourceError
 from mimic.flows.motion import InputSettings, Motion, fetch_pose_model
 from mimic.flows.play import play, save_played, warn_of_stand_effects
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
@@ -38,6 +39,7 @@ SHOWN = 100
 class CameraRecord:
     """What the camera saw and how long each frame took, row by row."""
 
+    settings: InputSettings = field(default_factory=InputSettings)
     seen: list[CameraFrame] = field(default_factory=list)
     latency: list[float] = field(default_factory=list)
     began: float = float("nan")
@@ -77,8 +79,9 @@ class CameraRecord:
         rows = [row for row in self.seen if row.t >= zero]
         if len(rows) < 2:
             return None
-        return PoseTrack(
-            t=np.array([row.t for row in rows]) - zero,
+        t = np.array([row.t for row in rows]) - zero
+        track = PoseTrack(
+            t=t,
             landmarks=np.array([row.landmarks for row in rows]),
             image=np.array([row.image for row in rows]),
             score=np.array([row.score for row in rows]),
@@ -87,6 +90,34 @@ class CameraRecord:
             depth_spread=np.array([row.depth_spread for row in rows]),
             swapped=np.array([row.swapped for row in rows]),
         )
+        return replace(track, warnings=self._warnings(track))
+
+    def _warnings(self, track: PoseTrack) -> tuple[str, ...]:
+        """Return what is to be said of a track, as of that of a video."""
+        from mimic.sources.video.screening import person_rows
+        from mimic.sources.video.shots import describe, find_changes
+        from mimic.sources.video.video import doubts
+
+        rows, pose = self.seen[-len(track.t) :], self.settings.pose
+        person = person_rows(track.score, pose.min_visibility)
+        clothes = np.array([row.clothes for row in rows])
+        still, light = np.zeros(len(rows)), np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
+        changes = find_changes(track.t, still, light, track.image, person, clothes, track.size)
+        doubtful = doubts(track.t, track.landmarks, track.image, track.score, track.swapped, track.size, pose)
+        return (*rows[-1].people, *describe(changes, track.t), *doubtful)
+
+    def report(self, pose: PoseTrack, reporter: Reporter) -> None:
+        """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""
+        from mimic.retargeting.wrists import pose_report, wrist_track
+
+        try:
+            wrists = wrist_track(pose, self.settings.retarget)
+        except SourceError as nobody:
+            reporter.warn(str(nobody))
+            return
+        for text in wrists.warnings:
+            reporter.warn(text)
+        reporter.note(pose_report(pose, self.settings.retarget)["unseen"])
 
     def motion(self, log: RunLog) -> Motion | None:
         """Return what was asked of the robot in the tracking phase, with the person; it can be played again."""
@@ -148,7 +179,7 @@ def follow_camera(
     from mimic.sources.video.camera import check_camera, open_camera
 
     fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
-    record = CameraRecord()
+    record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
 

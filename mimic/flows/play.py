@@ -292,7 +292,10 @@ def save_played(
     if camera is not None:
         more = {**(more or {}), "live": camera.save(folder, made_by)}
         motion = camera.motion(done.log)
-        done = done if motion is None else replace(done, motion=motion)
+        if motion is not None:
+            done = replace(done, motion=motion)
+            if motion.pose is not None:
+                camera.report(motion.pose, reporter)
     return save_run(done, folder, made_by, reporter, more=more, film=film, footage=footage)
 
 

@@ -53,6 +53,7 @@ WIDE = 1.2
 whole of it are found there."""
 
 _SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
+CHOOSE = "--person left|right|largest|N chooses"
 _ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
 
 
@@ -140,7 +141,13 @@ def squares(width: int, height: int) -> list[tuple[int, int, int]]:
 class People:
     """Finds everybody now and then, and shows the detector only a chosen person; use it in a ``with`` block."""
 
-    def __init__(self, model: Path, choice: Choice | None, name: str) -> None:
+    def __init__(
+        self,
+        model: Path,
+        choice: Choice | None,
+        name: str,
+        hint: str = CHOOSE,
+    ) -> None:
         """Prepare.
 
         Args:
@@ -148,8 +155,9 @@ class People:
             choice: Who is followed: by place in the first picture with several people, or by size. None leaves that to
                 the detector.
             name: Of the video, for messages.
+            hint: What to do about several people.
         """
-        self._model, self._name = model, name
+        self._model, self._name, self._hint = model, name, hint
         self._choice: Choice | None = choice
         self._next, self._aspect = -np.inf, 1.0
         self._known: list[Person] = []
@@ -226,7 +234,7 @@ class People:
         self._aspect = rgb.shape[1] / rgb.shape[0]
         if t >= self._next:
             self._next = t + (float(np.clip(t / 2, SOONEST, LATEST)) if self._choice is None else SOONEST)
-            self._look(t, rgb)
+            self.look(t, rgb)
         if self._choice is None or self._place is None:
             return rgb
         height, width = rgb.shape[:2]
@@ -282,12 +290,14 @@ class People:
             return
         others = [unlike(person, one) for i, one in enumerate(self._known) if i != self._own and not one.missed]
         own = unlike(person, replace(self._place, colour=self._known[self._own].colour, missed=0))
-        self.astray = own > UNLIKE_ROW or own > min(others, default=np.inf)
+        far = _apart(person, self._place) > UNLIKE_ROW  # hands before the trunk change its colour: no limit on that
+        self.astray = far or own > min(others, default=np.inf)
         self._rows[-1] = not self.astray
         if not self.astray:
             self._place = person
 
-    def _look(self, t: float, rgb: np.ndarray) -> None:
+    def look(self, t: float, rgb: np.ndarray) -> None:
+        """Look for everybody in a picture at time t [s]."""
         people = distinct(list(self._everybody_in(rgb)))
         if len(self._followed) < len(self._looks):
             self._followed.append(None)
@@ -341,18 +351,24 @@ class People:
                 f"--person {self._choice}: {self._name} shows {most} {'person' if most == 1 else 'people'} at most; "
                 "give left, right, largest, or a number from the left"
             )
+        said = describe(self._looks, self._followed, self._choice, self._hint)
+        if self._choice is None:
+            return said
         gaps = 1.0 - float(self.followed_rows().mean())
         left_out = f"--person {self._choice}: in {gaps:.0%} of the frames that person was not found; these are gaps"
-        return [*describe(self._looks, self._followed, self._choice), *[left_out] * (gaps > FEW_GAPS)]
+        return [*said, *[left_out] * (gaps > FEW_GAPS)]
 
 
-def describe(looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None) -> list[str]:
+def describe(
+    looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None, hint: str = CHOOSE
+) -> list[str]:
     """Return a sentence if several people are in view: when, and who of them is followed.
 
     Args:
         looks: Times [s] and the people found then, from left to right.
         followed: Which of them the detector followed; None where it was none of them.
         choice: Who was chosen, if anybody.
+        hint: What to do if nobody was.
     """
     several = [i for i, (_, people) in enumerate(looks) if len(people) > 1]
     if len(several) < MIN_LOOKS or len(several) < MIN_SHARE * len(looks):
@@ -366,5 +382,5 @@ def describe(looks: list[tuple[float, list[Person]]], followed: list[int | None]
     said = f"up to {most} people are in view {times}; "
     said += f"the {who} one is followed" if ranks else "it is not clear who of them is followed"
     if choice is None:
-        return [said + ", as the detector chose: --person left|right|largest|N chooses"]
+        return [f"{said}, as the detector chose: {hint}"]
     return [f"{said} (--person {choice})"]

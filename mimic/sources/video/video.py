@@ -82,7 +82,7 @@ def track_video(
     from mimic.sources.video.depth import with_depth  # SciPy takes a second: the detector need not wait for it
     from mimic.sources.video.smoothing import smooth
 
-    person = _person_share(detections, settings)
+    _check_person(detections, settings)
     t = detections.t
     changes = find_changes(
         t,
@@ -99,13 +99,11 @@ def track_video(
         swap_sides(column, swapped) for column in (detections.landmarks, detections.image, detections.score)
     )
     valid: BoolArray = score >= settings.min_visibility
-    jumps = jump_share(t, landmarks, image, valid, detections.size, settings.max_jump)
     warnings = [
         *_file_warnings(detections),
         *detections.people,
         *describe(changes, t),
-        *_picture_warnings(person, jumps, settings),
-        *_side_warnings(swapped, upside_down(image, valid)),
+        *doubts(t, landmarks, image, score, swapped, detections.size, settings),
     ]
     for warning in warnings:
         log.info("%s: %s", detections.name, warning)
@@ -181,8 +179,8 @@ def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
         yield (frame.stamp_ms - first) / 1e3, frame.rgb
 
 
-def _person_share(detections: _Detections, settings: PoseSettings) -> float:
-    """Return the share of frames with a person.
+def _check_person(detections: _Detections, settings: PoseSettings) -> None:
+    """Check that a clip shows a person.
 
     Raises:
         SourceError: If the clip is too short, or has too few such frames.
@@ -200,7 +198,6 @@ def _person_share(detections: _Detections, settings: PoseSettings) -> float:
             f"at least {settings.min_person_share:.0%} are required; "
             "film one person whose shoulders and arms stay in the picture"
         )
-    return share
 
 
 def _file_warnings(detections: _Detections) -> Iterator[str]:
@@ -213,7 +210,24 @@ def _file_warnings(detections: _Detections) -> Iterator[str]:
         )
 
 
-def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> Iterator[str]:
+def doubts(
+    t: FloatArray,
+    landmarks: FloatArray,
+    image: FloatArray,
+    score: FloatArray,
+    swapped: BoolArray,
+    size: tuple[int, int],
+    settings: PoseSettings,
+) -> Iterator[str]:
+    """Yield what makes the landmarks of a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides.
+
+    Args:
+        t, landmarks, image, score, swapped, size: As in a pose track, with corrected sides.
+        settings: Limits.
+    """
+    valid: BoolArray = score >= settings.min_visibility
+    person = float(person_rows(score, settings.min_visibility).mean())
+    jumps = jump_share(t, landmarks, image, valid, size, settings.max_jump)
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
     if jumps > settings.max_jump_share:
@@ -221,13 +235,10 @@ def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> It
             f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "
             "the arms are hard to see; use a clip of one person, without cuts, from the front or a three-quarter view"
         )
-
-
-def _side_warnings(swapped: BoolArray, inverted: bool) -> Iterator[str]:
     if swapped.mean() > MAX_SWAP_SHARE:
         yield (
             f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, "
             "but errors may remain: film from the front or a three-quarter view, in good light"
         )
-    if inverted:
+    if upside_down(image, valid):
         yield "the shoulders are below the hips; if the video is upside down, rotate it"
