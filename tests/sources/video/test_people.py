@@ -16,7 +16,6 @@ from mimic.records import LANDMARKS
 from mimic.sources.video.people import LOST, Person, chosen, describe, distinct, person_of, recognised, squares
 from mimic.sources.video.video import track_video
 
-
 RED, BLUE = np.array([45.0, 55.0, 35.0]), np.array([40.0, 10.0, -45.0])
 
 
