@@ -35,6 +35,10 @@ class PlantError(MimicError):
     """The robot or the simulation failed while running."""
 
 
+class SenderError(PlantError):
+    """The process that sends to a robot has ended, hangs, or has damped the robot."""
+
+
 class BusError(PlantError):
     """A bus cannot be opened, or has failed."""
 

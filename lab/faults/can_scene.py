@@ -1,4 +1,4 @@
-"""An emulated robot on CAN in its own time, with a proxy, a second program on the bus, and a watchdog."""
+"""An emulated robot on CAN in its own time, with a proxy and a second program on the bus."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from lab.faults.trouble import Trouble
+from lab.faults.trouble import Trouble, halt
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, FrameError
+from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
 from mimic.hardware.cybergear.codec import Codec
@@ -30,8 +32,7 @@ from mimic.hardware.cybergear.messages import (
     Stop,
     WriteParameter,
 )
-from mimic.hardware.plant import CanRobot
-from mimic.hardware.watchdog import BEAT_TIMEOUT, damp_and_stop
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand, Tick
 from mimic.robot.description import RobotDescription
@@ -110,38 +111,16 @@ class ProxyLink:
         return received._replace(frame=self._codec.encode(forged))
 
 
-class _Watched:
-    """A watchdog that damps the robot by a link of its own, as the process does."""
-
-    def __init__(self, link: EmulatedLink, trouble: Trouble) -> None:
-        self._link, self._trouble, self._over = link, trouble, False
-
-    def arm(self) -> None: ...
-
-    def beat(self) -> None: ...
-
-    def disarm(self) -> None: ...
-
-    def alive(self) -> bool:
-        return not self._over and not self._trouble.doing("watchdog_gone")
-
-    def take_over(self) -> str:
-        if not self.alive():
-            return ""
-        self._over = True
-        return damp_and_stop("", load_wiring(), self._link, lambda *_, **__: self._link)  # type: ignore[return-value]
-
-
-class _Driver(CanRobot):
-    """A driver that counts its steps, beside which a second program speaks once in each."""
+class _Plant(Robot):
+    """A plant that counts its steps, beside which something happens in each."""
 
     steps = 0
-    master: Callable[[], None]
+    beside: Callable[[], None]
 
-    def step(self, command: JointCommand) -> Tick:
+    def step(self, command: JointCommand, *more: Any) -> Tick:
         self.steps += 1
-        self.master()
-        return super().step(command)
+        self.beside()
+        return super().step(command, *more)
 
 
 class CanScene:
@@ -160,16 +139,24 @@ class CanScene:
         link.sleep(0.3)
         self.trouble = Trouble(rng, self.now)
         self._other = EmulatedLink(self.robot)
-        self._watchdog = _Watched(EmulatedLink(self.robot), self.trouble)
-        self.plant = _Driver(ProxyLink(link, self.trouble), wiring, description, watchdog=self._watchdog)  # type: ignore[arg-type]
-        self.plant.master = self._master
+
+        def opened(link: EmulatedLink) -> Any:
+            return ProxyLink(link, self.trouble)
+
+        driver = CanDriver(
+            opened(link), wiring, description, zeroed=True, reopen=lambda: opened(EmulatedLink(self.robot))
+        )
+        self.link = EmulatedSenderLink(driver, description)
+        self.plant = _Plant(self.link, description)
+        self.plant.beside = self._beside
 
     def now(self) -> float:
         return self.robot.now
 
-    def _master(self) -> None:
-        """Let the second program speak."""
+    def _beside(self) -> None:
+        """Stop the sender, and let the second program speak."""
         kind, rng, codec = self.trouble.kind, self.trouble.rng, Codec()
+        halt(self.link, self.trouble)
         if not kind.startswith("master_") or not self.trouble.doing():
             return
         frames: list[CanFrame] = []
@@ -192,15 +179,14 @@ class CanScene:
             self._other.send(0, frame)
 
     def stands_still(self, seconds: float) -> None:
-        self._other.sleep(min(seconds, BEAT_TIMEOUT))
-        if seconds > BEAT_TIMEOUT:
-            self._watchdog.take_over()
+        self.wait(seconds)
 
     def is_alone(self) -> None:
-        self._watchdog.take_over()
+        self.link.sender.closed()
+        self.wait(12.0)
 
     def wait(self, seconds: float) -> None:
-        self._other.sleep(seconds)
+        self.link.wait(self.now() + seconds)
 
     def on(self) -> list[str]:
         return list(self.robot.switched_on())

@@ -1,6 +1,6 @@
 """Runs of both emulated robots with real processes and sockets, in real time.
 
-`mimic emulate` is one process, `mimic TARGETS --robot` with its watchdog or sending process others, and a proxy stands
+`mimic emulate` is one process, `mimic TARGETS --robot` with its sending process others, and a proxy stands
 between them: over TCP for socketcand, over multicast for LCM. What the motors did at the end is what the emulator says
 when it ends. Needs root or user namespaces, for a network and a small disk of its own.
 """
@@ -38,8 +38,8 @@ from mimic.robot.description import load_description
 
 ROOT = Path(__file__).parents[2]
 
-HELPERS = {"can": "mimic.hardware.watchdog", "stock": "mimic.hardware.stock.process"}
-"""Module of the second process of a run."""
+HELPER = "mimic.hardware.robot.process"
+"""Module of the process that sends."""
 
 CUT_OFF = ("host_killed", "both_killed", "disk_full", "disk_small")
 """After these the process could write no more."""
@@ -109,11 +109,11 @@ class Process:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: object, trace: TracebackType | None) -> None:
-        _kill([self.process.pid] if self.process.poll() is None else [], signal.SIGCONT, signal.SIGTERM)
+        send_signals([self.process.pid] if self.process.poll() is None else [], signal.SIGCONT, signal.SIGTERM)
         self.end(20.0)
 
 
-def _helper(pid: int, module: str) -> int | None:
+def helper_of(pid: int, module: str) -> int | None:
     """Return the second process that a process started."""
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in listed.read_text().split():
@@ -123,7 +123,7 @@ def _helper(pid: int, module: str) -> int | None:
     return None
 
 
-def _kill(pids: Sequence[int | None], *numbers: int) -> None:
+def send_signals(pids: Sequence[int | None], *numbers: int) -> None:
     for number in numbers:
         for pid in pids:
             if pid is not None:
@@ -161,7 +161,7 @@ class _Robot:
 
     def left(self) -> str:
         """End the emulator, and return what it says of its motors."""
-        _kill([self.emulator.process.pid], signal.SIGCONT, signal.SIGTERM)
+        send_signals([self.emulator.process.pid], signal.SIGCONT, signal.SIGTERM)
         self.emulator.end(20.0)
         found = re.search(r"motors at the end\W+(.*?)\s*[│|]?\s*$", self.emulator.said, re.MULTILINE)
         return "nothing" if found is None else found[1].strip()
@@ -198,7 +198,7 @@ def _fill(disk: Path) -> None:
 
 def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.Generator) -> dict[str, Any]:
     """Do what the kind says; return what is known of it."""
-    own, helper = host.process.pid, _helper(host.process.pid, HELPERS[scene.kind])
+    own, helper = host.process.pid, helper_of(host.process.pid, HELPER)
     lasts = float(rng.choice([0.05, 0.2, 1.0, 1e9]))
     known: dict[str, Any] = {"lasts": lasts, "helper": helper, "at": time.monotonic()}
     if CASES[kind].place == "messages":
@@ -209,21 +209,21 @@ def _happen(kind: str, scene: _Robot, host: Process, disk: Path, rng: np.random.
     whose = {"host": [own], "helper": [helper], "both": [helper, own], "emulator": [scene.emulator.process.pid]}
     match kind.split("_"):
         case [who, "killed"]:
-            _kill(whose[who], signal.SIGKILL)
+            send_signals(whose[who], signal.SIGKILL)
         case [who, "stopped"]:
-            _kill(whose[who], signal.SIGSTOP)
+            send_signals(whose[who], signal.SIGSTOP)
             time.sleep(pause)
-            _kill(whose[who], signal.SIGCONT)
+            send_signals(whose[who], signal.SIGCONT)
         case ["disk", "full"]:
             _fill(disk)
         case ["ctrl", "c", *more]:
             for _ in range({"": 1, "twice": 2, "thrice": 3}["".join(more)]):
-                _kill([own], signal.SIGINT)
+                send_signals([own], signal.SIGINT)
                 time.sleep(pause)
         case ["sigterm"]:
-            _kill([own], signal.SIGTERM)
+            send_signals([own], signal.SIGTERM)
         case ["terminal", "closed"]:
-            _kill([own], signal.SIGHUP)
+            send_signals([own], signal.SIGHUP)
         case ["second", verb]:
             words = ["--robot"] if verb == "run" else ["robot", verb]
             knows_zeros = verb in ("check", "watch", "run", "probe")

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from lab.faults.trouble import Trouble
+from lab.faults.trouble import Trouble, halt
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.board import EmulatedBoard
-from mimic.emulator.board_link import EmulatedBoardLink
+from mimic.emulator.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.sender_link import EmulatedSenderLink
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.stock.driver import OBEYS_ANOTHER, UNREACHED, StockDriver
 from mimic.hardware.stock.messages import MOTOR_CTRL
-from mimic.hardware.stock.plant import StockRobot
-from mimic.hardware.stock.sender import OBEYS_ANOTHER, UNREACHED
 from mimic.hardware.stock.wiring import load_board
 from mimic.robot.description import RobotDescription
 
@@ -31,14 +32,15 @@ class StockScene:
         """Switch the robot on."""
         wiring, settings = load_board(), EmulateSettings(placement=0.02, seed=seed)
         self.board = EmulatedBoard(description, wiring, settings, faults=[] if fault is None else [fault])
-        self.link = EmulatedBoardLink(self.board, wiring, description)
-        self.link.wait(0.5)
+        self.bus = EmulatedBoardBus(self.board)
+        self.link = EmulatedSenderLink(StockDriver(self.bus, wiring, description), description)
+        self.bus.listen(0.5)
         self.trouble = Trouble(rng, self.now)
-        self.plant: Any = StockRobot(self.link, wiring, description)
-        self._receive, self._heard = self.board.receive, self.link.sender.heard
+        self.plant: Any = Robot(self.link, description)
+        self._receive, self._heard = self.board.receive, self.bus.heard
         self.board.receive = partial(self._pass, COMMANDS)  # type: ignore[method-assign]
-        self.link.sender.heard = self._pass  # type: ignore[method-assign]
-        self.link.hook = self._cycle
+        self.bus.heard = self._pass
+        self.bus.hook = self._cycle
 
     def now(self) -> float:
         return self.board.now
@@ -65,14 +67,13 @@ class StockScene:
         for channel, data in self.trouble.due():
             self._give(channel, data, t)
         kind, rng = self.trouble.kind, self.trouble.rng
+        halt(self.link, self.trouble)
         if not self.trouble.doing():
-            self.link.halted &= kind != "sender_stopped"
             return
-        self.link.halted |= kind in ("sender_killed", "sender_stopped")
         if kind == "master_once" or (kind == "master_commands" and rng.random() < 0.5):
             ones = np.ones(12)
             q = rng.uniform(-0.5, 0.5, 12)
-            self.link.foreign(
+            self.bus.foreign(
                 MOTOR_CTRL.encode(q_des=q, qd_des=0.0 * ones, kp_des=20.0 * ones, kd_des=ones, tau_des=0.0 * ones)
             )
             self.trouble.end = t if kind == "master_once" else self.trouble.end
@@ -81,6 +82,7 @@ class StockScene:
         self.wait(seconds)
 
     def is_alone(self) -> None:
+        self.link.sender.closed()
         self.wait(12.0)
 
     def wait(self, seconds: float) -> None:

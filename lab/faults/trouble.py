@@ -72,9 +72,8 @@ CASES: dict[str, Case] = {
     "policy_slow": Case("policy", "can", "", "takes up to 150 ms"),
     "target_nan": Case("policy", "can", "", "is given NaN"),
     "sink_raises": Case("this program", "can", "", "a bug in the viewer"),
-    "watchdog_gone": Case("this program", "can", "", "its watchdog ends"),
-    "sender_killed": Case("this program", "stock", "", "its sending process ends"),
-    "sender_stopped": Case("this program", "stock", "", "its sending process stands still"),
+    "sender_killed": Case("this program", BOTH, "", "its sending process ends"),
+    "sender_stopped": Case("this program", BOTH, "", "its sending process stands still"),
     "ctrl_c": Case("this program", "can", BOTH, "Ctrl-C"),
     "ctrl_c_twice": Case("this program", "can", "can", "Ctrl-C again soon after"),
     "ctrl_c_thrice": Case("this program", "", BOTH, "and again"),
@@ -85,7 +84,7 @@ CASES: dict[str, Case] = {
     "disk_small": Case("this program", "", BOTH, "logs fit on the disk, the scene does not"),
     "host_killed": Case("process", BOTH, BOTH, "mimic is killed"),
     "host_stopped": Case("process", BOTH, BOTH, "mimic stands still"),
-    "helper_killed": Case("process", "", BOTH, "watchdog or sending process is killed"),
+    "helper_killed": Case("process", "", BOTH, "the process that sends is killed"),
     "helper_stopped": Case("process", "", BOTH, "it stands still"),
     "both_killed": Case("process", "", BOTH, "both are killed"),
     "both_stopped": Case("process", "", BOTH, "both stand still"),
@@ -194,6 +193,12 @@ class Trouble:
     def next_due(self) -> float | None:
         """Return when the next message is due [s]."""
         return self._held[0][0] if self._held else None
+
+
+def halt(link: Any, trouble: Trouble) -> None:
+    """Let the sender of an `EmulatedSenderLink` stand still, or be gone for good."""
+    link.halted = trouble.doing("sender_stopped") or (link.halted and trouble.kind == "sender_killed")
+    link.halted |= trouble.doing("sender_killed")
 
 
 def logged(run: Path) -> RunLog | None:

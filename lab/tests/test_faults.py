@@ -14,20 +14,21 @@ STANDS, TRACKS = 2.7, 1.0
 """When the robot stands, and for how long it follows commands, from 2.5 s on [s]."""
 
 AFTER = {
-    "ctrl_c": {"interrupt sit_down"},
-    "watchdog_gone": {"watchdog_ended sit_down"},
-    "encoder_frozen": {"encoder_frozen sit_down"},
-    "imu_frozen": {"imu_frozen damp"},
-    "imu_invalid": {"imu_invalid damp"},
+    "ctrl_c": {"asked_to_end sit_down"},
+    "sender_stopped": {"sender sit_down"},
+    "sender_killed": {"sender sit_down", "sender damp"},
+    "encoder_frozen": {"joint_impossible sit_down"},
+    "imu_frozen": {"imu_silent damp"},
+    "imu_invalid": {"imu_silent damp"},
     "imu_silent": {"imu_silent damp"},
-    "imu_tilted": {"imu_contradicts_itself damp"},
-    "motor_fault": {"motor_fault sit_down"},
+    "imu_tilted": {"imu_contradiction damp"},
+    "motor_fault": {"motor_failed sit_down"},
     "motor_mute": {"motor_silent sit_down"},
-    "policy_nan": {"not_finite damp"},
-    "power_cycle": {"motor_off sit_down", "joint_impossible sit_down"},
-    "sigterm": {"terminated damp"},
-    "sink_raises": {"exception damp"},
-    "unplugged": {"exception damp"},
+    "policy_nan": {"failure damp"},
+    "power_cycle": {"motor_failed sit_down", "joint_impossible sit_down"},
+    "sigterm": {"asked_to_end damp"},
+    "sink_raises": {"failure damp"},
+    "unplugged": {"bus_errors damp", "motor_silent damp"},
 }
 """One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
 

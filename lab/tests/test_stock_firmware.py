@@ -16,8 +16,8 @@ from lab.stock_firmware.series import ended, table
 def test_a_robot_that_was_refused_is_counted_apart_from_one_that_fell():
     played = {"case": "plain", "toe_error_cm": 1.6, "toe_error_simulated_cm": 1.8, "ticks_with_0x01": 1, "ticks": 900}
     good = played | {"status": 0, "stood": True, "lies": True, "line": "done", "rule": ""}
-    fell = played | {"status": 3, "stood": False, "lies": False, "line": "stopped", "rule": "tipping"}
-    late = played | {"status": 3, "stood": True, "lies": True, "line": "stopped", "rule": "tick_overrun"}
+    fell = played | {"status": 3, "stood": False, "lies": False, "line": "stopped", "rule": "falling"}
+    late = played | {"status": 3, "stood": True, "lies": True, "line": "stopped", "rule": "step_late"}
     tilted = {"case": "plain", "status": 2, "stood": False, "lies": True, "line": "nothing was moved. IMU and legs"}
     broken = {"case": "plain", "status": 2, "stood": False, "lies": False, "line": "it said nothing"}
     rows = [good, good, fell, late, tilted, broken]
@@ -25,8 +25,8 @@ def test_a_robot_that_was_refused_is_counted_apart_from_one_that_fell():
     cells = [cell.strip() for cell in table(rows).splitlines()[-1].split("|")[1:-1]]
     assert cells[:3] == ["plain", "6", "2"]
     assert cells[3] == "1: 1 nothing was moved. IMU and legs"
-    assert cells[4] == "1: 1 tipping"
-    assert cells[5] == "2: 1 tick_overrun, 1 it said nothing"
+    assert cells[4] == "1: 1 falling"
+    assert cells[5] == "2: 1 step_late, 1 it said nothing"
 
 
 @pytest.mark.slow

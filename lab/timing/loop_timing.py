@@ -59,7 +59,7 @@ def main() -> None:
         bus_url = emulator.stdout.readline().removeprefix("ready").strip()
     with tempfile.TemporaryDirectory() as name:
         run = Path(name) / "run"
-        watchdog = subprocess.Popen([sys.executable, "-c", WATCH], stdout=subprocess.PIPE, text=True)
+        clock = subprocess.Popen([sys.executable, "-c", WATCH], stdout=subprocess.PIPE, text=True)
         command = [sys.executable, "-m", "mimic", "--robot", bus_url, "--zeroed", "--yes", "-o", str(run)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         loads = []
@@ -69,10 +69,10 @@ def main() -> None:
             loads.append(os.getloadavg()[0])
         process.send_signal(signal.SIGINT)
         told, _ = process.communicate()
-        for other in (emulator, watchdog):
+        for other in (emulator, clock):
             other.terminate()
         emulator.communicate()
-        stood_still = [tuple(map(float, line.split())) for line in watchdog.communicate()[0].splitlines()]
+        stood_still = [tuple(map(float, line.split())) for line in clock.communicate()[0].splitlines()]
         print(told.strip().splitlines()[-1])
         print(
             next(

@@ -11,7 +11,6 @@ from cyclopts import Group, Parameter
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import (
     BusSettings,
-    CheckSettings,
     DriveSettings,
     LookSettings,
     ProbeSettings,
@@ -49,7 +48,6 @@ Language = Annotated[LanguageSettings | None, _group("Sentences (--text)", 7)]
 Live = Annotated[LiveSettings | None, _group("Camera (--camera)", 8)]
 Bus = Annotated[BusSettings | None, _group("Real robot (--robot)", 9)]
 Drive = Annotated[DriveSettings | None, _group("Robot", 3)]
-Check = Annotated[CheckSettings | None, _group("Robot", 3)]
 Look = Annotated[LookSettings | None, _group("Robot", 3)]
 WiringFile = Annotated[WiringSettings | None, _group("Robot", 3)]
 Probe = Annotated[ProbeSettings | None, _group("Motion", 2)]

@@ -36,9 +36,7 @@ def play(
     stored: Annotated[o.Stored, o.only("stored")] = None,
     language: Annotated[o.Language, o.only("language")] = None,
     live: Annotated[o.Live, o.only("live")] = None,
-    bus: Annotated[
-        o.Bus, o.only("bus", "wiring", "interface", "zeroed", "watchdog", "yes", "dry_run", "tether", "hold")
-    ] = None,
+    bus: Annotated[o.Bus, o.only("bus", "wiring", "interface", "zeroed", "yes", "dry_run", "tether", "hold")] = None,
 ) -> int:
     """Play human motion on the robot.
 

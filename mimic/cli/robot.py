@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mimic.flows.motion import InputSettings
     from mimic.flows.robot import RobotRun
     from mimic.flows.watching import Watched
-    from mimic.hardware.preflight import Check
+    from mimic.hardware.robot.checks import Check
 
 
 def _show_findings(findings: list[Check]) -> None:
@@ -253,7 +253,7 @@ def damp(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
     return DONE
 
 
-def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Check = None) -> int:
+def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o.Look = None) -> int:
     """Run the pre-flight check alone; nothing moves.
 
     Parameters

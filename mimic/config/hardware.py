@@ -30,15 +30,7 @@ class LookSettings(WiringSettings):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class CheckSettings(LookSettings):
-    """What the pre-flight checks."""
-
-    watchdog: bool = True
-    """CAN: start the watchdog process, which damps the robot when this one no longer can."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DriveSettings(CheckSettings):
+class DriveSettings(LookSettings):
     """How the motors of a robot are driven."""
 
     yes: bool = False

@@ -15,47 +15,32 @@ from mimic.records import PHASES
 
 
 def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """An IMU that sends nothing."""
-    if not report.health.imu_age <= limits.imu_age:
-        yield Alert(outcome="DAMP", text=f"the IMU has been silent for {report.health.imu_age:.2f} s")
-
-
-def imu_frozen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """An IMU that repeats itself."""
-    if PHASES[report.phase] not in MOVING:
-        return
-    if history.imu_repeats >= limits.imu_repeats:
-        yield Alert(outcome="DAMP", text=f"the IMU sent the same orientation {history.imu_repeats + 1} times")
-    elif report.health.imu_unchanged > limits.imu_age:
-        text = f"nothing that the IMU sends has changed for {report.health.imu_unchanged:.2f} s"
-        yield Alert(outcome="DAMP", text=text)
-
-
-def imu_invalid(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """An IMU that calls its orientation invalid."""
-    if report.health.imu_valid is False:
+    """An IMU that sends nothing, nothing new, or nothing valid."""
+    health = report.health
+    if not health.imu_age <= limits.imu_age:
+        yield Alert(outcome="DAMP", text=f"the IMU has been silent for {health.imu_age:.2f} s")
+    elif health.imu_valid is False:
         yield Alert(outcome="DAMP", text="the IMU says that its orientation is not valid")
+    elif not history.moves or PHASES[report.phase] not in MOVING:
+        return
+    elif history.imu_repeats >= limits.imu_repeats:
+        yield Alert(outcome="DAMP", text=f"the IMU sent the same orientation {history.imu_repeats + 1} times")
+    elif health.imu_unchanged > limits.imu_age:
+        yield Alert(outcome="DAMP", text=f"nothing that the IMU sends has changed for {health.imu_unchanged:.2f} s")
 
 
-def imu_contradicts_itself(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Orientations that do not tilt as the rate of turn says."""
+def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
     text = f"orientation and rate of turn of the IMU disagree by {history.turn_mismatch:.2f} rad"
     if history.doubtful >= limits.doubt_ticks:
         yield Alert(outcome="DAMP", text=f"{text}, {history.doubtful} times in a row")
     elif history.doubtful:
         yield Alert(outcome="RUN", text=f"{text}; that orientation is left out", about="once")
-
-
-def heading_reset(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """An IMU that sets its heading anew."""
     if history.heading_jump:
-        degrees_turned = np.rad2deg(history.heading_jump)
-        yield Alert(outcome="RUN", text=f"the heading of the IMU jumped by {degrees_turned:.0f} deg; it is taken out")
-
-
-def imu_contradicts_legs(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Legs that cannot be as they read, if the orientation is right."""
-    if PHASES[report.phase] in MOVING and history.legs_contradict >= limits.legs_ticks:
+        turned = np.rad2deg(history.heading_jump)
+        text = f"the heading of the IMU jumped by {turned:.0f} deg; it is taken out"
+        yield Alert(outcome="RUN", text=text, about="heading")
+    if history.moves and PHASES[report.phase] in MOVING and history.legs_contradict >= limits.legs_ticks:
         yield Alert(
             outcome="DAMP",
             text=f"IMU and legs disagree: they put the hind toes {history.hind_apart:.2f} m apart in height, "
@@ -82,8 +67,11 @@ def fallen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
         yield Alert(outcome="STOPPED", text="the robot has fallen")
 
 
-def rolling_over(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """A robot that rolls over while it gets up or down."""
+def falling(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A robot that tips over while it stands, or rolls over while it gets up or down."""
+    if not history.moves:
+        return
+    yield from tipping(report, history, limits)
     if PHASES[report.phase] not in STANDING:
         _, side, up = history.rotation[2]
         if abs(side) > limits.side_tilt:

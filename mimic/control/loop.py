@@ -17,9 +17,10 @@ from mimic.config.play import RunSettings
 from mimic.control.damping import damping_command
 from mimic.control.desired import DesiredMotion, LiveMotion, StoredMotion
 from mimic.control.plant import Plant
+from mimic.control.safety_rules import FAILURE
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
 from mimic.control.tick import Run, Safety, Sink, observation_width
-from mimic.errors import ContractError, PlantError
+from mimic.errors import ContractError, PlantError, SenderError
 from mimic.geometry import heading_from_quat, smoothstep
 from mimic.io.store import plain
 from mimic.policy.contract import ObservationBuilder, PolicyContract
@@ -172,7 +173,8 @@ def _play(run: Run, policy: Policy, motion: DesiredMotion, sit_down: Policy | No
             run.decide("finished", SafetyMode.DAMP if safety.damp_at_end else SafetyMode.STOPPED, "the run is over")
         _damp(run)
     except (Exception, KeyboardInterrupt) as reason:
-        run.decide("exception", SafetyMode.DAMP, str(reason).strip() or type(reason).__name__)
+        rule = "sender" if isinstance(reason, SenderError) else FAILURE
+        run.decide(rule, SafetyMode.DAMP, str(reason).strip() or type(reason).__name__)
         run.sink = run.progress = None  # one of them may have failed
         if not run.ticks:
             raise

@@ -9,7 +9,7 @@ import numpy as np
 from mimic.control.alert import Alert
 from mimic.control.safety_limits import Limits
 from mimic.control.step_history import StepHistory, StepReport
-from mimic.records import JOINTS
+from mimic.records import DOUBLED, JOINTS
 
 
 def _failed(joint: int, text: str) -> Alert:
@@ -29,26 +29,26 @@ def motor_silent(report: StepReport, history: StepHistory, limits: Limits) -> It
         yield _failed(int(joint), f"motor {JOINTS[joint]} has not answered for {missed} ticks ({age:.2f} s)")
 
 
-def motor_fault(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Motors that report a fault."""
-    faulty = np.flatnonzero(report.health.faults)
-    history.failed.update(map(int, faulty))
-    for joint in faulty:
-        bits = int(report.health.faults[joint])
-        yield _failed(int(joint), f"motor {JOINTS[joint]} reports fault bits {bits:#04x}")
-
-
-def motor_off(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Motors that switched themselves off."""
-    off = np.flatnonzero(~report.health.running & (report.health.missed == 0) & (report.health.faults == 0))
-    history.failed.update(map(int, off))
-    history.distrusted.update(map(int, off))
-    for joint in off:
+def motor_failed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors that report a fault, or switched themselves off."""
+    health = report.health
+    for joint in np.flatnonzero(health.faults):
+        bits = int(health.faults[joint])
+        text = f"motor {JOINTS[joint]} reports fault bits {bits:#04x}"
+        if bits & DOUBLED:
+            text = f"two motors answer as {JOINTS[joint]}: they have one id"
+        history.failed.add(int(joint))
+        yield _failed(int(joint), text)
+    if not history.moves:
+        return
+    for joint in np.flatnonzero(~health.running & (health.missed == 0) & (health.faults == 0)):
+        history.failed.add(int(joint))
+        history.distrusted.add(int(joint))
         yield _failed(int(joint), f"motor {JOINTS[joint]} switched itself off, so its zero may be lost")
 
 
-def motor_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Motors that are warm, and too warm."""
+def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Motors and windings that are warm, and too warm."""
     temperature = report.health.temperature
     for joint in np.flatnonzero(temperature >= limits.temperature_warning):
         name, text = JOINTS[joint], f"motor {JOINTS[joint]} is at {temperature[joint]:.0f} degC"
@@ -56,16 +56,10 @@ def motor_hot(report: StepReport, history: StepHistory, limits: Limits) -> Itera
             yield Alert(outcome="RUN", text=f"{text}; it sits down at {limits.temperature:g} degC", about=name)
         else:
             yield Alert(outcome="SIT_DOWN", text=text, about=name)
-
-
-def winding_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Windings that are warm by the thermal model, and too warm."""
     for joint in np.flatnonzero(history.rise >= limits.rise_warning):
-        name, text = JOINTS[joint], f"the winding of {JOINTS[joint]} is at {history.rise[joint]:.0%} of its limit"
-        if history.rise[joint] < limits.rise:
-            yield Alert(outcome="RUN", text=f"{text} by the thermal model", about=name)
-        else:
-            yield Alert(outcome="SIT_DOWN", text=f"{text} by the thermal model", about=name)
+        outcome = "RUN" if history.rise[joint] < limits.rise else "SIT_DOWN"
+        text = f"the winding of {JOINTS[joint]} is at {history.rise[joint]:.0%} of its limit by the thermal model"
+        yield Alert(outcome=outcome, text=text, about=f"winding {JOINTS[joint]}")
 
 
 def answers_slow(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
@@ -87,41 +81,30 @@ def battery_low(report: StepReport, history: StepHistory, limits: Limits) -> Ite
 
 
 def joint_impossible(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Readings that no joint can have."""
+    """Readings that no joint can have, that turn too fast, or that do not change although the targets do."""
     description, q = history.description, report.state.q
     outside = np.maximum(q - description.q_max, description.q_min - q)
-    bad = np.flatnonzero((outside > limits.outside) | (history.jump > limits.jump))
-    history.failed.update(map(int, bad))
-    history.distrusted.update(map(int, bad))
-    for joint in bad:
-        if outside[joint] > limits.outside:
-            text = f"joint {JOINTS[joint]} reads {q[joint]:.2f} rad, {outside[joint]:.2f} rad beyond its limit"
-        else:
-            text = f"joint {JOINTS[joint]} jumped by {history.jump[joint]:.2f} rad in one tick"
-        yield _failed(int(joint), text)
-
-
-def encoder_frozen(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Readings that do not change although the targets do."""
-    frozen = np.flatnonzero(history.frozen)
-    history.failed.update(map(int, frozen))
-    history.distrusted.update(map(int, frozen))
-    for joint in frozen:
+    found: dict[int, str] = {}
+    for joint in np.flatnonzero(history.fast >= 2):
+        found[int(joint)] = f"joint {JOINTS[joint]} turns at {report.state.dq[joint]:.0f} rad/s"
+    for joint in np.flatnonzero(history.frozen):
         text = f"joint {JOINTS[joint]} reads the same {limits.frozen_ticks} times, though its target moves"
-        yield _failed(int(joint), text)
-
-
-def overspeed(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Joints that turn faster than their motors could drive them."""
-    fast = np.flatnonzero(history.fast >= 2)
-    history.failed.update(map(int, fast))
-    for joint in fast:
-        yield _failed(int(joint), f"joint {JOINTS[joint]} turns at {report.state.dq[joint]:.0f} rad/s")
+        found[int(joint)] = text
+        history.distrusted.add(int(joint))
+    for joint in np.flatnonzero(history.jump > limits.jump):
+        found[int(joint)] = f"joint {JOINTS[joint]} jumped by {history.jump[joint]:.2f} rad in one tick"
+        history.distrusted.add(int(joint))
+    for joint in np.flatnonzero(outside > limits.outside):
+        found[int(joint)] = f"joint {JOINTS[joint]} reads {q[joint]:.2f} rad, {outside[joint]:.2f} rad beyond its limit"
+        history.distrusted.add(int(joint))
+    history.failed.update(found)
+    for joint, text in sorted(found.items()):
+        yield _failed(joint, text)
 
 
 def off_target(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Joints that do not get to their targets."""
-    away = np.flatnonzero(history.off_target >= limits.off_target_ticks)
+    away = np.flatnonzero(history.off_target >= limits.off_target_ticks) if history.moves else ()
     history.failed.update(map(int, away))
     for joint in away:
         text = f"joint {JOINTS[joint]} has been more than {limits.off_target:g} rad from its target for half a second"

@@ -59,6 +59,8 @@ class Limits(SafetyNumbers):
     no harm; half a second of them shows that the computer cannot keep up."""
     longest_overrun: float = 0.1
     """One overrun this long [s]: five control steps without a command."""
+    sender_age: float = 0.06
+    """Age of the newest report of the process that sends [s]; one comes every 3 ms."""
     bus_errors: int = 12
     """Error frames within a tenth of a second: one for each motor."""
     slow_answers: float = 0.02

@@ -6,30 +6,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from mimic.control.alert import Alert, Check
-from mimic.control.balance_checks import (
-    degrees,
-    fallen,
-    heading_reset,
-    imu_contradicts_itself,
-    imu_contradicts_legs,
-    imu_frozen,
-    imu_invalid,
-    imu_silent,
-    rolling_over,
-    tipping,
-)
+from mimic.control.balance_checks import degrees, fallen, falling, imu_contradiction, imu_silent, tipping
 from mimic.control.motor_checks import (
     answers_slow,
     battery_low,
-    encoder_frozen,
     joint_impossible,
-    motor_fault,
-    motor_hot,
-    motor_off,
+    motor_failed,
     motor_silent,
     off_target,
-    overspeed,
-    winding_hot,
+    too_hot,
 )
 from mimic.control.safety_limits import Limits
 from mimic.control.step_history import StepHistory, StepReport
@@ -51,28 +36,20 @@ class Rule:
     """Whether it looks at more than the newest report."""
 
 
-def interrupt(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Ctrl-C, once and again."""
-    if report.interrupts == 1:
+def asked_to_end(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """Ctrl-C once and again, SIGTERM, and what must be held and was let go."""
+    if report.terminated:
+        yield Alert(outcome="DAMP", text="the process was asked to end (SIGTERM)")
+    if report.interrupts > 1:
+        yield Alert(outcome="DAMP", text="Ctrl-C was pressed again")
+    elif report.interrupts == 1:
         text = "the terminal was closed (SIGHUP)" if report.hung_up else "Ctrl-C was pressed"
         yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
-    elif report.interrupts > 1:
-        yield Alert(outcome="DAMP", text="Ctrl-C was pressed again")
-
-
-def released(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """What must be held was let go."""
     if report.released:
         yield Alert(outcome="SIT_DOWN", text="the key or button was let go (--hold)", needs_upright=False)
 
 
-def terminated(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """SIGTERM."""
-    if report.terminated:
-        yield Alert(outcome="DAMP", text="the process was asked to end (SIGTERM)")
-
-
-def tick_overrun(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def step_late(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Control steps that end late."""
     overrun, row, small = report.health.late, history.overruns, history.small_overruns
     milliseconds = 1e3 * overrun
@@ -87,29 +64,27 @@ def tick_overrun(report: StepReport, history: StepHistory, limits: Limits) -> It
 
 
 def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Frames that make no sense, and buses that fail."""
+    """Frames that make no sense, buses that fail, and commands that a motion board misses."""
+    if report.health.err_flag & BOARD_TIMED_OUT:
+        yield Alert(outcome="DAMP", text="the robot's firmware ignores commands, as none had reached it (error 0x02)")
+    elif report.health.err_flag & BOARD_LATE:
+        gap = 1e3 * report.health.command_gap
+        yield Alert(outcome="RUN", text=f"the robot got no command for {gap:.0f} ms (error 0x01)", about="board")
     if history.new_errors >= limits.bus_errors:
         yield Alert(outcome="DAMP", text=f"the bus had {history.new_errors} errors within a tenth of a second")
     elif history.new_errors:
         yield Alert(outcome="RUN", text=f"the bus had {history.new_errors} errors")
 
 
-def watchdog_ended(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """A watchdog that is gone."""
-    if not report.health.guarded:
-        yield Alert(outcome="SIT_DOWN", text="the watchdog process has ended", needs_upright=False)
+def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+    """A process that sends to the robot, and has said nothing for a while."""
+    silent = report.health.sender_age
+    if silent > limits.sender_age:
+        text = f"the process that sends to the robot has said nothing for {silent:.2f} s"
+        yield Alert(outcome="SIT_DOWN", text=text, needs_upright=False)
 
 
-def board_error(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
-    """Errors that a motion board reports."""
-    if report.health.err_flag & BOARD_TIMED_OUT:
-        yield Alert(outcome="DAMP", text="the robot's firmware ignores commands, as none had reached it (error 0x02)")
-    elif report.health.err_flag & BOARD_LATE:
-        gap = 1e3 * report.health.command_gap
-        yield Alert(outcome="RUN", text=f"the robot got no command for {gap:.0f} ms (error 0x01)", about="once")
-
-
-def foreign_commands(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
+def other_program(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Commands of another program."""
     if history.new_foreign >= limits.foreign_storm:
         text = f"another program commands this robot: {history.new_foreign} times within a tenth of a second"
@@ -124,16 +99,20 @@ BOARD_LATE, BOARD_TIMED_OUT = 0x01, 0x02
 _SIT = "sit down if upright and at most one motor is lost, else damp"
 
 _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
-    (interrupt, lambda L: "Ctrl-C, or the terminal is closed; Ctrl-C again", "1 tick", "sit down; damp"),
-    (released, lambda L: "`--hold`: the key or button is let go", "1 tick; a key 0.3 s", "sit down"),
-    (terminated, lambda L: "SIGTERM", "1 tick", "damp"),
-    (motor_silent, lambda L: f"{L.silent_ticks} ticks without an answer", "100 ms", _SIT),
-    (motor_fault, lambda L: "any fault bit", "1 tick", _SIT),
-    (motor_off, lambda L: "not in run mode, without a fault", "1 tick", _SIT),
-    (motor_hot, lambda L: f"{L.temperature_warning:g} °C; {L.temperature:g} °C", "1 tick", f"announce; {_SIT}"),
     (
-        winding_hot,
-        lambda L: f"{L.rise_warning:.0%}; {L.rise:.0%} of the winding's limit by the thermal model",
+        asked_to_end,
+        lambda L: "Ctrl-C, the terminal is closed, or what `--hold` names is let go; Ctrl-C again, or SIGTERM",
+        "1 tick; a key 0.3 s",
+        "sit down; damp",
+    ),
+    (motor_silent, lambda L: f"{L.silent_ticks} ticks without an answer", "100 ms", _SIT),
+    (motor_failed, lambda L: "any fault bit, two motors with one id, or not in run mode", "1 tick", _SIT),
+    (
+        too_hot,
+        lambda L: (
+            f"a motor at {L.temperature_warning:g} °C, or a winding at {L.rise_warning:.0%} of its limit by the "
+            f"thermal model; {L.temperature:g} °C, {L.rise:.0%}"
+        ),
         "1 tick",
         f"announce; {_SIT}",
     ),
@@ -151,68 +130,45 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
     ),
     (
         joint_impossible,
-        lambda L: f"{L.outside:g} rad beyond a joint limit, or {L.jump:g} rad in one tick",
-        "1 tick",
-        _SIT,
-    ),
-    (
-        encoder_frozen,
         lambda L: (
-            f"{L.frozen_ticks} equal readings of a joint whose target moved by {L.frozen_targets:g} rad, "
-            "while a policy moves the robot"
+            f"{L.outside:g} rad beyond a joint limit, {L.jump:g} rad in one tick, faster than {L.overspeed:g} rad/s in "
+            f"2 ticks, or {L.frozen_ticks} equal readings while a policy moves the target by {L.frozen_targets:g} rad"
         ),
-        "160 ms",
+        "1 tick to 160 ms",
         _SIT,
     ),
-    (overspeed, lambda L: f"faster than {L.overspeed:g} rad/s in 2 ticks in a row", "40 ms", _SIT),
     (off_target, lambda L: f"more than {L.off_target:g} rad from the target for 0.5 s", "0.5 s", _SIT),
-    (imu_silent, lambda L: f"older than {1e3 * L.imu_age:g} ms", "120 ms", "damp"),
     (
-        imu_frozen,
+        imu_silent,
         lambda L: (
-            f"{L.imu_repeats + 1} equal readings, or nothing new for {1e3 * L.imu_age:g} ms, "
-            "while a policy moves the robot"
+            f"older than {1e3 * L.imu_age:g} ms, or not valid by its status; while a policy moves the robot also "
+            f"{L.imu_repeats + 1} equal readings, or nothing new for {1e3 * L.imu_age:g} ms"
         ),
         "120 ms",
         "damp",
     ),
-    (imu_invalid, lambda L: "its status says so", "1 tick", "damp"),
     (
-        imu_contradicts_itself,
-        lambda L: f"tilt and rate of turn differ by {L.turn_mismatch:g} rad in a tick; {L.doubt_ticks} in a row",
-        "60 ms",
-        "left out; damp",
-    ),
-    (
-        heading_reset,
-        lambda L: f"heading and rate of turn differ by {L.turn_mismatch:g} rad in a tick, the tilt does not",
-        "1 tick",
-        "log; the heading follows",
-    ),
-    (
-        imu_contradicts_legs,
+        imu_contradiction,
         lambda L: (
-            f"for {L.legs_ticks} ticks, hind toes {100 * L.toes_apart:g} cm apart in height while standing, "
-            f"{100 * L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
+            f"heading, or tilt, and rate of turn differ by {L.turn_mismatch:g} rad in a tick; tilt {L.doubt_ticks} "
+            f"times in a row, or for {L.legs_ticks} ticks hind toes {100 * L.toes_apart:g} cm apart in height while "
+            f"standing, {100 * L.toes_apart_moving:g} cm while getting up or down, or front toes less than "
             f"{100 * L.front_above:g} cm above them while standing"
         ),
         "60 ms",
-        "damp",
+        "taken out, left out; damp",
     ),
     (
-        tipping,
-        lambda L: f"cosine to upright below {L.upright:g} ({degrees(L.upright)} deg) while standing",
+        falling,
+        lambda L: (
+            f"cosine to upright below {L.upright:g} ({degrees(L.upright)} deg) while standing; sine of the roll above "
+            f"{L.side_tilt:g}, or base z below {L.backward:g}, while getting up or down"
+        ),
         "1 tick",
         "damp",
     ),
     (
-        rolling_over,
-        lambda L: f"sine of the roll above {L.side_tilt:g}, or base z below {L.backward:g}, while getting up or down",
-        "1 tick",
-        "damp",
-    ),
-    (
-        tick_overrun,
+        step_late,
         lambda L: (
             f"one of {1e3 * L.overrun:g} ms, or {L.small_overruns_logged} in a row of {1e3 * L.small_overrun:g} "
             f"ms; {L.overrun_ticks} in a row of {1e3 * L.overrun:g} ms, {L.small_overrun_ticks} in a row of "
@@ -221,16 +177,23 @@ _ROWS: tuple[tuple[Check, Callable[[Limits], str], str, str], ...] = (
         "1 tick",
         "log; damp",
     ),
-    (bus_errors, lambda L: f"any; {L.bus_errors} within 0.1 s", "0.1 s", "log; damp"),
-    (watchdog_ended, lambda L: "it has ended", "1 tick", "sit down"),
     (
-        board_error,
-        lambda L: "stock robot: its firmware reports 0x01, a command later than 10 ms; 0x02, none for 500 ms",
-        "1 tick",
+        bus_errors,
+        lambda L: (
+            f"any, or the stock robot's firmware reports a command later than 10 ms (0x01); {L.bus_errors} within "
+            "0.1 s, or it reports none for 500 ms (0x02)"
+        ),
+        "0.1 s",
         "log; damp",
     ),
     (
-        foreign_commands,
+        sender,
+        lambda L: f"it says nothing for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
+        "1 tick",
+        "sit down; damp",
+    ),
+    (
+        other_program,
         lambda L: f"a command that is not ours, or an answer to one; {L.foreign_storm} within 0.1 s",
         "1 tick",
         "sit down; damp",
@@ -243,33 +206,20 @@ RULES = tuple(
 )
 """Every rule that checks readings, in the order in which they are checked."""
 
-SUSPENDED_RULES = tuple(rule for rule in RULES if not rule.name.startswith(("imu", "tipping", "rolling")))
+SUSPENDED_RULES = tuple(rule for rule in RULES if rule.check not in (imu_silent, imu_contradiction, falling))
 """Rules for a suspended robot, which needs no balance."""
 
-_OF_MOTION = (
-    "motor_off",
-    "encoder_frozen",
-    "off_target",
-    "imu_frozen",
-    "imu_contradicts_legs",
-    "tipping",
-    "rolling_over",
-)
+FAILURE = "failure"
+"""The rule that the control loop applies itself."""
 
-DRY_RULES = tuple(rule for rule in RULES if rule.name not in _OF_MOTION)
-"""Rules for a dry run, in which the motors are off and nothing moves."""
+FAILURES = "a target or an answer is no number, or anything is raised; the log cannot be written, as on a full disk"
+"""What it finds, in words."""
 
-LOOP_RULES = {
-    "not_finite": "a target or an answer of the policy is not a number: damped in the same tick",
-    "outside_limits": "targets, answers and commands beyond their limits: clamped in the same tick, counted",
-    "log_failed": "the log cannot be written, as on a full disk: sit down; the rows stay in memory",
-    "exception": "anything raised anywhere, the bus among it: damped, then stopped",
-    "finished": "the run is over: damped, then stopped",
-    "at_rest": "damped and slower than 0.1 rad/s for 0.5 s, or damped for 8 s: stopped",
-}
-"""Rules that the control loop applies itself, in words."""
+FAILURE_OUTCOMES = "damp; sit down, the rows stay in memory"
+"""What follows from that, in words."""
 
-TIPPING = next(rule for rule in RULES if rule.name == "tipping")
+TIPPING = Rule(name="falling", limit=lambda L: "", within="1 tick", outcome="damp", check=tipping)
+"""Of a robot that stands; for episodes in simulation."""
 
 FALLEN = Rule(
     name="fallen",
@@ -281,5 +231,5 @@ FALLEN = Rule(
 )
 """Ends an evaluated episode whose robot has fallen; for simulation only."""
 
-FALLS = ("tipping", "rolling_over", FALLEN.name)
+FALLS = (falling.__name__, FALLEN.name)
 """Rules that mean that the robot falls."""

@@ -44,8 +44,10 @@ class StepReport:
 class StepHistory:
     """What the rules need of the steps before: counters, the change since the last step, and the thermal model."""
 
-    def __init__(self, description: RobotDescription, limits: Limits) -> None:
+    def __init__(self, description: RobotDescription, limits: Limits, *, moves: bool = True) -> None:
         self.description, self._limits = description, limits
+        self.moves = moves
+        """Whether the motors follow their targets; False in a dry run."""
         self.failed: set[int] = set()
         """Joints whose motor or encoder has failed."""
         self.distrusted: set[int] = set()
@@ -175,7 +177,7 @@ class StepHistory:
         self._rows.append((state.q, report.q_des))
         q, q_des = (np.array(rows) for rows in zip(*self._rows, strict=True))
         full = len(q) == limits.frozen_ticks
-        self.frozen = full & np.all(q == q[0], axis=0) & (np.ptp(q_des, axis=0) > limits.frozen_targets)
+        self.frozen = self.moves & full & np.all(q == q[0], axis=0) & (np.ptp(q_des, axis=0) > limits.frozen_targets)
 
     def _compare_legs(self, report: StepReport) -> None:
         """Compute the heights of the toes against each other, by legs and IMU."""

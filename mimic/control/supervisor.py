@@ -54,6 +54,7 @@ class Supervisor:
         rules: Sequence[Rule] = RULES,
         sits: bool = True,
         strict: bool = False,
+        moves: bool = True,
     ) -> None:
         """Begin with a robot that runs.
 
@@ -63,11 +64,12 @@ class Supervisor:
             rules: The rules to apply.
             sits: Whether the robot can sit down; if not, a rule that asks for it damps.
             strict: Sit down also at what would only be announced.
+            moves: Whether the motors follow their targets; False in a dry run.
         """
         self._strict = strict
         limits = limits_for(description) if limits is None else limits
         self._description, self._limits, self._rules, self._sits = description, limits, rules, sits
-        self._history = StepHistory(description, limits)
+        self._history = StepHistory(description, limits, moves=moves)
         self._keeps_history = any(rule.reads_history for rule in rules)
         self._seen: set[tuple[str, str, int]] = set()
         self._damped_since = self._resting_since = float("nan")

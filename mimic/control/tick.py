@@ -13,6 +13,7 @@ from mimic.control.dropouts import DropoutFilter
 from mimic.control.limits import clamp_command, clamp_desired
 from mimic.control.plant import Plant
 from mimic.control.recorder import RunRecorder, health_row
+from mimic.control.safety_rules import FAILURE
 from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
@@ -102,7 +103,7 @@ class Run:
         """
         contract = policy.contract
         if not np.isfinite(np.concatenate([desired.v, [desired.heading], np.ravel(desired.p_BE)])).all():
-            return self.decide("not_finite", SafetyMode.DAMP, "a target is not a number")
+            return self.decide(FAILURE, SafetyMode.DAMP, "a target is not a number")
         v_des, p_BE_des, clamped = clamp_desired(desired.v, desired.p_BE, self.plant.description)
         observation = builder.observe(
             q=self.sensed.q,
@@ -115,7 +116,7 @@ class Run:
         )
         action = policy.act(observation)
         if not np.isfinite(action).all():
-            return self.decide("not_finite", SafetyMode.DAMP, "the policy returned something that is not a number")
+            return self.decide(FAILURE, SafetyMode.DAMP, "the policy returned something that is not a number")
         builder.acted(action)
         q_des, zeros = joint_command(contract, action), np.zeros(12)
         gains = np.full(12, contract.kp), np.full(12, contract.kd)
@@ -140,7 +141,7 @@ class Run:
         command, outside = clamp_command(command, self.plant.description)
         clamped += outside
         if clamped:
-            self.safety.supervisor.note("outside_limits", f"{clamped} numbers were clamped", self.state.t)
+            self.safety.supervisor.note("clamped", f"{clamped} numbers beyond their limits were clamped", self.state.t)
         state = self.state
         row: dict[str, Any] = {
             "t": state.t,
@@ -217,7 +218,7 @@ class Run:
         self.safety.recorder = None
         lies = PHASES[self._phase] == "lie"
         text = f"the log cannot be written: {reason.strerror or reason}"
-        self.decide("log_failed", SafetyMode.DAMP if lies else SafetyMode.SIT_DOWN, text)
+        self.decide(FAILURE, SafetyMode.DAMP if lies else SafetyMode.SIT_DOWN, text)
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the RunLog."""

@@ -11,6 +11,9 @@ from mimic.hardware.can.link import Received
 class EmulatedLink:
     """A link (`mimic.hardware.can.link.Link`) without a wire. Several links to one robot are several hosts."""
 
+    wake: int | None = None
+    woken = False
+
     def __init__(self, robot: EmulatedRobot) -> None:
         self._robot, self._host = robot, robot.connect()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mimic.config.hardware import CheckSettings, DriveSettings, ProbeSettings, WiringSettings
+from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -17,7 +17,7 @@ from mimic.records import FloatArray, RunLog
 
 if TYPE_CHECKING:
     from mimic.hardware.excite import ProbeResult
-    from mimic.hardware.preflight import Check
+    from mimic.hardware.robot.checks import Check
     from mimic.hardware.scan import BusScan
     from mimic.hardware.wiring import Wiring
 
@@ -82,10 +82,12 @@ def zero_robot(
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
+    from mimic.hardware.can.driver import homing_file
     from mimic.hardware.homing import home, uneven
     from mimic.hardware.listening import look_first
-    from mimic.hardware.preflight import at_rest, refuse
-    from mimic.hardware.session import homing_file, open_session
+    from mimic.hardware.preflight import at_rest
+    from mimic.hardware.robot.checks import refuse
+    from mimic.hardware.session import open_session
     from mimic.robot.description import load_description
 
     description = load_description()
@@ -110,42 +112,31 @@ def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[bool, s
         ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
     """
     _only_on_can(bus_url, "damp", "it damps itself half a second after the last command")
-    from mimic.hardware.session import open_unlocked
-    from mimic.hardware.shutdown import damp, shutdown_report, switch_off
+    from mimic.hardware.can.driver import CanDriver
+    from mimic.hardware.robot.sender import Sender
+    from mimic.hardware.session import open_session
     from mimic.robot.description import load_description
 
     description = load_description()
-    with open_unlocked(bus_url, bus or WiringSettings(), zeros=False) as robot, undisturbed():
-        motor_bus = robot.motor_bus()
-        damp(motor_bus, description, lambda: None)
-        left = switch_off(motor_bus, description, lambda: None)
-        return not left, shutdown_report(left)
+    with open_session(bus_url, bus or WiringSettings(), zeros=False, locked=False) as robot, undisturbed():
+        driver = CanDriver(robot.link, robot.wiring, description)
+        ending = Sender(driver, description).run()
+        return driver.off, ending
 
 
-def check_robot(bus_url: str, bus: CheckSettings | None = None, *, suspended: bool = False) -> list[Check]:
+def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: bool = False) -> list[Check]:
     """Return what the pre-flight check finds; nothing moves, and to a stock robot nothing is sent.
 
     Raises:
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
-    from mimic.hardware.preflight import preflight
-    from mimic.hardware.session import check_watchdog, open_session
-    from mimic.hardware.stock.preflight import board_preflight
-    from mimic.hardware.stock.session import open_board
-    from mimic.hardware.stock.wiring import BOARDS
+    from mimic.hardware.robot.driver import CheckOptions
+    from mimic.hardware.session import open_robot
     from mimic.robot.description import load_description
 
-    bus, description = bus or CheckSettings(), load_description()
-    if bus_url in BOARDS:
-        with open_board(bus, description) as (link, _, network):
-            return board_preflight(link, description, network, suspended=suspended)
-    with open_session(bus_url, bus, zeros=not bus.zeroed) as robot:
-        motor_bus = robot.motor_bus()
-        rate = 1.0 / description.dt
-        options = {"homing": robot.homing, "trust_zeros": bus.zeroed, "suspended": suspended}
-        findings = preflight(motor_bus, description, rate_hz=rate, **options)
-    findings.append(check_watchdog(findings, bus_url, bus))
-    return findings
+    description = load_description()
+    with open_robot(bus_url, bus or LookSettings(), description) as driver:
+        return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
 
 def probe_robot(
@@ -178,9 +169,8 @@ def probe_robot(
     from mimic.control.signals import Signals
     from mimic.hardware.excite import probe
     from mimic.hardware.excite_motion import asked_rates, probe_motion, recorded_motion
-    from mimic.hardware.session import robot_session
-    from mimic.hardware.stock.excite import probe_board
-    from mimic.hardware.stock.plant import StockRobot
+    from mimic.hardware.session import robot_session, wiring_of
+    from mimic.hardware.stock.wiring import BOARDS
     from mimic.io.joint_log import write_log
     from mimic.robot.description import load_description
 
@@ -209,8 +199,6 @@ def probe_robot(
     ) as plant:
         reporter.note(f"It moves to the centre within {2 * settings.approach:g} s. Ctrl-C damps and keeps the log.")
         with signals.caught(), undisturbed():
-            if isinstance(plant, StockRobot):
-                result = probe_board(plant, targets, settings, signals)
-            else:
-                result = probe(plant, targets, settings, signals)
+            wiring = None if bus_url in BOARDS else wiring_of(bus_url, bus)
+            result = probe(plant, targets, settings, signals, wiring=wiring)
     return result, write_log(result.log, out), plant.ending

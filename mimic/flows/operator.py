@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mimic.control.supervisor import Event
-    from mimic.hardware.preflight import Check
+    from mimic.hardware.robot.checks import Check
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

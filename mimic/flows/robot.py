@@ -67,13 +67,14 @@ class RobotRun:
     def finished(self) -> bool:
         """Whether it stood and ended as it should: by itself, or by Ctrl-C where it was endless."""
         rule = "finished" if self.decisive is None else self.decisive.rule
-        ended = rule == "finished" or (self.endless and rule == "interrupt" and not self.worse)
+        asked = rule == "asked_to_end" and self.decisive is not None and self.decisive.mode.name == "SIT_DOWN"
+        ended = rule == "finished" or (self.endless and asked and not self.worse)
         return ended and self.shortfall is None
 
     @property
     def worse(self) -> list[Event]:
         """Events that ended the run and should not have happened."""
-        fine = ("interrupt", "finished", "at_rest")
+        fine = ("asked_to_end", "finished", "at_rest")
         return [event for event in self.saved.run.events if event.mode > 0 and event.rule not in fine]
 
     @property
@@ -119,15 +120,14 @@ def play_on_robot(
         SourceError, AssetError, ConfigError, ContractError: If something cannot be used, or the run cannot be saved.
     """
     from mimic.control.recorder import RunRecorder
-    from mimic.control.safety_rules import DRY_RULES, RULES
     from mimic.control.signals import Signals
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
     from mimic.hardware.hold_to_run import hold_to_run
-    from mimic.hardware.plant import CanRobot
-    from mimic.hardware.session import robot_session
+    from mimic.hardware.session import robot_session, wiring_of
     from mimic.hardware.step_budget import PARTS
+    from mimic.hardware.stock.wiring import BOARDS
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
 
@@ -148,7 +148,7 @@ def play_on_robot(
     inference = max(_inference(one) for one in (policy, sit_down))
     rate_hz = (PARTS if policy.contract.interpolate else 1) / description.dt
     folder = new_run_folder(source if source is not None else camera_name(camera) if camera else Path("robot"), out)
-    supervisor = Supervisor(description, rules=DRY_RULES if bus.dry_run else RULES, strict=bus.tether)
+    supervisor = Supervisor(description, strict=bus.tether, moves=not bus.dry_run)
     signals = Signals()
     what = _announcement(None if standing else name, bus)
     commands: CommandTrack | LiveCommands = motion.commands
@@ -182,8 +182,8 @@ def play_on_robot(
         with _shown(supervisor, operator.show_event), undisturbed():
             done = play(commands, plant=plant, policy=policy, sit_down=sit_down, settings=run, safety=safety)
         load: tuple[tuple[float, ...], tuple[float, ...]] = (), ()
-        if isinstance(plant, CanRobot):
-            load = tuple(plant.load()), tuple(expected_load(plant.motor_bus.wiring, rate_hz))
+        if bus_url not in BOARDS:
+            load = tuple(plant.load()), tuple(expected_load(wiring_of(bus_url, bus), rate_hz))
         stack.close()
         if recorder.restore_events(done.events):
             reporter.warn(f"{folder} was removed while the robot ran; it is written again from memory")

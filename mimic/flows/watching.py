@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mimic.config.hardware import LookSettings
-from mimic.errors import BusError, PlantError
+from mimic.errors import BusError
 from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
 
@@ -82,7 +82,7 @@ def watch_robot(
     bus = bus or LookSettings()
     with _shown_in(scene, show) as show_all:
         if bus_url in BOARDS:
-            _watch_board(bus, seconds, every, show_all)
+            _watch_board(bus_url, bus, seconds, every, show_all)
         else:
             _watch_can(bus_url, bus, seconds, every, show_all)
 
@@ -115,7 +115,7 @@ def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSess
         The buses, and whether this program may ask the motors: no other one of this computer uses them.
     """
     from mimic.hardware.bus_lock import bus_lock
-    from mimic.hardware.session import open_unlocked
+    from mimic.hardware.session import open_session
 
     with ExitStack() as stack:
         try:
@@ -123,7 +123,7 @@ def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSess
             alone = True
         except BusError:
             alone = False
-        yield stack.enter_context(open_unlocked(bus_url, bus, zeros=not bus.zeroed)), alone
+        yield stack.enter_context(open_session(bus_url, bus, zeros=not bus.zeroed, locked=False)), alone
 
 
 def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
@@ -188,43 +188,48 @@ def _board_notes(last: Any, *, heard: bool) -> list[str]:
     notes = ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
     if not heard:
         notes = ["no message comes from the robot"]
-    if last["malformed"]:
+    if last["errors"]:
         notes.append(f"{int(last['malformed'])} messages made no sense")
     if last["foreign"]:
         notes.append(f"{int(last['foreign'])} commands of other programs")
     return notes
 
 
-def _watch_board(bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
+def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what a stock robot says; nothing is sent."""
-    from mimic.hardware.stock.messages import MOTOR_ERRORS
-    from mimic.hardware.stock.session import open_board
+    from mimic.hardware.session import driver_settings
+    from mimic.hardware.stock.driver import open_stock_driver
     from mimic.robot.description import load_description
 
-    with open_board(bus, load_description()) as (link, _, _):
-        begin, before = link.now(), None
-        while seconds is None or link.now() - begin < seconds:
-            reports = link.wait(link.now() + every)
-            if not reports:
-                raise PlantError("the process that listens to the robot has ended")
-            last = reports[-1]
-            first = reports[0] if before is None else before
-            span, before = max(float(last["t"] - first["t"]), 1e-3), last
-            counts = {"joints": "joints_count", "motors": "motors_count", "orientation": "imu_count"}
-            heard = link.now() - float(last["heard"]) < max(0.5, every)
+    driver = open_stock_driver(driver_settings(bus_url, bus, load_description()))
+    begin = driver.now()
+
+    def counts() -> dict[str, int]:
+        report = driver.report
+        numbers = driver.readings.joints, int(report["readings"]), int(report["imu_count"])
+        return dict(zip(("joints", "motors", "orientation"), numbers, strict=True))
+
+    try:
+        while seconds is None or driver.now() - begin < seconds:
+            before, since = counts(), driver.now()
+            driver.listen(since + every)
+            now, last = driver.now(), driver.report
+            heard = now - float(last["heard"]) < max(0.5, every)
             nothing = np.full(12, np.nan)
             show(
                 Watched(
-                    t=link.now() - begin,
+                    t=now - begin,
                     q=np.array(last["q"]) if heard else nothing,
                     dq=np.array(last["dq"]) if heard else nothing,
                     tau=np.array(last["tau"]) if heard else nothing,
                     temperature=np.array(last["temperature"]) if heard else nothing,
-                    errors=[int(flags) & MOTOR_ERRORS for flags in last["flags"]],
+                    errors=[int(bits) for bits in last["faults"]],
                     rpy=rpy_from_quat(np.array(last["quat_WB"])) if heard else np.full(3, np.nan),
                     quat_WB=np.array(last["quat_WB"]) if heard else np.full(4, np.nan),
                     omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
-                    rates={name: float(last[key] - first[key]) / span for name, key in counts.items()},
+                    rates={name: (count - before[name]) / (now - since) for name, count in counts().items()},
                     notes=_board_notes(last, heard=heard),
                 )
             )
+    finally:
+        driver.close()

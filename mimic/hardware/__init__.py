@@ -1,1 +1,1 @@
-"""Real robots: buses, motors, IMU, pre-flight checks, watchdog, shutdown."""
+"""Real robots: buses, motors, IMU, pre-flight checks, the process that sends, the plant over it."""

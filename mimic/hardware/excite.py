@@ -20,7 +20,7 @@ import numpy as np
 
 from mimic.config.hardware import ProbeSettings
 from mimic.control.safety_limits import limits_for
-from mimic.control.safety_rules import SUSPENDED_RULES
+from mimic.control.safety_rules import FAILURE, SUSPENDED_RULES
 from mimic.control.signals import Signals
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import Event, SafetyMode, Supervisor
@@ -28,14 +28,11 @@ from mimic.errors import PlantError
 from mimic.geometry import smoothstep
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.excite_motion import ProbeMotion, turns
-from mimic.hardware.motor import Register
-from mimic.hardware.motor_bus import ALL
-from mimic.hardware.plant import CanRobot
+from mimic.hardware.robot.driver import ALL
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.wiring import Wiring
 from mimic.io.joint_log import HELD, JointLog
 from mimic.records import JOINTS, BoolArray, FloatArray, JointCommand
-
-VOLTAGE_EVERY = 0.5
-"""Time between two questions for the supply voltage [s]."""
 
 MAX_GAP_TURNS = 3
 """A reading of a held joint is carried forward over at most so many turns; the supervisor ends a longer silence."""
@@ -60,11 +57,12 @@ class ProbeResult:
 
 
 def probe(
-    robot: CanRobot,
+    robot: Robot,
     motion: ProbeMotion,
     settings: ProbeSettings,
     signals: Signals,
     *,
+    wiring: Wiring | None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ProbeResult:
     """Move a suspended robot and return its log; the robot is left damped and off, whatever happens.
@@ -74,6 +72,7 @@ def probe(
         motion: Targets, and which joints are read in every row.
         settings: Rate and gains.
         signals: Ctrl-C ends it and keeps the log.
+        wiring: Of motors on CAN, which are asked one by one; None for a motion board, which reads all of them.
         progress: Called once a second with the rows done and the rows in total.
 
     Raises:
@@ -81,15 +80,13 @@ def probe(
     """
     limits = limits_for(robot.description)
     counted = ("silent_ticks", "small_overrun_ticks", "overrun_ticks", "off_target_ticks")
-    rows = robot.description.dt * settings.rate_hz
-    limits = replace(limits, **{name: round(getattr(limits, name) * rows) for name in counted})
+    share = robot.description.dt * settings.rate_hz
+    limits = replace(limits, **{name: round(getattr(limits, name) * share) for name in counted})
     supervisor = Supervisor(robot.description, limits, rules=SUSPENDED_RULES, sits=False)
-    rows = _Rows(robot, supervisor, signals, settings)
+    rows = _Rows(robot, supervisor, signals, settings, wiring)
     try:
         state = robot.start()
-        way = list(approach(state.q, motion.q_des[0], settings))
-        rows.begin()
-        for gain, target in way:
+        for gain, target in approach(state.q, motion.q_des[0], settings):
             rows.step(gain, target, motion.watched[0], keep=False)
         for number, (target, watched) in enumerate(zip(motion.q_des, motion.watched, strict=True)):
             rows.step(1.0, target, watched, keep=True, everyone=number in (0, len(motion) - 1))
@@ -99,9 +96,7 @@ def probe(
     except _Ended:
         pass
     except (PlantError, KeyboardInterrupt) as reason:
-        supervisor.decide(
-            "exception", SafetyMode.DAMP, str(reason) or type(reason).__name__, robot.motor_bus.link.now()
-        )
+        supervisor.decide(FAILURE, SafetyMode.DAMP, str(reason) or type(reason).__name__, rows.t)
     finally:
         robot.close()
     return rows.result()
@@ -124,102 +119,72 @@ class _Ended(Exception):
 class _Rows:
     """Sends targets and records the answers."""
 
-    def __init__(self, robot: CanRobot, supervisor: Supervisor, signals: Signals, settings: ProbeSettings) -> None:
+    def __init__(
+        self, robot: Robot, supervisor: Supervisor, signals: Signals, settings: ProbeSettings, wiring: Wiring | None
+    ) -> None:
         self._robot, self._supervisor, self._signals, self._settings = robot, supervisor, signals, settings
+        self._wiring = wiring
         self._columns: dict[str, list[FloatArray | BoolArray | float]] = {
             name: [] for name in ("t", "asked", "q", "dq", "tau", "q_des", "receive", "temperature", "voltage")
         }
-        self._asked = self._due = self._began = 0.0
-        self._turns, self._keeps = turns(settings.rate_hz, robot.description.dt), False
-        self._joints: list[int] = []
-        """Joints asked in the last row."""
-        self._watched: BoolArray = np.zeros(len(JOINTS), dtype=bool)
-        """Joints of legs that moved in it."""
+        self._turns = turns(settings.rate_hz, robot.description.dt)
         self._since: FloatArray = np.full(len(JOINTS), -np.inf)
         """When each motor was asked last [s]."""
         self._in_effect: FloatArray = np.full(len(JOINTS), np.nan)
         """Last target sent to each motor [rad]."""
-        self._bits: list[tuple[float, FloatArray]] = []
-        """Time [s] and bits so far, at the start of the first recorded row and at the end of the last one."""
-        self._voltage, self._next_voltage, self._volted = float("nan"), 0.0, 0
-
-    def begin(self) -> None:
-        self._began = self._due = self._asked = self._robot.motor_bus.link.now()
+        self._row: tuple[float, list[int], BoolArray] | None = None
+        """The row whose answers may still come: its time [s], joints asked, and joints of legs that moved."""
+        self._busy: list[tuple[float, FloatArray]] = []
+        """Time and how long each bus was busy so far [s], at the first recorded row and at the last."""
+        self.t = 0.0
+        """Time of the plant [s]."""
 
     def step(self, gain: float, target: FloatArray, watched: BoolArray, *, keep: bool, everyone: bool = False) -> None:
-        robot, motor_bus, settings = self._robot, self._robot.motor_bus, self._settings
-        link, zeros = motor_bus.link, np.zeros(len(JOINTS))
-        robot.beat()
-        motor_bus.drain()
-        self._finish()
-        self._ask_voltage()
-        asked = link.now()
-        if keep and not self._bits:
-            self._bits = [(asked, motor_bus.bits.copy())] * 2
-        joints = list(ALL) if everyone else self._turns.asked(watched, self._since)
+        robot, settings, signals = self._robot, self._settings, self._signals
+        self.end()
+        asked, zeros = robot.now, np.zeros(len(JOINTS))
+        joints = list(ALL) if everyone or self._wiring is None else self._turns.asked(watched, self._since)
         kp, kd = np.full(len(JOINTS), gain * settings.kp), np.full(len(JOINTS), gain * settings.kd)
-        sent = motor_bus.command(JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros), joints)
-        self._since[joints], self._in_effect[joints] = asked, sent.q_des[joints]
-        self._due += 1.0 / settings.rate_hz
-        motor_bus.listen(self._due)
-        now = link.now()
-        late = now - self._due
-        if late > 1.0 / settings.rate_hz:
-            self._due = now
-        self._asked, self._joints, self._watched, self._keeps = asked, joints, watched, keep
-        if keep:
-            self._bits[1] = now, motor_bus.bits.copy()
-        robot.count(asked)
+        command = JointCommand(q_des=target, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros)
+        self._since[joints] = asked
+        tick = robot.step(command, 1.0 / settings.rate_hz, joints)
+        self.t, self._in_effect[joints] = tick.state.t, tick.sent.q_des[joints]
+        self._row = (asked, joints, watched) if keep else None
         report = StepReport(
-            state=robot.state(self._since, now),
-            health=robot.health(0.0, late, now),
+            state=robot.state(self._since),
+            health=tick.health,
             phase=0,
             q_des=target,
-            interrupts=self._signals.read(),
-            hung_up=self._signals.hung_up,
-            terminated=self._signals.terminated,
+            interrupts=signals.read(),
+            hung_up=signals.hung_up,
+            terminated=signals.terminated,
         )
         if self._supervisor.update(report) > SafetyMode.RUN:
-            self._finish()
+            self.end()
             raise _Ended
 
     def end(self) -> None:
-        """Record the last row too."""
-        self._robot.motor_bus.drain()
-        self._finish()
-
-    def _finish(self) -> None:
         """Record the row of the last commands; no more answers can belong to it."""
-        if not self._keeps:
+        self._robot.look()
+        if self._row is None:
             return
-        motor_bus = self._robot.motor_bus
-        asked = np.isin(np.arange(len(JOINTS)), self._joints)
-        since = np.where(asked, self._asked, np.inf)  # an answer of another joint is delayed by a row or more
-        q, dq, tau = motor_bus.readings(since)
+        (asked_at, joints, watched), self._row, report = self._row, None, self._robot.report
+        asked = np.isin(ALL, joints)
+        came = asked & (report["came"] > asked_at)  # an answer of another joint is delayed by a row or more
         row = (
-            self._asked - self._began,
+            asked_at,
             asked,
-            q,
-            dq,
-            tau,
+            np.where(came, report["q"], np.nan),
+            np.where(came, report["dq"], np.nan),
+            np.where(came, report["tau"], np.nan),
             self._in_effect.copy(),
-            np.where(self._watched & (motor_bus.came > since), motor_bus.came - self._began, np.nan),
-            motor_bus.temperature(),
-            self._voltage,
+            np.where(watched & came, report["came"], np.nan),
+            np.array(report["temperature"]),
+            float(report["voltage"]),
         )
         for column, value in zip(self._columns.values(), row, strict=True):
             column.append(value)
-        self._keeps = False
-
-    def _ask_voltage(self) -> None:
-        """Ask one motor after another for the supply voltage, without waiting for the answer."""
-        motor_bus = self._robot.motor_bus
-        now = motor_bus.link.now()
-        newest = motor_bus.value(self._volted, Register.SUPPLY_VOLTAGE)
-        self._voltage = self._voltage if np.isnan(newest) else newest
-        if now >= self._next_voltage:
-            self._next_voltage, self._volted = now + VOLTAGE_EVERY, (self._volted + 1) % len(JOINTS)
-            motor_bus.request(self._volted, Register.SUPPLY_VOLTAGE)
+        self._busy = [*self._busy[:1], (float(report["t"]), np.array(report["busy"]))]
 
     def result(self) -> ProbeResult:
         columns = {name: np.array(values) for name, values in self._columns.items()}
@@ -227,8 +192,10 @@ class _Rows:
         if len(columns["t"]) < 2:
             raise PlantError(f"nothing was measured: {'it ended at once' if ended is None else ended.text}")
         begin = columns["t"][0]
-        settings, t = self._settings, columns["t"] - begin
-        extra: dict[str, FloatArray] = {"voltage": _first_known(columns["voltage"])}
+        settings, t, wiring = self._settings, columns["t"] - begin, self._wiring
+        extra: dict[str, FloatArray] = {}
+        if np.isfinite(columns["voltage"]).any():
+            extra["voltage"] = _first_known(columns["voltage"])
         for joint, name in enumerate(JOINTS):
             extra[f"t_send.{name}"] = t
             extra[f"t_receive.{name}"] = columns["receive"][:, joint] - begin
@@ -236,9 +203,7 @@ class _Rows:
             extra[f"tau_now.{name}"] = columns["tau"][:, joint]
         asked = columns["asked"].astype(bool)
         missing = float(np.isnan(columns["q"][asked]).mean())
-        wiring = self._robot.motor_bus.wiring
-        (start, before), (stop, after) = self._bits
-        middle = wiring.sign * self._robot.motor_bus.motors.facts.position_bias
+        middle = 0.0 if wiring is None else wiring.sign * wiring.motors().facts.position_bias
         log = JointLog(
             joints=JOINTS,
             t=t,
@@ -258,19 +223,17 @@ class _Rows:
             }
             | self._held(asked),
         )
-        return ProbeResult(
-            log=log,
-            ended=ended,
-            missing=missing,
-            load=(after - before) / wiring.bitrate / (stop - start),
-            expected=expected_load(wiring, settings.rate_hz * asked.mean(axis=0)),
-        )
+        expected = np.zeros(0) if wiring is None else expected_load(wiring, settings.rate_hz * asked.mean(axis=0))
+        (start, before), (stop, after) = self._busy
+        load = (after - before) / (stop - start)
+        load = load[np.isfinite(load)]
+        return ProbeResult(log=log, ended=ended, missing=missing, load=load, expected=expected)
 
     def _held(self, asked: BoolArray) -> dict[str, Any]:
         """Return the metadata by which a reader carries readings of held joints forward."""
-        if asked.all():
+        if asked.all() or self._wiring is None:
             return {}
-        within = HELD_STEPS * self._robot.motor_bus.motors.facts.position_step
+        within = HELD_STEPS * self._wiring.motors().facts.position_step
         return {HELD: {"rows": MAX_GAP_TURNS * self._turns.rows, "within": within}}
 
 

@@ -21,16 +21,14 @@ import numpy as np
 from mimic.errors import AssetError, PlantError
 from mimic.hardware.motor import Register
 from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.robot.checks import beyond_limits
 from mimic.hardware.wiring import Wiring
 from mimic.io.store import load_json, save_json
-from mimic.records import JOINTS, FloatArray, IntArray
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
 
 LYING_TOLERANCE = 0.35
 """How far a joint may be from the lying pose so that its rotor turn is certain [rad]; half a turn is 0.405."""
-
-LIMIT_TOLERANCE = 0.1
-"""How far beyond a joint limit a reading may be [rad]: half of what stops a robot that runs."""
 
 ZERO_TOLERANCE = 0.01
 """A motor whose zero was just set must read less than this [rad]."""
@@ -199,11 +197,6 @@ def check_lying(q: FloatArray, description: RobotDescription) -> None:
     if len(beyond):
         angles = ", ".join(f"{JOINTS[j]} at {q[j]:.2f} rad" for j in beyond)
         raise PlantError(f"joints would be beyond their limits: {angles}; the sign or the first homing must be wrong")
-
-
-def beyond_limits(q: FloatArray, description: RobotDescription) -> IntArray:
-    """Return the joints that read clearly beyond their limits."""
-    return np.flatnonzero((q < description.q_min - LIMIT_TOLERANCE) | (q > description.q_max + LIMIT_TOLERANCE))
 
 
 def uneven(q: FloatArray) -> list[str]:

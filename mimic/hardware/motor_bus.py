@@ -18,7 +18,7 @@ from mimic.hardware.can.link import Link, Received
 from mimic.hardware.motor import FaultReport, Feedback, Identity, MotorCommand, OtherHost, Register, RegisterValue
 from mimic.hardware.wiring import Wiring
 from mimic.hardware.xsens_mti import Imu, make_imu
-from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.records import DOUBLED, JOINTS, FloatArray, JointCommand
 
 ALL = tuple(range(len(JOINTS)))
 
@@ -33,6 +33,12 @@ TRIES = 4
 
 REPORTED = 64
 """Fault bit that stands for a fault report; the bits of a feedback are below it."""
+
+_TWICE = 10
+"""So many answers that nothing asked for show that two motors have one id; a network may repeat a few."""
+
+_OWED = 32
+"""Answers that may still come; more are lost."""
 
 ECHO_WITHIN = 0.05
 """An own frame that comes back within this is an echo of the adapter [s]."""
@@ -70,7 +76,7 @@ class MotorBus:
         self.came: FloatArray = np.full(len(JOINTS), -np.inf)
         """When each motor's newest feedback arrived [s]."""
         self.faults = np.zeros(len(JOINTS), dtype=int)
-        """REPORTED where a fault report is in force."""
+        """REPORTED where a fault report is in force, DOUBLED where two motors answer as one."""
         self.malformed = 0
         """Frames of motors and IMU so far that made no sense."""
         self.foreign = 0
@@ -87,6 +93,8 @@ class MotorBus:
         self.round_trip = float("nan")
         """From the newest question by `ask_round_trip` with an answer to that answer [s]."""
         self._uids: dict[int, int] = {}
+        self._owed = np.zeros(len(JOINTS), dtype=int)
+        self._unasked = np.zeros(len(JOINTS), dtype=int)
         self.bits: FloatArray = np.zeros(wiring.buses)
         """Bits on each bus so far, as this computer saw the frames (buses,)."""
         self._frames = 0
@@ -104,6 +112,7 @@ class MotorBus:
         self.link.send(bus, frame)
         self._count_bits(bus, frame)
         self._sent.append((self.link.now(), bus, frame))
+        self._owed[joint] = min(self._owed[joint] + 1, _OWED)
 
     def id(self, joint: int) -> int:
         """Return the id of a joint's motor."""
@@ -153,14 +162,24 @@ class MotorBus:
                     self.feedback[joint], self.came[joint] = answer.feedback, t
             case Feedback():
                 self.feedback[joint], self.came[joint] = answer, t
+                self._answered(joint)
             case RegisterValue():
+                self._answered(joint)
                 self._values[joint, answer.register] = answer.value
                 if self._asked is not None and self._asked[:2] == (joint, answer.register):
                     self.round_trip, self._asked = t - self._asked[2], None
             case Identity():
                 self._uids[joint] = answer.uid
+                self._answered(joint)
             case FaultReport():
-                self.faults[joint] = REPORTED if answer.faults else 0
+                self.faults[joint] = (self.faults[joint] & DOUBLED) | (REPORTED if answer.faults else 0)
+
+    def _answered(self, joint: int) -> None:
+        """Count an answer; where more come than were asked for, two motors have one id."""
+        self._unasked[joint] += self._owed[joint] == 0
+        self._owed[joint] = max(self._owed[joint] - 1, 0)
+        if self._unasked[joint] >= _TWICE:
+            self.faults[joint] |= DOUBLED
 
     def _note_unknown(self, bus: int, frame: CanFrame) -> None:
         name = f"0x{frame.id:08X}" if frame.extended else f"0x{frame.id:03X}"

@@ -1,29 +1,22 @@
-"""Pre-flight: checks buses, motors, zeros, pose, IMU and the watchdog before anything moves."""
+"""The pre-flight of motors on CAN: buses, motors, zeros, pose and IMU, before anything moves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 
-from mimic.errors import FrameError, PlantError
-from mimic.geometry import rotation_from_quat
+from mimic.errors import FrameError
 from mimic.hardware.can.load import MAX_LOAD, expected_load
-from mimic.hardware.homing import LYING_TOLERANCE, Homing, beyond_limits, uneven, zero_problems
+from mimic.hardware.homing import LYING_TOLERANCE, Homing, uneven, zero_problems
 from mimic.hardware.listening import holding, others
 from mimic.hardware.motor import MotorMode, Register
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import set_host_timeout
+from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
 from mimic.hardware.step_budget import SPARE, StepBudget
-from mimic.records import JOINTS, FloatArray
+from mimic.records import DOUBLED, JOINTS, FloatArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.leg_kinematics import all_toes
 
-WARM, HOT = 45.0, 60.0
-"""Pre-flight mentions a motor this warm, and refuses to start with one this hot [degC]: a run ends at 72."""
+WARM = 45.0
+"""Pre-flight mentions a motor this warm [degC]."""
 
 VOLTAGE_SPREAD = 1.5
 """Difference of supply voltage between motors that suggests a bad wire [V]."""
@@ -34,15 +27,6 @@ IMU_LISTEN = 0.5
 IMU_TRIES = 3
 """How often to listen to it."""
 
-MAX_TILT = 0.26
-"""Largest tilt of a lying robot [rad]: 15 deg."""
-
-MAX_LEGS_TILT = 0.2
-"""Largest angle between up by the IMU and by the four feet [rad]; 0.1 rad in a joint tilts the feet by 0.06."""
-
-MAX_TURN_RATE = 0.1
-"""Largest rate of turn of a robot that nobody moves [rad/s]."""
-
 MAX_MOVED = 0.02
 """Largest motion of a joint of a robot at rest, over half a second [rad]."""
 
@@ -52,24 +36,6 @@ IMU_RATE_TOLERANCE = 0.2
 
 UNKNOWN_SHOWN = 6
 """Identifiers of unknown senders that are named."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """The result of one check."""
-
-    name: str
-    verdict: Literal["ok", "note", "stop"]
-    text: str
-
-
-@contextmanager
-def before_moving() -> Iterator[None]:
-    """Let Ctrl-C say that nothing was moved."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("nothing was moved") from None
 
 
 def preflight(
@@ -107,7 +73,16 @@ def preflight(
     known = zeros.verdict != "stop"
     if not known:
         q = np.full_like(q, np.nan)
-    found += [zeros, _limits(q, description) if suspended or not known else _pose(q, description)]
+    differences = uneven(q) if known else []
+    pose = pose_check(
+        q,
+        description,
+        LYING_TOLERANCE,
+        suspended=suspended,
+        advice="lay it on its folded legs",
+        note="" if suspended or not differences else differences[0],
+    )
+    found += [zeros, pose]
     found += _imu(motor_bus, q, description, suspended or not known)
     return [*found, _timeout(motor_bus), _others(motor_bus)]
 
@@ -154,7 +129,10 @@ def _others(motor_bus: MotorBus) -> Check:
 def _motors(motor_bus: MotorBus) -> Check:
     names = motor_bus.motors.fault_names
     faults = [f"{JOINTS[j]}: {names(f.faults)}" for j, f in enumerate(motor_bus.feedback) if f is not None and f.faults]
-    faults += [f"{JOINTS[j]}: fault report" for j in np.flatnonzero(motor_bus.faults)]
+    faults += [
+        f"{JOINTS[j]}: {'two motors have its id' if motor_bus.faults[j] & DOUBLED else 'fault report'}"
+        for j in np.flatnonzero(motor_bus.faults)
+    ]
     if faults:
         text = f"faults: {', '.join(faults)}; fix the cause, then switch the power off and on"
         return Check(name="motors", verdict="stop", text=text)
@@ -228,31 +206,6 @@ def _zeros(motor_bus: MotorBus, homing: Homing | None, trust: bool) -> Check:
     return Check(name="zeros", verdict="ok", text="set since the power was switched on; the same motors")
 
 
-def _limits(q: FloatArray, description: RobotDescription) -> Check:
-    if np.isnan(q).all():
-        return Check(name="pose", verdict="note", text="unknown without the zeros")
-    beyond = beyond_limits(q, description)
-    if len(beyond):
-        angles = ", ".join(f"{JOINTS[j]} at {q[j]:.2f} rad" for j in beyond)
-        return Check(name="pose", verdict="stop", text=f"beyond the joint limits: {angles}")
-    return Check(name="pose", verdict="ok", text="all joints inside their limits")
-
-
-def _pose(q: FloatArray, description: RobotDescription) -> Check:
-    inside = _limits(q, description)
-    if inside.verdict == "stop":
-        return inside
-    off = q - description.poses["lie"]
-    worst = int(np.argmax(np.abs(off)))
-    text = f"{JOINTS[worst]} is {np.rad2deg(off[worst]):+.0f} deg from the lying pose, the others less"
-    if abs(off[worst]) > LYING_TOLERANCE:
-        return Check(name="pose", verdict="stop", text=f"{text}; lay it on its folded legs")
-    differences = uneven(q)
-    if differences:
-        return Check(name="pose", verdict="note", text=f"{text}; {differences[0]}")
-    return Check(name="pose", verdict="ok", text=text)
-
-
 def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, suspended: bool) -> list[Check]:
     imu, link = motor_bus.imu, motor_bus.link
     rate, reading, wanted = 0.0, imu.reading(link.now()), motor_bus.wiring.imu.rate["quaternion"]
@@ -269,36 +222,14 @@ def _imu(motor_bus: MotorBus, q: FloatArray, description: RobotDescription, susp
     if abs(rate - wanted) > IMU_RATE_TOLERANCE * wanted:
         text += f", where the wiring says {wanted:g}"
         return [Check(name="IMU", verdict="stop", text=f"{text}; set the IMU or the wiring")]
-    turning = float(np.linalg.norm(reading.omega_B))
-    if turning > MAX_TURN_RATE and not suspended:
-        return [
-            Check(name="IMU", verdict="stop", text=f"{text}; it turns at {turning:.2f} rad/s; keep the robot still")
-        ]
-    found = [
-        Check(name="IMU", verdict="ok", text=f"{text}, valid" if reading.valid else f"{text}; it sends no status word")
-    ]
-    if suspended:
-        return found
-    up = rotation_from_quat(reading.quat_WB)[2]
-    tilt = float(np.arccos(np.clip(up[2], -1.0, 1.0)))
-    if tilt > MAX_TILT:
-        text = f"tilted by {np.rad2deg(tilt):.0f} deg; a lying robot is level within {np.rad2deg(MAX_TILT):.0f} deg"
-        return [*found, Check(name="IMU and legs", verdict="stop", text=text)]
-    if np.isnan(q).any():
-        return found
-    apart = float(np.arccos(np.clip(up @ feet_normal(q, description), -1.0, 1.0)))
-    text = f"up by IMU and by the four feet differ by {np.rad2deg(apart):.0f} deg"
-    verdict = "stop" if apart > MAX_LEGS_TILT else "ok"
-    more = "; is the IMU mounted as the wiring says, and does every foot touch the ground?" if verdict == "stop" else ""
-    return [*found, Check(name="IMU and legs", verdict=verdict, text=text + more)]
+    text += ", valid" if reading.valid else "; it sends no status word"
+    return imu_checks(reading.quat_WB, reading.omega_B, q, description, suspended=suspended, text=text)
 
 
-def feet_normal(q: FloatArray, description: RobotDescription) -> FloatArray:
-    """Return the unit normal of the plane through the four feet, upward, base axes (3,)."""
-    toes = all_toes(q, description)
-    _, _, axes = np.linalg.svd(toes - toes.mean(axis=0))
-    normal = axes[-1]
-    return normal if normal[2] > 0 else -normal
+def set_host_timeout(motor_bus: MotorBus) -> bool:
+    """Ask the motors to stop by themselves when no host sends anything; return whether all of them read it back."""
+    value = motor_bus.motors.facts.host_timeout
+    return bool(np.all(np.abs(motor_bus.write(Register.HOST_TIMEOUT, value) - value) < 0.5))
 
 
 def _timeout(motor_bus: MotorBus) -> Check:
@@ -328,18 +259,3 @@ def at_rest(motor_bus: MotorBus, description: RobotDescription) -> list[Check]:
         text = f"{JOINTS[worst]} moved by {np.rad2deg(moved[worst]):.1f} deg meanwhile; keep the robot still"
         found.append(Check(name="rest", verdict="stop", text=text))
     return found
-
-
-def refuse(checks: list[Check], outcome: str = "nothing was moved") -> None:
-    """Raise if a check forbids going on.
-
-    Args:
-        checks: What was found.
-        outcome: What did not happen, as a sentence without its full stop.
-
-    Raises:
-        PlantError: With all checks that do.
-    """
-    against = [f"{check.name}: {check.text}" for check in checks if check.verdict == "stop"]
-    if against:
-        raise PlantError(f"{outcome}. {'; '.join(against)}")

@@ -1,30 +1,27 @@
-"""A session with the robot: starts the watchdog, opens the buses, runs the pre-flight, and only then gives a plant."""
+"""A session with a robot: the process that sends opens it, the pre-flight passes, and only then there is a plant."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from mimic.config.hardware import CheckSettings, DriveSettings, WiringSettings
+from mimic.config.hardware import DriveSettings, LookSettings, WiringSettings
 from mimic.config.ranges import check_range
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can.driver import homing_file, open_buses
 from mimic.hardware.can.link import Link
-from mimic.hardware.dry_run import DryRobot
 from mimic.hardware.homing import Homing, read_homing, with_homing
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import CanRobot
-from mimic.hardware.preflight import Check, before_moving, preflight, refuse
-from mimic.hardware.step_budget import step_budget
-from mimic.hardware.stock.plant import StockRobot
-from mimic.hardware.stock.session import board_session
+from mimic.hardware.robot.checks import Check, before_moving, refuse
+from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings, open_driver
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.robot.process import SenderProcess
 from mimic.hardware.stock.wiring import BOARDS
-from mimic.hardware.watchdog import WatchdogProcess, allows_second_socket, open_buses
 from mimic.hardware.wiring import Wiring, load_wiring
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
@@ -33,16 +30,9 @@ Report = Callable[[list[Check]], None]
 """Receives the results of the pre-flight."""
 
 
-def homing_file(wiring: Wiring) -> Path:
-    """Return the file with the zeros of a robot: one for each wiring file."""
-    base = os.environ.get("XDG_STATE_HOME")
-    folder = (Path(base) if base else Path.home() / ".local" / "state") / "mimic"
-    return folder / f"zeros-{wiring.path.parent.name}-{wiring.path.stem}.json"
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BusSession:
-    """The open buses of a robot."""
+    """The open buses of a robot on CAN that nobody drives."""
 
     link: Link
     wiring: Wiring
@@ -61,64 +51,64 @@ def wiring_of(bus_url: str, settings: WiringSettings) -> Wiring:
 
 
 @contextmanager
-def open_session(bus_url: str, settings: WiringSettings, *, zeros: bool) -> Iterator[BusSession]:
+def open_session(bus_url: str, settings: WiringSettings, *, zeros: bool, locked: bool = True) -> Iterator[BusSession]:
     """Open buses, and close them at the end; meanwhile no other program of mimic may use them.
 
     Args:
         bus_url: The buses; see `mimic.hardware.can.python_can`.
         settings: Wiring.
         zeros: Whether to read the zeros of this power-up; without them angles are as the wiring has them.
+        locked: Take the locks of the buses; not for who only listens.
 
     Raises:
         ConfigError, AssetError, BusError: If that is not possible.
     """
-    with bus_lock(bus_url), open_unlocked(bus_url, settings, zeros=zeros) as robot:
-        yield robot
+    with bus_lock(bus_url) if locked else nullcontext():
+        wiring = wiring_of(bus_url, settings)
+        homing = read_homing(homing_file(wiring)) if zeros else None
+        link = open_buses(bus_url, wiring)
+        try:
+            yield BusSession(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
+        finally:
+            link.close()
+
+
+def driver_settings(
+    bus_url: str, settings: LookSettings, description: RobotDescription, *, dry_run: bool = False
+) -> DriverSettings:
+    """Return what it takes to open the driver of a robot."""
+    return DriverSettings(
+        bus_url=bus_url,
+        robot=description.name,
+        wiring=settings.wiring,
+        interface=settings.interface,
+        zeroed=settings.zeroed,
+        torque_limit=settings.torque if isinstance(settings, DriveSettings) else None,
+        dry_run=dry_run,
+    )
 
 
 @contextmanager
-def open_unlocked(bus_url: str, settings: WiringSettings, *, zeros: bool) -> Iterator[BusSession]:
-    """Open buses that another program of mimic may be using; for who holds their lock, who only listens, or who damps.
-
-    Args as of `open_session`.
-
-    Raises:
-        ConfigError, AssetError, BusError: If that is not possible.
-    """
-    wiring = wiring_of(bus_url, settings)
-    homing = read_homing(homing_file(wiring)) if zeros else None
-    link = open_buses(bus_url, wiring)
-    try:
-        yield BusSession(link=link, wiring=wiring if homing is None else with_homing(wiring, homing), homing=homing)
-    finally:
-        link.close()
-
-
-def check_watchdog(checks: list[Check], bus_url: str, settings: CheckSettings) -> Check:
-    """Check that something damps the robot when this process cannot.
+def open_robot(
+    bus_url: str, settings: LookSettings, description: RobotDescription, *, locked: bool = True
+) -> Iterator[Driver]:
+    """Open a robot that nobody drives, in this process, and let go of it at the end.
 
     Args:
-        checks: Of the pre-flight, the motors' own timeout among them.
-        bus_url: The buses.
-        settings: Whether a watchdog is wanted.
+        bus_url: Its buses, or the name of a motion board.
+        settings: Wiring, network interface and zeros.
+        description: The robot.
+        locked: Take the locks of its buses; not for who damps it, whoever drives it.
+
+    Raises:
+        ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
     """
-    own = any(check.name == "own timeout" and check.verdict == "ok" for check in checks)
-    if settings.watchdog and allows_second_socket(bus_url):
-        return Check(
-            name="watchdog", verdict="ok", text="a second process watches this one and damps the robot if it ends"
-        )
-    if own:
-        return Check(name="watchdog", verdict="note", text="none; the motors stop by themselves if this process ends")
-    if settings.watchdog:
-        text = (
-            f"a second process cannot open {bus_url}, and the motors have no timeout of their own: if this process is "
-            "killed or the adapter is unplugged, they continue with their last command. "
-            "Add --no-watchdog to accept that"
-        )
-        return Check(name="watchdog", verdict="stop", text=text)
-    return Check(
-        name="watchdog", verdict="note", text="none (--no-watchdog): nothing damps the robot if this process is killed"
-    )
+    with bus_lock(bus_url) if locked and bus_url not in BOARDS else nullcontext():
+        driver = open_driver(driver_settings(bus_url, settings, description))
+        try:
+            yield driver
+        finally:
+            driver.close()
 
 
 @contextmanager
@@ -133,12 +123,12 @@ def robot_session(
     suspended: bool = False,
     dry_run: bool = False,
     inference: float | None = None,
-) -> Iterator[CanRobot | StockRobot]:
-    """Give a robot that passed its pre-flight. At the end it is damped and off, and its watchdog has ended.
+) -> Iterator[Robot]:
+    """Give a robot that passed its pre-flight. At the end it is damped and off.
 
     Args:
-        bus_url: Its buses, or the name of a stock robot.
-        settings: Wiring, zeros, watchdog and torque limit.
+        bus_url: Its buses, or the name of a motion board.
+        settings: Wiring, zeros and torque limit.
         description: The robot.
         rate_hz: Commands a second to each motor, or to these motors in each part of a motion (parts, 12).
         report: Receives the results of the pre-flight, also if they forbid moving.
@@ -154,45 +144,20 @@ def robot_session(
     """
     if settings.torque_limit is not None:
         check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
-    if bus_url in BOARDS:
-        if dry_run:
-            raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
-        with board_session(settings, description, report=report, go=go, suspended=suspended) as board:
-            yield board
-        return
-    wiring, dt = wiring_of(bus_url, settings), description.dt
-    parts = round(float(np.max(rate_hz)) * dt)
-    budget = None if inference is None else step_budget(wiring, dt, parts, inference)
-    wanted = settings.watchdog and allows_second_socket(bus_url) and not dry_run
-    with bus_lock(bus_url) as lock, ExitStack() as stack:
-        watchdog = WatchdogProcess(bus_url, wiring.path, keep=lock) if wanted else None
-        if watchdog is not None:
-            stack.callback(watchdog.close)
-        with open_unlocked(bus_url, settings, zeros=not settings.zeroed) as robot:
-
-            def checked() -> list[Check]:
-                motor_bus = robot.motor_bus()
-                motor_bus.drain()  # what came while a person was asked
-                return preflight(
-                    motor_bus,
-                    description,
-                    rate_hz=rate_hz,
-                    homing=robot.homing,
-                    trust_zeros=settings.zeroed,
-                    suspended=suspended,
-                    budget=budget,
-                )
-
+    board = bus_url in BOARDS
+    if board and dry_run:
+        raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")
+    options = CheckOptions(rate_hz=np.asarray(rate_hz).tolist(), suspended=suspended, inference=inference)
+    with nullcontext(()) if board else bus_lock(bus_url) as locks:
+        link = SenderProcess(driver_settings(bus_url, settings, description, dry_run=dry_run), description, keep=locks)
+        try:
             with before_moving():
-                checks = checked()
-                if not dry_run:
-                    checks.append(check_watchdog(checks, bus_url, settings))
+                checks = link.checks(options)
                 report(checks)
                 refuse(checks)
                 go()
-                refuse(checked())  # power may have blinked meanwhile, or the robot was moved
-            kind = DryRobot if dry_run else CanRobot
-            plant = kind(robot.link, robot.wiring, description, torque_limit=settings.torque, watchdog=watchdog)
+                refuse(link.checks(options))  # power may have blinked meanwhile, or the robot was moved
+            plant = Robot(link, description, suspended=suspended)
             try:
                 yield plant
             except PlantError as reason:  # such as a motor that does not switch on while others are on already
@@ -200,3 +165,5 @@ def robot_session(
                 raise PlantError(f"{reason}; {plant.ending}") from reason
             finally:
                 plant.close()
+        finally:
+            link.close()

@@ -18,10 +18,11 @@ from mimic.records.base import (
     array,
 )
 from mimic.records.motion import Command, CommandTrack, LiveCommands, LiveTrack, PoseTrack, TargetTrack, WristTrack
-from mimic.records.run import PHASES, Health, HealthLog, JointCommand, JointSamples, RobotState, RunLog, Tick
+from mimic.records.run import DOUBLED, PHASES, Health, HealthLog, JointCommand, JointSamples, RobotState, RunLog, Tick
 
 __all__ = [
     "AXES",
+    "DOUBLED",
     "JOINTS",
     "LANDMARKS",
     "LEGS",

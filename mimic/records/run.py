@@ -67,6 +67,10 @@ class JointSamples(Record):
     """Desired positions as they were sent [rad]."""
 
 
+DOUBLED = 128
+"""Fault bit that stands for two motors that answer as one."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Health:
     """How far the readings of one control step can be trusted, and what a robot says about itself."""
@@ -95,8 +99,8 @@ class Health:
     """How much later than planned the step ended [s]."""
     bus_errors: int
     """Error frames and frames that made no sense since the start."""
-    guarded: bool = True
-    """Whether the watchdog process that should watch is still there; True where none was wanted."""
+    sender_age: float = 0.0
+    """Age of the newest report of the process that sends [s]; 0 where there is none."""
     err_flag: int = 0
     """Error bits of a motion board during the step; 0 where all is well or there is no board."""
     command_gap: float = 0.0

@@ -39,7 +39,7 @@ def test_the_boxing_clip_on_can_by_socketcand(shell):
 
 
 def test_the_boxing_clip_on_can_by_a_serial_adapter(shell, boxing_targets):
-    box_on_can(shell, "slcan", boxing_targets, ("--slcan",), "--no-watchdog")
+    box_on_can(shell, "slcan", boxing_targets, ("--slcan",))
 
 
 def test_the_boxing_clip_on_a_stock_robot(shell, boxing_targets):

@@ -230,7 +230,6 @@ BAD = [
     ("--camera 0 --text wave --sim", nothing, "are different inputs; give one of them"),
     ("--text wave --sim --hold 0.5", nothing, "--hold: for a real robot only"),
     ("--text wave --sim --tether --dry-run", nothing, "--dry-run and --tether: for a real robot only"),
-    ("--text wave --sim --no-watchdog", nothing, "--no-watchdog: for a real robot only"),
     ("--text wave --robot can0 --effects e.toml", nothing, "--effects: for the simulated robot only"),
     ("--camera nowhere.mp4 --sim", nothing, "there is no camera and no file 'nowhere.mp4'"),
     ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),

@@ -69,7 +69,7 @@ def test_a_command_has_few_options_besides_help(command, most, capsys):
         ("wire", {"wiring", "out"}),
         ("damp", {"wiring"}),
         ("zero", {"wiring", "again", "yes"}),
-        ("check", {"wiring", "interface", "zeroed", "watchdog", "suspended"}),
+        ("check", {"wiring", "interface", "zeroed", "suspended"}),
         ("watch", {"wiring", "interface", "zeroed", "seconds", "every", "view", "scene"}),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mimic.cli import main
-from mimic.hardware.preflight import Check
+from mimic.hardware.robot.checks import Check
 
 
 def last_line(capsys) -> str:

@@ -184,7 +184,7 @@ def test_a_robot_that_tips_over_is_damped_until_it_rests(play, memory_plant, fix
     result = play(plant, fixed_policy(), track(), SHORT)
     assert result.fell_at == pytest.approx(65 * 0.02)
     assert result.log.metadata["fell_at"] == result.fell_at
-    assert [event.rule for event in result.events] == ["tipping", "at_rest"]
+    assert [event.rule for event in result.events] == ["falling", "at_rest"]
     damped = result.log.phase[65:]
     assert len(damped)
     assert set(damped) == {PHASES.index("damp")}

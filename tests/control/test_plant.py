@@ -9,8 +9,8 @@ from mimic.config.emulator import EmulateSettings
 from mimic.control.plant import Plant
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_can
 from mimic.geometry import up_cosine
-from mimic.hardware.plant import CanRobot
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JointCommand
 from mimic.simulation.plant import SimulatedPlant
@@ -36,7 +36,7 @@ def plant(kind, request, description) -> Plant:
             robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True, placement=0.02))
             link = EmulatedLink(robot)
             link.sleep(0.1)  # motors announce themselves at power-up
-            return CanRobot(link, wiring, description)
+            return robot_on_can(link, wiring, description)
 
 
 def hold(description, q: np.ndarray) -> JointCommand:

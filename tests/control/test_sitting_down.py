@@ -118,7 +118,7 @@ def test_without_supervision_of_its_own_a_run_counts_ctrl_c(memory_plant, fixed_
     before = signal.getsignal(signal.SIGINT)
     result = run_policy(memory_plant(fail=ctrl_c(0)), fixed_policy(), track(20), SHORT, sit_down=sitter)
     assert result.interrupted
-    assert result.events[0].rule == "interrupt"
+    assert result.events[0].rule == "asked_to_end"
     assert signal.getsignal(signal.SIGINT) is before
 
 

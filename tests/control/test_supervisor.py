@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimic.control.safety_limits import limits_for
-from mimic.control.safety_rules import LOOP_RULES, RULES
+from mimic.control.safety_rules import FAILURE, RULES
 from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.records import JOINTS, PHASES, Health, RobotState
@@ -106,7 +106,7 @@ def test_a_healthy_robot_runs_on_in_every_phase(phase, drive):
 @pytest.mark.parametrize("phase", ["stand_up", "blend", "track", "hold", "sit_down"])
 def test_ctrl_c_sits_down_within_a_tick_and_another_one_damps(phase, drive):
     supervisor = drive([{}, {"interrupts": 1}], phase=phase)
-    assert outcome(supervisor) == ("interrupt", SafetyMode.SIT_DOWN)
+    assert outcome(supervisor) == ("asked_to_end", SafetyMode.SIT_DOWN)
     drive([{"interrupts": 1}] * 3, phase="sit_down", supervisor=supervisor, first=2)
     assert supervisor.mode == SafetyMode.SIT_DOWN
     drive([{"interrupts": 2}], phase="sit_down", supervisor=supervisor, first=5)
@@ -114,15 +114,15 @@ def test_ctrl_c_sits_down_within_a_tick_and_another_one_damps(phase, drive):
 
 
 def test_ctrl_c_while_it_still_lies_damps(drive):
-    assert outcome(drive([{"interrupts": 1}], phase="lie")) == ("interrupt", SafetyMode.DAMP)
+    assert outcome(drive([{"interrupts": 1}], phase="lie")) == ("asked_to_end", SafetyMode.DAMP)
 
 
 def test_sigterm_damps_within_a_tick(drive):
-    assert outcome(drive([{}, {"terminated": True}])) == ("terminated", SafetyMode.DAMP)
+    assert outcome(drive([{}, {"terminated": True}])) == ("asked_to_end", SafetyMode.DAMP)
 
 
 def test_what_must_be_held_and_is_let_go_makes_it_sit_down(drive):
-    assert outcome(drive([{}, {"released": True}])) == ("released", SafetyMode.SIT_DOWN)
+    assert outcome(drive([{}, {"released": True}])) == ("asked_to_end", SafetyMode.SIT_DOWN)
 
 
 @pytest.mark.parametrize("given", [{"late": 0.011}, {"bus_errors": 1}, {"temperature": np.full(12, 66.0)}])
@@ -173,28 +173,28 @@ def test_a_motor_lost_before_it_is_upright_damps(phase, drive):
 @pytest.mark.parametrize("bit", [1, 2, 4, 8, 16, 32, 64])
 def test_a_fault_bit_makes_it_sit_down_within_a_tick(bit, drive):
     supervisor = drive([{}, {"faults": at("RR_knee", bit)}])
-    assert outcome(supervisor) == ("motor_fault", SafetyMode.SIT_DOWN)
+    assert outcome(supervisor) == ("motor_failed", SafetyMode.SIT_DOWN)
     assert "RR_knee" in supervisor.decisive.text
 
 
 def test_a_motor_that_switched_itself_off_makes_it_sit_down(drive):
     running = at("FL_hip", 0, 1).astype(bool)
-    assert outcome(drive([{}, {"running": running}])) == ("motor_off", SafetyMode.SIT_DOWN)
+    assert outcome(drive([{}, {"running": running}])) == ("motor_failed", SafetyMode.SIT_DOWN)
 
 
 def test_a_warm_motor_is_logged_once_and_a_hot_one_makes_it_sit_down(drive):
     warm = {"temperature": at("RL_knee", 68.0, 40.0)}
     supervisor = drive([warm] * 5)
     assert supervisor.mode == SafetyMode.RUN
-    assert [e.rule for e in supervisor.events] == ["motor_hot"]
+    assert [e.rule for e in supervisor.events] == ["too_hot"]
     drive([{"temperature": at("RL_knee", 72.0, 40.0)}], supervisor=supervisor, first=5)
-    assert outcome(supervisor) == ("motor_hot", SafetyMode.SIT_DOWN)
+    assert outcome(supervisor) == ("too_hot", SafetyMode.SIT_DOWN)
 
 
 def test_the_thermal_model_logs_a_hot_winding_and_then_makes_it_sit_down(drive):
     loaded = {"tau": at("RL_knee", 12.0, 0.0)}  # the overload table allows 28 s of it
     supervisor = drive([loaded] * 1500)
-    assert outcome(supervisor) == ("winding_hot", SafetyMode.SIT_DOWN)
+    assert outcome(supervisor) == ("too_hot", SafetyMode.SIT_DOWN)
     announced, decided = supervisor.events
     assert announced.mode == SafetyMode.RUN
     assert announced.t < decided.t < 28.0
@@ -238,7 +238,7 @@ def test_missing_readings_are_not_frozen_ones(drive, description):
 def test_a_joint_that_turns_faster_than_its_motor_can_makes_it_sit_down(drive):
     fast = {"dq": at("FL_knee", -27.0, 0.0)}
     assert drive([{}, fast, {}, fast]).mode == SafetyMode.RUN
-    assert outcome(drive([{}, fast, fast])) == ("overspeed", SafetyMode.SIT_DOWN)
+    assert outcome(drive([{}, fast, fast])) == ("joint_impossible", SafetyMode.SIT_DOWN)
 
 
 @pytest.mark.parametrize(("away", "mode"), [(0.7, SafetyMode.RUN), (0.9, SafetyMode.SIT_DOWN)])
@@ -286,7 +286,7 @@ def test_a_silent_imu_damps(age, drive):
 def test_an_imu_that_repeats_itself_damps_within_four_readings(drive):
     same = {"quat_WB": UPRIGHT.as_quat(scalar_first=True), "omega_B": np.zeros(3)}
     assert drive([same] * 3).mode == SafetyMode.RUN
-    assert outcome(drive([same] * 4)) == ("imu_frozen", SafetyMode.DAMP)
+    assert outcome(drive([same] * 4)) == ("imu_silent", SafetyMode.DAMP)
 
 
 def test_a_robot_that_lies_still_may_repeat_itself(drive):
@@ -300,12 +300,12 @@ def test_one_reading_seen_twice_is_not_frozen(drive):
 
 
 def test_an_imu_of_which_nothing_is_new_damps(drive):
-    assert outcome(drive([{}, {"imu_unchanged": 0.13}])) == ("imu_frozen", SafetyMode.DAMP)
+    assert outcome(drive([{}, {"imu_unchanged": 0.13}])) == ("imu_silent", SafetyMode.DAMP)
 
 
 def test_an_imu_that_calls_itself_invalid_damps_and_one_that_says_nothing_does_not(drive):
     assert drive([{"imu_valid": None}] * 3).mode == SafetyMode.RUN
-    assert outcome(drive([{}, {"imu_valid": False}])) == ("imu_invalid", SafetyMode.DAMP)
+    assert outcome(drive([{}, {"imu_valid": False}])) == ("imu_silent", SafetyMode.DAMP)
 
 
 @pytest.mark.parametrize("axis", ["Y", "Z"])
@@ -315,7 +315,7 @@ def test_an_orientation_that_tilted_without_a_rate_of_turn_damps_in_three_ticks(
         return UPRIGHT * Rotation.from_euler("Y", 0.001 * tick) * Rotation.from_euler(axis, angle if tick >= 2 else 0.0)
 
     assert drive([{}] * 4, turn=turn).mode == SafetyMode.RUN
-    assert outcome(drive([{}] * 5, turn=turn)) == ("imu_contradicts_itself", SafetyMode.DAMP)
+    assert outcome(drive([{}] * 5, turn=turn)) == ("imu_contradiction", SafetyMode.DAMP)
 
 
 @pytest.mark.parametrize("wrong", [{3}, {3, 4}, {3, 6, 7, 10}])
@@ -326,7 +326,7 @@ def test_a_forged_orientation_or_two_are_left_out(wrong, angle, drive):
 
     supervisor = drive([{}] * 12, turn=turn)
     assert supervisor.mode == SafetyMode.RUN
-    assert [event.rule for event in supervisor.events] == ["imu_contradicts_itself"]
+    assert [event.rule for event in supervisor.events] == ["imu_contradiction"]
     assert not supervisor.doubts_orientation
 
 
@@ -340,7 +340,7 @@ def test_an_orientation_that_is_left_out_is_marked(drive):
 def test_a_heading_that_the_imu_sets_anew_is_said_and_counted(angle, drive):
     supervisor = drive([{}] * 9, turn=lambda tick: Rotation.from_euler("z", angle * (tick >= 4)) * UPRIGHT)
     assert supervisor.mode == SafetyMode.RUN
-    assert [event.rule for event in supervisor.events] == ["heading_reset"]
+    assert [event.rule for event in supervisor.events] == ["imu_contradiction"]
     assert f"jumped by {np.rad2deg(angle):.0f} deg" in supervisor.events[0].text
     assert supervisor.heading_jumps == pytest.approx(angle, abs=1e-6)
 
@@ -364,14 +364,14 @@ def test_an_orientation_that_turns_as_the_rate_says_is_believed(axis, drive):
     supervisor = drive(
         [{"omega_B": omega}] * 5, phase="stand_up", turn=lambda tick: Rotation.from_euler(axis, rate * DT * tick)
     )
-    assert not [e for e in supervisor.events if e.rule == "imu_contradicts_itself"]
+    assert not [e for e in supervisor.events if e.rule == "imu_contradiction"]
 
 
 def test_an_imu_by_which_one_foot_is_in_the_ground_damps_in_three_ticks(drive):
     tilted = Rotation.from_euler("X", 0.4)  # a roll of the upright robot about the way it faces
     turn = lambda tick: tilted * UPRIGHT * Rotation.from_euler("Y", 0.001 * tick)  # noqa: E731
     assert drive([{}] * 2, turn=turn).mode == SafetyMode.RUN
-    assert outcome(drive([{}] * 3, turn=turn)) == ("imu_contradicts_legs", SafetyMode.DAMP)
+    assert outcome(drive([{}] * 3, turn=turn)) == ("imu_contradiction", SafetyMode.DAMP)
 
 
 def test_a_foot_lifted_for_two_ticks_is_no_contradiction(drive, description):
@@ -393,7 +393,7 @@ def test_a_robot_that_tips_over_while_it_should_stand_is_damped_within_a_tick(ax
 
     omega = np.array([0.0, -4.0, 0.0])
     supervisor = drive([{"omega_B": omega}] * len(falls), turn=turn)
-    assert outcome(supervisor) == ("tipping", SafetyMode.DAMP)
+    assert outcome(supervisor) == ("falling", SafetyMode.DAMP)
     leaned = UPRIGHT.inv() * turn(round(supervisor.decisive.t / DT))
     assert np.arccos(LIMITS.upright) <= leaned.magnitude() <= np.arccos(LIMITS.upright) + 0.09
 
@@ -403,13 +403,13 @@ def test_a_robot_that_tips_over_while_it_should_stand_is_damped_within_a_tick(ax
 def test_a_robot_that_rolls_over_while_it_gets_up_or_down_is_damped(phase, side, drive):
     omega = np.array([side * 4.0, 0.0, 0.0])
     supervisor = drive([{"omega_B": omega}] * 14, phase=phase, turn=lambda n: Rotation.from_euler("X", side * 0.08 * n))
-    assert outcome(supervisor) == ("rolling_over", SafetyMode.DAMP)
+    assert outcome(supervisor) == ("falling", SafetyMode.DAMP)
 
 
 def test_a_robot_that_falls_onto_its_back_while_it_gets_up_is_damped(drive):
     omega = np.array([0.0, -4.0, 0.0])
     supervisor = drive([{"omega_B": omega}] * 40, phase="stand_up", turn=lambda n: Rotation.from_euler("Y", -0.08 * n))
-    assert outcome(supervisor) == ("rolling_over", SafetyMode.DAMP)
+    assert outcome(supervisor) == ("falling", SafetyMode.DAMP)
     assert "back" in supervisor.decisive.text
 
 
@@ -419,20 +419,20 @@ def test_a_robot_that_falls_onto_its_back_while_it_gets_up_is_damped(drive):
 def test_one_overrun_is_logged_and_three_in_a_row_damp(drive):
     supervisor = drive([{}, {"late": 0.012}, {}, {"late": 0.012}, {"late": 0.012}, {}])
     assert supervisor.mode == SafetyMode.RUN
-    assert [e.rule for e in supervisor.events] == ["tick_overrun"]
-    assert outcome(drive([{"late": 0.011}] * 3)) == ("tick_overrun", SafetyMode.DAMP)
+    assert [e.rule for e in supervisor.events] == ["step_late"]
+    assert outcome(drive([{"late": 0.011}] * 3)) == ("step_late", SafetyMode.DAMP)
 
 
 def test_three_small_overruns_are_logged_and_half_a_second_of_them_damps(drive):
     assert not drive([{"late": 0.003}] * 2).events
     logged = drive([{"late": 0.003}] * 24)
     assert logged.mode == SafetyMode.RUN
-    assert [e.rule for e in logged.events] == ["tick_overrun"]
-    assert outcome(drive([{"late": 0.003}] * 25)) == ("tick_overrun", SafetyMode.DAMP)
+    assert [e.rule for e in logged.events] == ["step_late"]
+    assert outcome(drive([{"late": 0.003}] * 25)) == ("step_late", SafetyMode.DAMP)
 
 
 def test_a_tenth_of_a_second_without_a_command_damps(drive):
-    assert outcome(drive([{}, {"late": 0.11}])) == ("tick_overrun", SafetyMode.DAMP)
+    assert outcome(drive([{}, {"late": 0.11}])) == ("step_late", SafetyMode.DAMP)
 
 
 def test_some_bus_errors_are_logged_and_a_burst_damps(drive):
@@ -442,8 +442,9 @@ def test_some_bus_errors_are_logged_and_a_burst_damps(drive):
     assert outcome(drive([{"bus_errors": 4 * n} for n in range(5)])) == ("bus_errors", SafetyMode.DAMP)
 
 
-def test_without_its_watchdog_it_sits_down(drive):
-    assert outcome(drive([{}, {"guarded": False}])) == ("watchdog_ended", SafetyMode.SIT_DOWN)
+def test_after_a_pause_of_the_process_that_sends_it_sits_down(drive):
+    assert drive([{}, {"sender_age": 0.05}]).mode == SafetyMode.RUN
+    assert outcome(drive([{}, {"sender_age": 0.08}])) == ("sender", SafetyMode.SIT_DOWN)
 
 
 # ---------------------------------------------------------------------- what holds for all of them
@@ -480,7 +481,8 @@ def test_a_damped_robot_that_never_rests_or_is_never_heard_is_stopped_in_time(dq
 def test_every_decision_is_a_sentence_and_every_rule_has_a_row():
     names = [rule.name for rule in RULES]
     assert len(set(names)) == len(names)
-    assert not set(names) & set(LOOP_RULES)
+    assert FAILURE not in names
+    assert len(names) <= 15
     for rule in RULES:
         assert rule.limit(LIMITS)
         assert rule.within

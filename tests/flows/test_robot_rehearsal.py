@@ -150,9 +150,7 @@ def test_ctrl_c_sits_down_and_leaves_a_whole_log(moving_robot):
     assert PHASES[log.phase[-1]] == "damp"
 
 
-def test_a_process_that_is_killed_leaves_a_robot_that_its_watchdog_damps_and_a_log_that_can_be_salvaged(
-    moving_robot, tmp_path
-):
+def test_a_process_that_is_killed_leaves_a_robot_that_is_damped_and_a_log_that_can_be_salvaged(moving_robot, tmp_path):
     run, listener, folder = moving_robot()
     run.kill()
     run.communicate(timeout=PATIENCE)

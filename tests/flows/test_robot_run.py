@@ -14,17 +14,19 @@ from mimic.config.hardware import BusSettings
 from mimic.config.play import RunSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.flows import robot as flow
 from mimic.flows.operator import Operator
 from mimic.flows.reporter import SilentReporter
 from mimic.hardware import session
+from mimic.hardware.can import driver
 from mimic.hardware.wiring import load_wiring
 from mimic.io import store
 from mimic.policy.runtime import load_policy
 from mimic.records import TargetTrack
 from mimic.robot.description import load_description
 
-BUS = BusSettings(zeroed=True, yes=True, watchdog=False, ramp=0.5)
+BUS = BusSettings(zeroed=True, yes=True, ramp=0.5)
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 
@@ -39,7 +41,11 @@ def targets(monkeypatch, tmp_path):
         link.sleep(0.3)
         return link
 
-    monkeypatch.setattr(session, "open_buses", opened)
+    def process(settings, description, *, keep=()):
+        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+
+    monkeypatch.setattr(driver, "open_buses", opened)
+    monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     contract = load_policy(None, load_description()).contract
     toes = np.tile(np.array(contract.neutral_toes).reshape(1, 2, 3), (20, 1, 1))

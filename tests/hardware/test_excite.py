@@ -12,16 +12,20 @@ from mimic.control.safety_limits import limits_for
 from mimic.control.signals import Signals
 from mimic.dynamics.excitation import hung_ranges
 from mimic.dynamics.machine import hung_robot, with_gains
+from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_board, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.cybergear.messages import Mode
 from mimic.hardware.excite import probe
 from mimic.hardware.excite_motion import GROUPS, asked_rates, probe_motion, recorded_motion, turns
-from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import preflight
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.stock.wiring import load_board
 from mimic.hardware.wiring import load_wiring
 from mimic.io.joint_log import read_log, write_log
 from mimic.records import JOINTS
@@ -37,12 +41,12 @@ LESS = 200
 """Rows that are enough where calibration does not look."""
 
 
-def made(description, *faults: str) -> tuple[EmulatedRobot, CanRobot]:
+def made(description, *faults: str) -> tuple[EmulatedRobot, Robot]:
     options = EmulateSettings(zeroed=True, suspended=True)
     robot = EmulatedRobot(description, load_wiring(), options, faults=[parse_fault(f) for f in faults])
     link = EmulatedLink(robot)
     link.sleep(0.1)
-    return robot, CanRobot(link, load_wiring(), description)
+    return robot, robot_on_can(link, load_wiring(), description)
 
 
 @pytest.mark.parametrize("joints", list(GROUPS))
@@ -125,7 +129,7 @@ def test_a_recorded_run_is_played_inside_the_ranges_and_begins_anew(description)
 @pytest.mark.slow
 def test_the_log_is_one_that_calibration_takes(description, tmp_path):
     robot, plant = made(description)
-    result = probe(plant, probe_motion(description, SHORT), SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT), SHORT, Signals(), wiring=WIRING)
     assert result.ended is None
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
     log = read_log(write_log(result.log, tmp_path / "probe.parquet"))
@@ -154,7 +158,12 @@ def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, r
     motion = probe_motion(description, settings).begin(2 * LESS)
     seen: list[tuple[float, int]] = []
     result = probe(
-        plant, motion, settings, Signals(), progress=lambda *_: seen.append((robot.now, robot.buses[0].bits))
+        plant,
+        motion,
+        settings,
+        Signals(),
+        wiring=WIRING,
+        progress=lambda *_: seen.append((robot.now, robot.buses[0].bits)),
     )
     (begin, before), (end, after) = seen[0], seen[-1]
     assert (after - before) / WIRING.bitrate / (end - begin) == pytest.approx(result.expected[0], rel=0.05)
@@ -163,7 +172,7 @@ def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, r
     assert result.expected == pytest.approx(told, rel=0.02)
     assert result.load[0] < most
     look = preflight(
-        plant.motor_bus,
+        plant.link.driver.motor_bus,
         description,
         rate_hz=asked_rates(motion, settings, description),
         trust_zeros=True,
@@ -178,7 +187,7 @@ def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_
     _, plant = made(description)
     settings = ProbeSettings(seconds=20.0, rate_hz=100.0, joints="sides", approach=1.0)
     motion = probe_motion(description, settings).begin(1150)
-    result = probe(plant, motion, settings, Signals())
+    result = probe(plant, motion, settings, Signals(), wiring=WIRING)
     assert result.missing == 0.0
     asked = np.isfinite(result.log.q)
     assert np.all(asked[motion.watched])
@@ -201,7 +210,7 @@ def test_a_joint_that_is_only_held_is_supervised_as_quickly(fault, description):
     robot, plant = made(description, fault)
     settings = ProbeSettings(seconds=20.0, rate_hz=200.0, joints="sides", approach=0.3)
     motion, seen = probe_motion(description, settings).begin(400), []
-    result = probe(plant, motion, settings, Signals(), progress=lambda *_: seen.append(robot.now))
+    result = probe(plant, motion, settings, Signals(), progress=lambda *_: seen.append(robot.now), wiring=WIRING)
     assert result.ended is not None
     assert fault.split(":")[1][:6] in result.ended.text
     noticed = seen[0] + (len(result.log.t) - 1) / settings.rate_hz - robot.events[-1][0]
@@ -212,7 +221,7 @@ def test_a_joint_that_is_only_held_is_supervised_as_quickly(fault, description):
 @pytest.mark.slow
 def test_readings_that_did_not_come_are_missing_and_not_repeated(description):
     _, plant = made(description, "frames_lost=0.05@1.4")
-    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING)
     assert 0.0 < result.missing < 0.2
     assert np.isnan(result.log.q).mean() == pytest.approx(result.missing)
     assert np.isnan(result.log.extra["t_receive.FL_hip"]).any()
@@ -225,9 +234,9 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
     def press(done: int, total: int) -> None:
         signals.interrupts = 1 if done >= 100 else 0
 
-    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, signals, progress=press)
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, signals, wiring=WIRING, progress=press)
     assert result.ended is not None
-    assert result.ended.rule == "interrupt"
+    assert result.ended.rule == "asked_to_end"
     assert 100 <= len(result.log.t) <= 103
     assert {motor.mode for motor in robot.motors} == {Mode.RESET}
 
@@ -242,7 +251,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
 )
 def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
     robot, plant = made(description, fault)
-    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING)
     assert result.ended is not None
     assert fault.split(":")[1][:6] in result.ended.text
     assert 10 < len(result.log.t) < LESS
@@ -253,22 +262,57 @@ def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
 @pytest.mark.slow
 def test_a_bus_that_fails_keeps_what_was_measured(description):
     _, plant = made(description, "unplugged@1.4-3")
-    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
+    result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING)
     assert result.ended is not None
-    assert result.ended.rule == "exception"
+    assert result.ended.rule == "motor_silent"
     assert len(result.log.t) > 10
 
 
 def test_what_ends_before_anything_was_measured_is_an_error(description):
     _, plant = made(description, "motor_dead:FL_knee@0.3")
     with pytest.raises(PlantError, match="nothing was measured"):
-        probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals())
+        probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING)
+
+
+BOARD = ProbeSettings(seconds=12.0, rate_hz=100.0, approach=0.3)
+
+
+def on_board(description, *faults: str, suspended: bool = True) -> tuple[EmulatedBoard, Robot]:
+    board = EmulatedBoard(
+        description, load_board(), EmulateSettings(suspended=suspended), faults=[parse_fault(f) for f in faults]
+    )
+    bus = EmulatedBoardBus(board)
+    bus.listen(0.5)
+    return board, robot_on_board(bus, load_board(), description, suspended=suspended)
+
+
+def test_on_a_motion_board_every_row_has_every_joint(description):
+    board, plant = on_board(description)
+    result = probe(plant, probe_motion(description, BOARD).begin(LESS), BOARD, Signals(), wiring=None)
+    log = result.log
+    assert (result.ended, result.missing, len(log.t), len(result.load)) == (None, 0.0, LESS, 0)
+    np.testing.assert_allclose(np.diff(log.t), 0.01, atol=1e-6)
+    delay = log.extra["t_receive.FL_hip"] - log.t
+    assert 0.0 < np.nanmin(delay) <= np.nanmax(delay) <= 0.0101
+    assert np.sqrt(np.mean((log.q - log.q_des) ** 2)) < 0.15
+    assert not board.applied.kp.any()
+    assert plant.ending.startswith("the robot was damped")
+
+
+@pytest.mark.slow
+def test_on_a_motion_board_a_motor_error_ends_it_damped_and_keeps_the_log(description):
+    board, plant = on_board(description, "motor_fault:FR_hip=8@+4.5")
+    result = probe(plant, probe_motion(description, BOARD).begin(LESS), BOARD, Signals(), wiring=None)
+    assert result.ended is not None
+    assert "FR_hip" in result.ended.text
+    assert 10 < len(result.log.t) < LESS
+    assert not board.applied.kp.any()
 
 
 @pytest.mark.slow
 def test_a_quiet_imu_does_not_matter_to_a_robot_that_hangs(description):
     _, plant = made(description, "imu_silent@1.4")
-    assert probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals()).ended is None
+    assert probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING).ended is None
 
 
 @pytest.mark.slow
@@ -276,7 +320,7 @@ def test_calibration_of_a_probed_robot_that_lacks_nothing_names_nothing(descript
     """The emulated motors act at any time within a step, tell rounded words, and answer late now and then."""
     _, robot = made(description, "frames_late=0.004@+5-5.1")
     settings = ProbeSettings(seconds=14.0, rate_hz=100.0, approach=0.3)
-    probed = probe(robot, probe_motion(description, settings), settings, Signals())
+    probed = probe(robot, probe_motion(description, settings), settings, Signals(), wiring=WIRING)
     machine = with_gains(hung_robot(description), probed.log.metadata)
     facts = check_log(probed.log, np.stack([machine.low, machine.high], -1))
     tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"), timestep=0.005)

@@ -11,18 +11,18 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import TETHER_RAMP, TETHER_TORQUE, BusSettings
 from mimic.config.play import RunSettings
 from mimic.control.loop import run_policy
-from mimic.control.safety_rules import DRY_RULES
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.control.tick import Safety
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.policy import command_script
 from mimic.hardware import session
+from mimic.hardware.can import driver
 from mimic.hardware.cybergear.messages import LIMIT_TORQUE, Mode
-from mimic.hardware.dry_run import DryRobot
-from mimic.hardware.plant import idle_command
+from mimic.hardware.robot.plant import idle_command
 from mimic.hardware.wiring import load_wiring
 from mimic.policy.runtime import load_policy
 
@@ -33,7 +33,12 @@ SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
-    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: EmulatedLink(robot))
+    monkeypatch.setattr(driver, "open_buses", lambda bus_url, wiring, **quick: EmulatedLink(robot))
+
+    def process(settings, description, *, keep=()):
+        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+
+    monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     robot.advance(0.2)
     return robot
@@ -45,7 +50,7 @@ def ready(description, settings: BusSettings):
 
 
 def rehearse(plant, description):
-    safety = Safety(supervisor=Supervisor(description, rules=DRY_RULES), ramp=0.4)
+    safety = Safety(supervisor=Supervisor(description, moves=False), ramp=0.4)
     track = command_script(description, 0.3, np.random.default_rng(0))
     sitter = load_policy(None, description, task="sit_down")
     return run_policy(plant, load_policy(None, description), track, SHORT, sit_down=sitter, safety=safety)
@@ -53,9 +58,8 @@ def rehearse(plant, description):
 
 def test_a_dry_run_goes_through_every_phase_and_switches_no_motor_on(robot, description):
     modes, parameters = set(), [dict(motor.values) for motor in robot.motors]
-    settings = BusSettings(zeroed=True, yes=True, watchdog=False, dry_run=True)
+    settings = BusSettings(zeroed=True, yes=True, dry_run=True)
     with ready(description, settings) as plant:
-        assert isinstance(plant, DryRobot)
         step = plant.step
         plant.step = lambda command: (modes.update(motor.mode for motor in robot.motors), step(command))[1]
         result = rehearse(plant, description)
@@ -72,7 +76,7 @@ def test_a_dry_run_goes_through_every_phase_and_switches_no_motor_on(robot, desc
 
 @pytest.mark.parametrize(("fault", "rule"), [("motor_mute:FL_hip", "motor_silent"), ("imu_silent", "imu_silent")])
 def test_a_dry_run_finds_what_is_broken(fault, rule, robot, description):
-    settings = BusSettings(zeroed=True, yes=True, watchdog=False, dry_run=True)
+    settings = BusSettings(zeroed=True, yes=True, dry_run=True)
     with ready(description, settings) as plant:
         robot.inject(parse_fault(f"{fault}@{robot.now + 0.6}"))
         result = rehearse(plant, description)
@@ -81,7 +85,7 @@ def test_a_dry_run_finds_what_is_broken(fault, rule, robot, description):
 
 
 def test_a_dry_run_refuses_a_command_that_is_no_number(robot, description):
-    plant = DryRobot(EmulatedLink(robot), load_wiring(), description)
+    plant = robot_on_can(EmulatedLink(robot), load_wiring(), description, dry_run=True)
     plant.start()
     with pytest.raises(PlantError, match="not finite"):
         plant.step(replace(idle_command(description.poses["lie"]), tau_ff=np.full(12, np.nan)))
@@ -98,7 +102,7 @@ def test_a_stock_robot_has_no_dry_run(description):
 
 @pytest.mark.parametrize(("asked", "torque"), [(None, TETHER_TORQUE), (5.0, 5.0)])
 def test_on_a_rope_the_motors_have_less_torque(asked, torque, robot, description):
-    settings = BusSettings(zeroed=True, yes=True, watchdog=False, tether=True, torque_limit=asked)
+    settings = BusSettings(zeroed=True, yes=True, tether=True, torque_limit=asked)
     with ready(description, settings) as plant:
         plant.start()
         assert {motor.values[LIMIT_TORQUE] for motor in robot.motors} == {torque}

@@ -15,7 +15,8 @@ from mimic.errors import AssetError, PlantError
 from mimic.hardware.cybergear.messages import LIMIT_SPD
 from mimic.hardware.homing import check_lying, home, read_homing, uneven, with_homing, zero_problems
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.preflight import at_rest, refuse
+from mimic.hardware.preflight import at_rest
+from mimic.hardware.robot.checks import refuse
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS
 

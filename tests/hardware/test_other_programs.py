@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,23 +17,34 @@ from mimic.control.step_history import StepReport
 from mimic.control.supervisor import SafetyMode, Supervisor
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError
 from mimic.flows import commissioning
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
+from mimic.hardware.can import driver
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
 from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, GetDeviceId, Mode, Operation, ReadParameter, SetZero, Stop
+from mimic.hardware.cybergear.messages import (
+    Enable,
+    Feedback,
+    GetDeviceId,
+    Mode,
+    Operation,
+    ReadParameter,
+    SetZero,
+    Stop,
+)
 from mimic.hardware.listening import look_first
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import preflight
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.wiring import load_wiring
-from mimic.records import PHASES, JointCommand
+from mimic.records import DOUBLED, PHASES, JointCommand
 
 CODEC = Codec()
-BUSES = BusSettings(zeroed=True, yes=True, watchdog=False)
+BUSES = BusSettings(zeroed=True, yes=True)
 
 
 @pytest.fixture(autouse=True)
@@ -57,8 +69,8 @@ def hold(description) -> JointCommand:
     return JointCommand(q_des=q, dq_des=zeros, kp=np.full(12, 30.0), kd=np.full(12, 3.0), tau_ff=zeros)
 
 
-def driven(robot, description, steps: int = 5) -> CanRobot:
-    plant = CanRobot(EmulatedLink(robot), load_wiring(), description)
+def driven(robot, description, steps: int = 5) -> Robot:
+    plant = robot_on_can(EmulatedLink(robot), load_wiring(), description)
     plant.start()
     for _ in range(steps):
         plant.step(hold(description))
@@ -82,7 +94,7 @@ def sent_by_hosts(robot: EmulatedRobot) -> list[CanFrame]:
 class Beside:
     """A link whose waiting lets another program drive the robot too, once in each control step."""
 
-    def __init__(self, robot: EmulatedRobot, plant: CanRobot, description) -> None:
+    def __init__(self, robot: EmulatedRobot, plant: Robot, description) -> None:
         self._link, self._robot, self._plant, self._command = EmulatedLink(robot), robot, plant, hold(description)
 
     def receive(self, timeout: float):
@@ -137,7 +149,8 @@ def test_damping_switches_off_what_a_program_left_on(reached, description):
 @pytest.mark.parametrize("call", [commissioning.scan_robot, commissioning.zero_robot, commissioning.check_robot])
 def test_no_command_speaks_beside_a_program_that_drives(call, robot, description, monkeypatch):
     plant = driven(robot, description)
-    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: Beside(robot, plant, description))
+    for module in (session, driver):
+        monkeypatch.setattr(module, "open_buses", lambda *_, **__: Beside(robot, plant, description))
     frames = sent_by_hosts(robot)
     try:
         found = [check.text for check in call("can0", BUSES) if check.verdict == "stop"]
@@ -202,7 +215,7 @@ def test_the_lock_is_let_go_when_opening_fails(monkeypatch):
 def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, ticks: int = 12) -> Supervisor:
     """Hold a lying robot while another host sends frames in every so many ticks, and return the supervisor."""
     plant, other = driven(robot, description), EmulatedLink(robot)
-    supervisor = Supervisor(description, rules=[rule for rule in RULES if rule.name == "foreign_commands"])
+    supervisor = Supervisor(description, rules=[rule for rule in RULES if rule.name == "other_program"])
     for tick in range(ticks):
         if tick >= 2 and (tick - 2) % every == 0:
             for frame in frames:
@@ -227,7 +240,7 @@ def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, tick
 def test_a_command_of_another_program_makes_the_robot_sit_down(message, robot, description):
     supervisor = play(robot, description, [CODEC.encode(message)])
     assert supervisor.decisive is not None
-    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("foreign_commands", SafetyMode.SIT_DOWN)
+    assert (supervisor.decisive.rule, supervisor.decisive.mode) == ("other_program", SafetyMode.SIT_DOWN)
 
 
 def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):
@@ -315,10 +328,40 @@ def test_an_adapter_that_echoes_is_no_other_program(robot, description):
     found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
     assert found["other programs"].verdict == "note"
     assert "the adapter echoes" in found["other programs"].text
-    plant = CanRobot(link, load_wiring(), description)
+    plant = robot_on_can(link, load_wiring(), description)
     plant.start()
     for _ in range(5):
         tick = plant.step(hold(description))
     assert tick.health.foreign == 0
     assert tick.health.missed.max() == 0
-    assert plant.motor_bus.echoes >= 5 * 12
+    assert plant.link.driver.motor_bus.echoes >= 5 * 12
+
+
+class DoublingLink(EmulatedLink):
+    """A bus on which a second motor answers as the one with id 2, 0.4 rad away."""
+
+    def __init__(self, robot: EmulatedRobot) -> None:
+        super().__init__(robot)
+        self._second: list[Received] = []
+
+    def receive(self, timeout: float) -> Received | None:
+        if self._second:
+            return self._second.pop(0)
+        received = super().receive(timeout)
+        if received is not None and received.frame.extended:
+            message = CODEC.decode(received.frame)
+            if isinstance(message, Feedback) and message.motor == 2:
+                self._second.append(received._replace(frame=CODEC.encode(replace(message, q=message.q + 0.4))))
+        return received
+
+
+def test_two_motors_with_one_id_are_found_before_the_start_and_while_it_runs(robot, description):
+    plant = robot_on_can(DoublingLink(robot), load_wiring(), description)
+    plant.start()
+    bits = [int(plant.step(hold(description)).health.faults[1]) for _ in range(10)]
+    assert bits[-1] & DOUBLED
+    motor_bus = plant.link.driver.motor_bus
+    plant.close()
+    found = {c.name: c for c in preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)}
+    assert found["motors"].verdict == "stop"
+    assert "FL_hip: two motors have its id" in found["motors"].text

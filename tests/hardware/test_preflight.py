@@ -14,7 +14,8 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.homing import home, with_homing
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.preflight import Check, feet_normal, preflight
+from mimic.hardware.preflight import preflight
+from mimic.hardware.robot.checks import Check, feet_normal
 from mimic.hardware.wiring import load_wiring
 
 WIRING = load_wiring()

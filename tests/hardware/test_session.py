@@ -11,11 +11,13 @@ from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
+from mimic.hardware.can import driver
 from mimic.hardware.cybergear.messages import Mode
 from mimic.hardware.homing import home
-from mimic.hardware.plant import CanRobot
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.wiring import load_wiring
 
 
@@ -24,28 +26,33 @@ def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True))
 
-    def opened(bus_url: str, wiring: object) -> EmulatedLink:
+    def opened(bus_url: str, wiring: object, **quick: bool) -> EmulatedLink:
         link = EmulatedLink(robot)
         link.sleep(0.2)
         return link
 
-    monkeypatch.setattr(session, "open_buses", opened)
+    def process(settings, description, *, keep=()):
+        return EmulatedSenderLink(driver.open_can_driver(settings), description)
+
+    for module in (session, driver):
+        monkeypatch.setattr(module, "open_buses", opened)
+    monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     return robot
 
 
-def get_ready(description, then: Callable[[CanRobot], None]) -> None:
+def get_ready(description, then: Callable[[Robot], None]) -> None:
     """Do something with the robot once it is ready."""
-    settings = BusSettings(zeroed=True, yes=True, watchdog=False)
+    settings = BusSettings(zeroed=True, yes=True)
     options = {"rate_hz": 50.0, "report": lambda _: None, "go": lambda: None}
     with session.robot_session("can0", settings, description, **options) as plant:
-        assert isinstance(plant, CanRobot)
+        assert isinstance(plant, Robot)
         then(plant)
 
 
 @pytest.mark.parametrize("kind", [PlantError, BusError])
 def test_what_fails_while_motors_are_on_is_reported_with_how_they_were_left(kind, robot, description):
-    def break_later(plant: CanRobot) -> None:
+    def break_later(plant: Robot) -> None:
         plant.start()
         raise kind("it broke")
 
@@ -55,7 +62,7 @@ def test_what_fails_while_motors_are_on_is_reported_with_how_they_were_left(kind
 
 
 def test_a_motor_that_does_not_switch_on_is_reported_with_how_the_others_were_left(robot, description):
-    def begin(plant: CanRobot) -> None:
+    def begin(plant: Robot) -> None:
         robot.inject(parse_fault("motor_mute:FL_knee@0"))
         plant.start()
 
@@ -65,7 +72,7 @@ def test_a_motor_that_does_not_switch_on_is_reported_with_how_the_others_were_le
 
 
 def test_what_fails_before_motors_are_on_says_so(robot, description):
-    def break_at_once(plant: CanRobot) -> None:
+    def break_at_once(plant: Robot) -> None:
         raise PlantError("it broke")
 
     with pytest.raises(PlantError, match="it broke; nothing was switched on"):
@@ -80,10 +87,10 @@ def test_what_happens_while_the_person_is_asked_is_found_before_anything_moves(
     robot, description, monkeypatch, tmp_path, fault, expected
 ):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    settings = BusSettings(yes=True, watchdog=False)
+    settings = BusSettings(yes=True)
     with session.open_session("can0", settings, zeros=True) as opened:
         homing, _ = home(opened.motor_bus(), description, None)
-        homing.save(session.homing_file(opened.wiring))
+        homing.save(driver.homing_file(opened.wiring))
 
     def go() -> None:
         robot.inject(parse_fault(f"{fault}@{robot.now + 0.01}"))

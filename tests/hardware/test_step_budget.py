@@ -10,10 +10,11 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_can
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import CanRobot
 from mimic.hardware.preflight import preflight
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.step_budget import PARTS, SPARE, step_budget
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JointCommand
@@ -35,10 +36,10 @@ class TimedLink(EmulatedLink):
 
 
 @pytest.fixture
-def started(description) -> tuple[TimedLink, CanRobot, JointCommand]:
+def started(description) -> tuple[TimedLink, Robot, JointCommand]:
     link = TimedLink(EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True)))
     link.sleep(0.1)
-    plant = CanRobot(link, load_wiring(), description)
+    plant = robot_on_can(link, load_wiring(), description)
     plant.start()
     link.sent.clear()
     zeros = np.zeros(12)

@@ -12,13 +12,14 @@ from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.sender_link import robot_on_can
 from mimic.flows.watching import watch_robot
 from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.cybergear.codec import Codec
 from mimic.hardware.cybergear.messages import Mode, Operation, Stop
 from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.plant import CanRobot, idle_command
+from mimic.hardware.robot.plant import idle_command
 from mimic.hardware.watching import Watcher
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS
@@ -30,7 +31,7 @@ CODEC = Codec()
 def robot(description, monkeypatch, tmp_path) -> EmulatedRobot:
     """An emulated robot behind every word for a bus."""
     robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
-    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring: EmulatedLink(robot))
+    monkeypatch.setattr(session, "open_buses", lambda bus_url, wiring, **quick: EmulatedLink(robot))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     robot.advance(0.2)
     return robot
@@ -80,7 +81,7 @@ def test_zeros_that_are_not_known_are_said(robot, tmp_path, monkeypatch):
 
 
 def test_beside_a_program_that_drives_it_asks_nothing_and_shows_what_that_one_is_told(robot, description):
-    plant = CanRobot(EmulatedLink(robot), load_wiring(), description)
+    plant = robot_on_can(EmulatedLink(robot), load_wiring(), description)
     plant.start()
     link = EmulatedLink(robot)
 

@@ -20,6 +20,11 @@ class Received(NamedTuple):
 class Link(Protocol):
     """One or more buses and the clock that goes with them: the computer's, or that of an emulation."""
 
+    wake: int | None
+    """Descriptor that also ends a wait, when something is to be read from it."""
+    woken: bool
+    """Whether that ended the last wait."""
+
     @property
     def names(self) -> tuple[str, ...]:
         """The buses, as a person would call them."""

@@ -46,6 +46,9 @@ SHAKE_FOR = 5.0
 """How long handshakes of socketcand are tried [s]: on a busy bus a frame can come right after an answer, which
 python-can refuses. On a loaded computer three of three tries failed."""
 
+START_UP = 2.0
+"""What a serial adapter gets to start up in [s], as in python-can."""
+
 _FULL, _FRAME = 60, 0.00015
 """Times that a full queue is tried, and how long to wait in between [s], about a frame at 1 Mbit/s. SocketCAN queues
 ten frames unless told otherwise, and twelve commands come at once."""
@@ -171,6 +174,10 @@ class CanLink:
         self._ports = ports
         self._next = 0
         self._closed = False
+        self.wake: int | None = None
+        """Descriptor that also ends a wait, when something is to be read from it."""
+        self.woken = False
+        """Whether that ended the last wait."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -205,6 +212,7 @@ class CanLink:
             BusError: If a bus has failed.
         """
         until = time.monotonic() + timeout
+        wake = [] if self.wake is None else [self.wake]
         while True:
             for _ in self._ports:
                 bus, self._next = self._next, (self._next + 1) % len(self._ports)
@@ -216,12 +224,17 @@ class CanLink:
                 return None
             files = [port.file for port in self._ports if port.file is not None]
             if len(files) == len(self._ports):
-                select.select(files, [], [], left)
+                ready, _, _ = select.select([*files, *wake], [], [], left)
             elif len(self._ports) == 1:
-                frame = self._ports[0].wait(left)
-                return None if frame is None else Received(0, frame, time.monotonic())
+                frame = self._ports[0].wait(min(left, _SLICE) if wake else left)
+                if frame is not None:
+                    return Received(0, frame, time.monotonic())
+                ready, _, _ = select.select(wake, [], [], 0)
             else:
-                time.sleep(min(left, _SLICE))
+                ready, _, _ = select.select(wake, [], [], min(left, _SLICE))
+            if any(file in ready for file in wake):
+                self.woken = True
+                return None
 
     def close(self) -> None:
         """Let go of the buses."""
@@ -231,12 +244,13 @@ class CanLink:
                 port.close()
 
 
-def open_link(bus_url: str, *, bitrate: int = 1_000_000) -> CanLink:
+def open_link(bus_url: str, *, bitrate: int = 1_000_000, quick: bool = False) -> CanLink:
     """Open buses.
 
     Args:
         bus_url: One bus, or several separated by commas; the forms are above.
         bitrate: For adapters that need one [bit/s]; SocketCAN has its own from ``ip link``.
+        quick: Do not give a serial adapter two seconds to start up: it was in use a moment ago.
 
     Raises:
         ConfigError: If a bus has none of the forms.
@@ -249,14 +263,14 @@ def open_link(bus_url: str, *, bitrate: int = 1_000_000) -> CanLink:
     ports: list[_Port] = []
     try:
         for name in names:
-            ports.append(_open(name, bitrate))
+            ports.append(_open(name, bitrate, quick=quick))
     except BaseException:
         CanLink(ports).close()
         raise
     return CanLink(ports)
 
 
-def _open(name: str, bitrate: int) -> _Port:
+def _open(name: str, bitrate: int, *, quick: bool) -> _Port:
     scheme, colon, rest = name.partition(":")
     try:
         if not colon:
@@ -266,7 +280,9 @@ def _open(name: str, bitrate: int) -> _Port:
         if scheme == "slcan" and rest:
             if "://" in rest:
                 raise ConfigError(f"{name!r} is not a bus; expected {FORMS}")
-            return _Port(name, _Slcan(rest, bitrate=bitrate, timeout=0), None, ready=False)
+            pause = 0 if quick else START_UP
+            bus = _Slcan(rest, bitrate=bitrate, timeout=0, sleep_after_open=pause)
+            return _Port(name, bus, None, ready=False)
         if scheme in can.VALID_INTERFACES and rest and not rest.startswith("//"):
             bus = can.Bus(interface=scheme, channel=rest, bitrate=bitrate, ignore_config=True)
             return _Port(name, bus, None, ready=False)

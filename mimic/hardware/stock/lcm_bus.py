@@ -21,6 +21,9 @@ _SIOCGIFADDR = 0x8915
 QUEUE = 500
 """Messages of a channel that wait to be read; those after them are dropped."""
 
+_FLOOD = 0.02
+"""A flood of messages must not stop the sending for longer than this [s]."""
+
 
 def _address_of(interface: str) -> str | None:
     """Return the IPv4 address of a network interface, or None where it has none.
@@ -81,7 +84,9 @@ def check_network(wiring: BoardWiring, interface: str | None) -> tuple[str, int]
 class LcmBus:
     """The two LCM ports of a board: publishes, and hands every message on with the time at which it was read."""
 
-    def __init__(self, wiring: BoardWiring, ttl: int, heard: Callable[[str, bytes, float], None]) -> None:
+    def __init__(
+        self, wiring: BoardWiring, ttl: int, heard: Callable[[str, bytes, float], None] = lambda *_: None
+    ) -> None:
         """Open both ports.
 
         Args:
@@ -98,8 +103,10 @@ class LcmBus:
         except ImportError:
             raise MissingExtra("lcm", "stock") from None
 
+        self.heard = heard
+
         def take(channel: str, data: bytes) -> None:
-            heard(channel, data, time.monotonic())
+            self.heard(channel, data, time.monotonic())
 
         self._ports: dict[int, Any] = {}
         for port in (wiring.port, wiring.state_port):
@@ -122,16 +129,23 @@ class LcmBus:
         port = self._state_port if channel == STATE_ESTIMATOR.channel else self._port
         self._ports[port].publish(channel, data)
 
-    def listen(self, until: float, others: tuple[int, ...] = ()) -> list[int]:
-        """Hand on messages until a time on the monotonic clock [s]; return early where another descriptor is ready."""
+    def now(self) -> float:
+        """Return the monotonic clock [s]."""
+        return time.monotonic()
+
+    def listen(self, until: float, wake: int | None = None) -> None:
+        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
+        files = [*self._by_fd, *([] if wake is None else [wake])]
         while True:
             left = until - time.monotonic()
-            ready, _, _ = select.select([*self._by_fd, *others], [], [], max(left, 0.0))
+            ready, _, _ = select.select(files, [], [], max(left, 0.0))
             for fd in ready:
                 if fd in self._by_fd:
                     self._by_fd[fd].handle()
-            early = [fd for fd in ready if fd not in self._by_fd]
-            if early or (left <= 0.0 and not ready):
-                return early
-            if left < -0.02:
-                return []  # a flood of messages must not stop the sending
+            if wake in ready or (left <= 0.0 and not ready) or left < -_FLOOD:
+                return
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._by_fd.clear()
+        self._ports.clear()

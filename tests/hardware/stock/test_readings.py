@@ -18,7 +18,7 @@ def healthy() -> Readings:
     readings.take("spi_data", SPI_DATA.encode(q_hip=LEG, qd_knee=LEG, tau_abad=LEG, tmp_hip=[300] * 4), 1.0)
     readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=10**9), 1.0)
     readings.take("motor_ctrl_state", MOTOR_CTRL_STATE.encode(ctrl_topic_interval=2.0), 1.0)
-    assert readings.report["malformed"] == 0
+    assert readings.report["errors"] == 0
     return readings
 
 
@@ -43,15 +43,15 @@ def test_a_message_with_a_number_that_no_motor_can_report_is_left_out(damage):
     readings = healthy()
     before = readings.report.copy()
     readings.take("spi_data", SPI_DATA.encode(**{"q_hip": LEG, "tau_abad": LEG} | damage), 1.002)
-    assert readings.report["malformed"] == 1
-    for name in ("q", "dq", "tau", "temperature", "motors_came", "motors_count"):
+    assert readings.report["errors"] == 1
+    for name in ("q", "dq", "tau", "temperature", "came", "readings"):
         np.testing.assert_array_equal(readings.report[name], before[name])
 
 
 def test_joints_from_before_motor_mode_are_held_to_the_same_ranges():
     readings = Readings(load_board())
     readings.take("leg_control_data", LEG_CONTROL_DATA.encode(q=in_one(np.zeros(12), 40.0)), 1.0)
-    assert readings.report["malformed"] == 1
+    assert readings.report["errors"] == 1
     assert np.isnan(readings.report["q"]).all()
 
 
@@ -60,21 +60,21 @@ def test_an_orientation_that_no_imu_can_report_is_left_out(damage):
     readings = healthy()
     message = {"quat": [1, 0, 0, 0], "timestamp": 1_002_000_000} | damage
     readings.take("state_estimator", STATE_ESTIMATOR.encode(**message), 1.002)
-    assert (readings.report["malformed"], readings.report["imu_count"]) == (1, 1)
+    assert (readings.report["errors"], readings.report["imu_count"]) == (1, 1)
 
 
 @pytest.mark.parametrize("interval", [np.nan, np.inf, -np.inf])
 def test_an_interval_that_cannot_be_is_left_out(interval):
     readings = healthy()
     readings.take("motor_ctrl_state", MOTOR_CTRL_STATE.encode(err_flag=2, ctrl_topic_interval=interval), 1.002)
-    assert (readings.report["malformed"], readings.report["err_flag"]) == (1, 0)
+    assert (readings.report["errors"], readings.report["err_flag"]) == (1, 0)
 
 
 def test_what_motors_do_report_at_their_limits_is_taken():
     readings = healthy()
     extremes = {"q_knee": in_one(LEG, -2.8), "qd_hip": in_one(LEG, 38.19), "tau_hip": in_one(LEG, -12.5)}
     readings.take("spi_data", SPI_DATA.encode(**extremes, tmp_knee=[1200] * 4), 1.002)
-    assert (readings.report["malformed"], readings.report["motors_count"]) == (0, 2)
+    assert (readings.report["errors"], readings.report["readings"]) == (0, 2)
 
 
 @pytest.mark.parametrize("step", [-5.0, -0.2, 0.2, 5.0])
@@ -85,12 +85,3 @@ def test_a_robot_whose_clock_is_set_is_not_silent(step):
         readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=round(1e9 * stamp)), t)
         assert t - readings.report["imu_came"] < 0.01
     assert readings.report["imu_count"] == 50
-
-
-def test_orientations_that_were_held_up_on_the_way_are_old():
-    readings = healthy()
-    for tick in range(1, 50):
-        stamp = round(1e9 * (10.0 + 0.002 * tick))
-        readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=stamp), 1.0 + 0.002 * tick)
-    readings.take("state_estimator", STATE_ESTIMATOR.encode(quat=[1, 0, 0, 0], timestamp=stamp + 2_000_000), 1.4)
-    assert 1.4 - readings.report["imu_came"] == pytest.approx(0.3, abs=0.01)

@@ -11,49 +11,25 @@ from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.errors import BusError, PlantError
+from mimic.emulator.sender_link import robot_on_can
+from mimic.errors import BusError, PlantError, SenderError
 from mimic.hardware.cybergear.messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
-from mimic.hardware.plant import CanRobot, idle_command
+from mimic.hardware.robot.plant import idle_command
 from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand
-
-
-class Watchdog:
-    """Notes what it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-        self.there = True
-        self.report = ""
-
-    def arm(self) -> None:
-        self.told.append("arm")
-
-    def beat(self) -> None:
-        self.told.append("beat")
-
-    def alive(self) -> bool:
-        return self.there
-
-    def disarm(self) -> None:
-        self.told.append("disarm")
-
-    def take_over(self) -> str:
-        self.told.append("take over")
-        return self.report
 
 
 @pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow)])
 def made(request, description):
     """Return a function that makes an emulated robot and the plant on it, on one bus or two."""
 
-    def make(*faults: str, watchdog=None, torque_limit=None, **settings):
+    def make(*faults: str, torque_limit=None, **settings):
         wiring = load_wiring(buses=request.param)
         options = EmulateSettings(**{"zeroed": True, "placement": 0.02, **settings})
         robot = EmulatedRobot(description, wiring, options, faults=[parse_fault(f) for f in faults])
         link = EmulatedLink(robot)
         link.sleep(0.1)
-        return robot, CanRobot(link, wiring, description, watchdog=watchdog, torque_limit=torque_limit)
+        return robot, robot_on_can(link, wiring, description, torque_limit=torque_limit)
 
     return make
 
@@ -95,7 +71,6 @@ def test_its_torque_limit_is_in_the_motors(made):
 def test_the_motors_own_timeout_is_set_where_they_take_it(honoured, made):
     robot, plant = made(can_timeout=honoured)
     plant.start()
-    assert plant.timeout_taken is honoured
     assert all((motor.values[CAN_TIMEOUT] > 0) is honoured for motor in robot.motors)
 
 
@@ -122,7 +97,7 @@ def test_a_tick_records_the_command_as_the_frames_rounded_it(made, description):
     assert np.abs(sent.q_des - asked.q_des).max() <= 4e-4
     assert np.abs(sent.kp - asked.kp).max() <= 8e-3
     for joint, motor in enumerate(robot.motors):
-        sign, offset = plant.motor_bus.wiring.sign[joint], plant.motor_bus.wiring.offset[joint]
+        sign, offset = plant.link.driver.motor_bus.wiring.sign[joint], plant.link.driver.motor_bus.wiring.offset[joint]
         assert motor.drive.q * sign + offset == pytest.approx(sent.q_des[joint], abs=1e-9)
         assert motor.drive.kp == pytest.approx(sent.kp[joint], abs=1e-9)
         assert motor.drive.kd == pytest.approx(sent.kd[joint], abs=1e-9)
@@ -219,8 +194,7 @@ def test_it_brakes_with_all_that_the_motors_have(made, description):
     for _ in range(25):
         plant.step(hold(description, description.poses["four"]))
     seen: list[tuple[float, float]] = []
-    plant.motor_bus.link.close()
-    link = EmulatedLink(robot)
+    link = plant.link.driver.motor_bus.link
     receive = link.receive
 
     def look(timeout: float):
@@ -228,7 +202,6 @@ def test_it_brakes_with_all_that_the_motors_have(made, description):
         return receive(timeout)
 
     link.receive = look
-    plant.motor_bus.link = link
     plant.close()
     damped = [pair for pair in seen if pair[0] == 0.0]
     assert damped
@@ -270,22 +243,30 @@ def test_a_motor_that_dies_is_named_at_the_end_and_the_others_are_off(made, desc
     assert modes(robot) == {Mode.RESET}
 
 
-def test_an_adapter_that_is_pulled_raises_and_closing_says_what_is_left(made, description):
+def until_silent(plant, description, count: int = 10) -> list:
+    """Drive until every motor has been silent for so many steps, and return the steps."""
+    seen = []
+    while not seen or int(seen[-1].health.missed.min()) < count:
+        seen.append(plant.step(hold(description)))
+    return seen
+
+
+def test_an_adapter_that_is_pulled_is_a_robot_whose_motors_are_silent_and_closing_says_what_is_left(made, description):
     robot, plant = made()
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}"))
-    with pytest.raises(BusError):
-        steps(plant, description)
+    seen = until_silent(plant, description)
+    assert seen[-1].health.bus_errors > 0
     plant.close()
     assert "could not be stopped" in plant.ending
+    assert "cut the power" in plant.ending
 
 
 def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
     robot, plant = made()
     plant.start()
     robot.inject(parse_fault(f"unplugged@{robot.now}-{robot.now + 2.0}"))
-    with pytest.raises(BusError):
-        steps(plant, description)
+    until_silent(plant, description)
     plant.close()
     assert modes(robot) == {Mode.RESET}
 
@@ -295,56 +276,17 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
     robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True))
     link = EmulatedLink(robot)
     link.sleep(0.1)
-    plant = CanRobot(link, wiring, description)
+    plant = robot_on_can(link, wiring, description)
     plant.start()
     robot.inject(parse_fault(f"unplugged:bus1@{robot.now}"))
-    with pytest.raises(BusError):
-        steps(plant, description)
+    steps(plant, description)
     plant.close()
     off = {wiring.bus[j]: motor.mode for j, motor in enumerate(robot.motors)}
     assert off[0] is Mode.RESET
     assert "did not confirm" in plant.ending
 
 
-# ---------------------------------------------------------------------- its watchdog
-
-
-def test_the_watchdog_is_armed_before_anything_is_on_and_disarmed_when_all_is_off(made, description):
-    watchdog = Watchdog()
-    robot, plant = made(watchdog=watchdog)
-    armed = []
-    watchdog.arm = lambda: armed.append(modes(robot))
-    plant.start()
-    plant.step(hold(description))
-    plant.close()
-    assert armed == [{Mode.RESET}]
-    assert watchdog.told[-1] == "disarm"
-    assert set(watchdog.told[:-1]) == {"beat"}
-
-
-def test_the_watchdog_takes_over_where_not_all_motors_confirm(made, description):
-    watchdog = Watchdog()
-    robot, plant = made(watchdog=watchdog)
-    plant.start()
-    robot.inject(parse_fault(f"unplugged@{robot.now}"))
-    with pytest.raises(BusError):
-        steps(plant, description)
-    plant.close()
-    assert watchdog.told[-1] == "take over"
-
-
-def test_a_bus_that_failed_is_left_to_the_watchdog_at_once_and_the_last_line_is_its_report(made, description):
-    watchdog = Watchdog()
-    watchdog.report = "the robot was damped and all motors are off"
-    robot, plant = made(watchdog=watchdog)
-    plant.start()
-    robot.inject(parse_fault(f"unplugged@{robot.now}"))
-    with pytest.raises(BusError):
-        steps(plant, description)
-    before = robot.now
-    plant.close()
-    assert (watchdog.told[-1], robot.now) == ("take over", before)
-    assert plant.ending == watchdog.report
+# ---------------------------------------------------------------------- buses that fail
 
 
 @pytest.mark.parametrize("seconds", [0.03, 0.08])
@@ -361,27 +303,59 @@ def test_a_bus_that_fails_for_a_moment_ends_nothing(seconds, made, description):
     plant.close()
 
 
-def test_a_bus_that_takes_no_frames_but_still_hears_ends_the_run_too(made, description):
-    robot, plant = made()
+def test_a_bus_that_takes_no_frames_but_still_hears_is_opened_again_to_damp(description):
+    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.02))
+    link, opened = EmulatedLink(robot), []
+
+    def reopen() -> EmulatedLink:
+        opened.append(robot.now)
+        if len(opened) < 3:
+            raise BusError("not there yet")
+        return EmulatedLink(robot)
+
+    link.sleep(0.1)
+    plant = robot_on_can(link, load_wiring(), description, reopen=reopen)
     plant.start()
-    link = plant.motor_bus.link
+    steps(plant, description)
 
     def refuse(bus: int, frame: object) -> None:
         raise BusError("it takes no frames")
 
     link.send = refuse
-    with pytest.raises(BusError):
-        steps(plant, description)
-    del link.send
+    begin = robot.now
+    until_silent(plant, description, 5)
     plant.close()
+    assert opened[0] - begin < 0.7
+    assert len(opened) == 3
     assert modes(robot) == {Mode.RESET}
+    assert plant.ending == "the robot was damped and all motors are off"
+
+
+def test_a_bus_that_says_nothing_but_still_takes_frames_is_damped_blindly(made, description):
+    robot, plant = made()
+    plant.start()
+    for _ in range(25):
+        plant.step(hold(description, description.poses["four"]))
+    link = plant.link.driver.motor_bus.link
+
+    def closed(timeout: float) -> None:
+        raise BusError("it has closed the connection")
+
+    link.receive = closed
+    until_silent(plant, description, 5)
+    plant.link.sender.finish()
+    plant.link.wait(robot.now + 0.05)
+    assert {motor.drive.kp for motor in robot.motors} == {0.0}
+    assert max(motor.drive.kd for motor in robot.motors) == pytest.approx(5.0, abs=1e-3)
+    plant.close()
+    assert "did not confirm" in plant.ending
 
 
 def test_motors_on_a_bus_that_works_get_their_commands_while_another_fails(description):
     wiring = load_wiring(buses=2)
     robot = EmulatedRobot(description, wiring, EmulateSettings(zeroed=True, placement=0.02))
-    plant = CanRobot(EmulatedLink(robot), wiring, description)
-    plant.motor_bus.link.sleep(0.1)
+    plant = robot_on_can(EmulatedLink(robot), wiring, description)
+    plant.link.driver.motor_bus.link.sleep(0.1)
     plant.start()
     robot.inject(parse_fault(f"unplugged:bus0@{robot.now}-{robot.now + 0.05}"))
     done = plant.step(hold(description))
@@ -389,15 +363,6 @@ def test_motors_on_a_bus_that_works_get_their_commands_while_another_fails(descr
         assert wiring.bus[joint] == 0 or motor.drive.kp == pytest.approx(description.kp, abs=0.01)
     assert np.isnan(done.sent.q_des).all()
     plant.close()
-
-
-def test_a_watchdog_that_is_gone_is_reported(made, description):
-    watchdog = Watchdog()
-    _, plant = made(watchdog=watchdog)
-    plant.start()
-    assert plant.step(hold(description)).health.guarded
-    watchdog.there = False
-    assert not plant.step(hold(description)).health.guarded
 
 
 def test_the_load_of_the_bus_is_what_it_was(made, description):
@@ -441,3 +406,49 @@ def test_voltage_and_the_time_of_answers_are_measured_while_it_runs(made, descri
     assert seen[-1].voltage == pytest.approx(19.0)
     assert seen[-1].round_trip == pytest.approx(0.04, abs=0.01)
     plant.close()
+
+
+# ---------------------------------------------------------------------- a sender that hangs or is gone
+
+
+def test_a_sender_that_pauses_for_a_moment_is_seen_and_nothing_ages_meanwhile(made, description):
+    _, plant = made()
+    plant.start()
+    steps(plant, description)
+    plant.link.halted = True
+    seen = [plant.step(hold(description)).health for _ in range(6)]
+    plant.link.halted = False
+    seen += [plant.step(hold(description)).health for _ in range(3)]
+    ages = [health.sender_age for health in seen]
+    assert 0.1 < max(ages) < 0.13
+    assert ages[-1] < 0.005
+    assert max(int(health.missed.max()) for health in seen) == 0
+    assert max(health.imu_age for health in seen) < 0.03
+    plant.close()
+
+
+def test_a_sender_that_hangs_ends_the_run_within_a_fifth_of_a_second(made, description):
+    robot, plant = made()
+    plant.start()
+    steps(plant, description)
+    plant.link.halted = True
+    begin = robot.now
+    with pytest.raises(SenderError, match="hangs: it said nothing"):
+        steps(plant, description, 20)
+    assert robot.now - begin <= 0.22 + 1e-6
+    plant.link.halted = False
+    plant.close()
+    assert modes(robot) == {Mode.RESET}
+
+
+def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
+    robot, plant = made()
+    plant.start()
+    for _ in range(25):
+        plant.step(hold(description, description.poses["four"]))
+    plant.link.wait(robot.now + 0.14)
+    assert {motor.drive.kp for motor in robot.motors} == {0.0}
+    with pytest.raises(SenderError, match=r"damped the robot: no order for 0\.10 s"):
+        plant.step(hold(description))
+    plant.close()
+    assert modes(robot) == {Mode.RESET}

@@ -1,0 +1,100 @@
+"""A sender in this process, on an emulated robot in the robot's own time: for rehearsals that repeat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mimic.hardware.can.driver import CanDriver
+from mimic.hardware.can.link import Link
+from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.driver import CheckOptions, Driver
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.robot.sender import Order, Sender, State
+from mimic.hardware.stock.driver import Bus, StockDriver
+from mimic.hardware.stock.wiring import BoardWiring
+from mimic.hardware.wiring import Wiring
+from mimic.robot.description import RobotDescription
+
+LONGEST_ENDING = 60.0
+"""A sender has ended by then [s]."""
+
+
+class EmulatedSenderLink:
+    """A `mimic.hardware.robot.process.Link` without a process: waiting advances the emulated robot."""
+
+    def __init__(self, driver: Driver, description: RobotDescription) -> None:
+        """Connect a sender to the driver of an emulated robot."""
+        self.sender = Sender(driver, description)
+        self.halted = False
+        """Whether the sender's process stands still or is gone: it sends and reports nothing."""
+        self._orders: list[Order] = []
+        self._reports: list[Any] = []
+
+    @property
+    def driver(self) -> Driver:
+        """The sender's driver."""
+        return self.sender.driver
+
+    @property
+    def problem(self) -> str:
+        """Why the sender takes no orders any more; empty while it does."""
+        if self.sender.reason:
+            return f"the process that sends damped the robot: {self.sender.reason}"
+        return "the process that sends to the robot has ended" if self.sender.state >= State.DAMP else ""
+
+    def now(self) -> float:
+        """Return the robot's time [s]."""
+        return self.driver.now()
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot that nobody drives; nothing moves."""
+        return self.driver.checks(options)
+
+    def start(self, *, suspended: bool = False) -> None:
+        """Switch the motors on without gains."""
+        self.sender.start(suspended=suspended)
+
+    def order(self, order: Order) -> None:
+        """Give an order."""
+        if self.halted:
+            self._orders.append(order)
+        else:
+            self.sender.order(order)
+
+    def wait(self, until: float) -> list[Any]:
+        """Let robot and sender go on until a time [s], and return the sender's reports."""
+        while self.now() < until - 1e-9:
+            if self.halted:
+                self.driver.listen(until)
+                continue
+            while self._orders:  # they waited
+                self.sender.order(self._orders.pop(0))
+            report = self.sender.cycle(until)
+            if report is not None:
+                self._reports.append(report)
+        reports, self._reports = self._reports, []
+        return reports
+
+    def finish(self) -> str:
+        """Damp the robot until it rests, and return how it was left."""
+        if self.sender.state == State.LISTEN:
+            return "nothing was switched on"
+        end = self.now() + LONGEST_ENDING
+        self.sender.finish()
+        while self.sender.state != State.DONE and self.now() < end:
+            self.sender.cycle(end)
+        return self.sender.ending
+
+    def close(self) -> None:
+        """There is no process to end."""
+
+
+def robot_on_can(link: Link, wiring: Wiring, description: RobotDescription, **options: Any) -> Robot:
+    """Return the plant of an emulated robot on CAN; options are those of CanDriver."""
+    return Robot(EmulatedSenderLink(CanDriver(link, wiring, description, **options), description), description)
+
+
+def robot_on_board(bus: Bus, wiring: BoardWiring, description: RobotDescription, *, suspended: bool = False) -> Robot:
+    """Return the plant of an emulated stock robot."""
+    link = EmulatedSenderLink(StockDriver(bus, wiring, description), description)
+    return Robot(link, description, suspended=suspended)

@@ -1,0 +1,351 @@
+"""Twelve motors and an IMU on CAN behind mimic's `mimic.hardware.robot.driver.Driver`."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mimic.control.damping import damping_command
+from mimic.errors import BusError, PlantError
+from mimic.hardware.can.link import Link
+from mimic.hardware.homing import Homing, read_homing, with_homing
+from mimic.hardware.motor import MotorMode, Register
+from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.preflight import preflight, set_host_timeout
+from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings, no_report
+from mimic.hardware.step_budget import PARTS, step_budget
+from mimic.hardware.wiring import Wiring, load_wiring
+from mimic.records import JOINTS, JointCommand
+from mimic.robot.description import RobotDescription, load_description
+
+STOP_TRIES = 10
+"""How often a stop is sent to a motor before it counts as unreachable."""
+
+ASK_EVERY = 0.1
+"""Time between two questions for a supply voltage, whose answers also show how long answers take [s]."""
+
+DEAD = 0.3
+"""A bus that has taken or said nothing for so long is opened again while the robot is damped [s]."""
+
+REOPEN_EVERY = 0.2
+"""Time between two attempts to open a bus [s]."""
+
+_LOOK = 0.002
+"""How often to look for orders while a bus fails [s]."""
+
+OPEN_TRIES = 3
+"""How many attempts to open the buses are made at first: a busy server may miss the time for its greeting."""
+
+
+class CanDriver:
+    """See `mimic.hardware.robot.driver.Driver`."""
+
+    repeats = False
+
+    def __init__(
+        self,
+        link: Link,
+        wiring: Wiring,
+        description: RobotDescription,
+        *,
+        torque_limit: float | None = None,
+        homing: Homing | None = None,
+        zeroed: bool = False,
+        dry_run: bool = False,
+        reopen: Callable[[], Link] | None = None,
+    ) -> None:
+        """Take open buses; nothing is sent.
+
+        Args:
+            link: The buses of the robot.
+            wiring: Which motor moves which joint, with the offsets of this power-up.
+            description: The robot.
+            torque_limit: Largest torque of each motor [N m]; by default its peak torque.
+            homing: What is known about its zeros.
+            zeroed: Use the zeros as the wiring has them.
+            dry_run: The motors stay off; they are asked for readings by orders to stop.
+            reopen: Opens the buses again.
+        """
+        self.period, self.problem = description.dt / PARTS, ""
+        self.motor_bus = MotorBus(link, wiring)
+        self._description, self._homing, self._zeroed, self._dry = description, homing, zeroed, dry_run
+        self._torque_limit = description.torque_max if torque_limit is None else torque_limit
+        self._reopen, self._tried = reopen, -np.inf
+        self._report = no_report()
+        self._failures = self._sent = self._asked_count = 0
+        self._taken = self._heard = link.now()
+        self._next_question = -np.inf
+        self._waits: tuple[float, tuple[int, ...]] | None = None
+        self._damped = -np.inf
+        self._tries, self._left, self._on = 0, list(ALL), False
+
+    @property
+    def report(self) -> Any:
+        """Newest readings; a scalar of REPORT."""
+        motor_bus, report, now = self.motor_bus, self._report, self.now()
+        report["sent"] = self._sent
+        report["q"], report["dq"], report["tau"] = motor_bus.readings(-np.inf)
+        report["came"] = motor_bus.came
+        newest = motor_bus.feedback
+        report["faults"] = np.bitwise_or([0 if f is None else int(f.faults) for f in newest], motor_bus.faults)
+        report["running"] = [f is not None and f.mode == MotorMode.RUNNING for f in newest]
+        report["temperature"] = motor_bus.temperature()
+        imu = motor_bus.imu.reading(now)
+        report["quat_WB"], report["omega_B"] = imu.quat_WB, imu.omega_B
+        report["imu_came"], report["imu_changed"], report["imu_count"] = now - imu.age, now - imu.unchanged, imu.count
+        report["imu_valid"] = -1 if imu.valid is None else imu.valid
+        report["heard"] = max(motor_bus.came.max(), report["imu_came"])
+        report["errors"], report["foreign"] = motor_bus.errors + self._failures, motor_bus.foreign
+        report["voltage"], report["round_trip"] = motor_bus.voltage(), motor_bus.round_trip
+        busy = motor_bus.bits / motor_bus.wiring.bitrate
+        report["busy"][: len(busy)] = busy
+        return report
+
+    def now(self) -> float:
+        """Return the time of the buses [s]."""
+        return self.motor_bus.link.now()
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot whose motors are off; nothing moves."""
+        motor_bus, dt = self.motor_bus, self._description.dt
+        rate_hz = np.asarray(options.rate_hz, dtype=float)
+        parts = round(float(rate_hz.max()) * dt)
+        budget = None
+        if options.inference is not None:
+            budget = step_budget(motor_bus.wiring, dt, parts, options.inference)
+        motor_bus.drain()  # what came while a person was asked
+        return preflight(
+            motor_bus,
+            self._description,
+            rate_hz=rate_hz,
+            homing=self._homing,
+            trust_zeros=self._zeroed,
+            suspended=options.suspended,
+            budget=budget,
+        )
+
+    # ------------------------------------------------------------------ driving
+
+    def start(self, *, suspended: bool) -> None:
+        """Switch the motors on where they are, without gains.
+
+        Raises:
+            PlantError: If a motor does not answer, or does not accept its settings.
+            BusError: If a bus fails.
+        """
+        motor_bus = self.motor_bus
+        self._need(motor_bus.stop())
+        if not self._dry:
+            if Register.CONTROL_MODE in motor_bus.motors.facts.registers:  # only a motor that is off may change it
+                motor_bus.set(Register.CONTROL_MODE, motor_bus.motors.facts.impedance_mode)
+            motor_bus.set(Register.TORQUE_LIMIT, self._torque_limit)
+            set_host_timeout(motor_bus)
+            self._on = True
+            self._need(motor_bus.enable())
+            newest = motor_bus.feedback
+            off = [JOINTS[j] for j, f in enumerate(newest) if f is not None and f.mode != MotorMode.RUNNING]
+            if off:
+                raise PlantError(f"{', '.join(off)} did not switch on; to see why, run: mimic robot check")
+
+    def _need(self, silent: list[int]) -> None:
+        if silent:
+            names = ", ".join(JOINTS[j] for j in silent)
+            raise PlantError(f"no answer from {names}; is the power on? Run: mimic robot scan")
+
+    def abandon(self) -> str:
+        """Return that nothing was switched on, where that is so."""
+        return "" if self._on else "nothing was switched on"
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command; joints on a bus that does not take it have NaN in the report's ``q_sent``."""
+        report, motor_bus, now = self._report, self.motor_bus, self.now()
+        sent = None
+        try:
+            motor_bus.drain()
+        except BusError as reason:
+            self._fail(reason)
+        try:
+            if self._dry:
+                self._stop(joints)
+                sent = command
+            else:
+                sent = motor_bus.command(command, joints)
+            self._taken = now
+            if now >= self._next_question:
+                self._next_question = now + ASK_EVERY
+                self._ask()
+        except BusError as reason:
+            self._fail(reason)
+        self._sent += 1
+        nothing = np.full(len(JOINTS), np.nan)
+        for name, value in (("q_sent", "q_des"), ("kp_sent", "kp"), ("kd_sent", "kd")):
+            report[name][list(joints)] = (nothing if sent is None else getattr(sent, value))[list(joints)]
+        self._waits = now, tuple(joints)
+
+    def _ask(self) -> None:
+        """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
+        turn, self._asked_count = self._asked_count, self._asked_count + 1
+        register = (Register.SUPPLY_VOLTAGE, Register.POSITION)[turn % 2]
+        self.motor_bus.ask_round_trip(turn // 2 % len(JOINTS), register)
+
+    def _stop(self, joints: Sequence[int]) -> None:
+        motor_bus = self.motor_bus
+        for joint in joints:
+            motor_bus.send(joint, motor_bus.motors.stop(motor_bus.id(joint)))
+
+    def _fail(self, reason: BusError) -> None:
+        self._failures += 1
+        self.problem = str(reason)
+
+    def listen(self, until: float, wake: int | None = None) -> bool:
+        """Take what comes until a time [s]; return early, with True, once every motor that was asked has answered."""
+        link = self.motor_bus.link
+        link.wake, link.woken = wake, False
+        try:
+            self.motor_bus.listen(until, lambda: self._complete() or link.woken)
+            self._heard = self.now()
+        except BusError as reason:
+            self._fail(reason)
+            left = max(until - self.now(), 0.0)
+            link.sleep(left if wake is None else min(left, _LOOK))
+        if self._complete():
+            self._waits, self.problem = None, ""
+            return True
+        return False
+
+    def _complete(self) -> bool:
+        if self._waits is None:
+            return False
+        asked, joints = self._waits
+        return bool(np.all(self.motor_bus.came[list(joints)] > asked))
+
+    # ------------------------------------------------------------------ damping and off
+
+    def damp(self) -> None:
+        """Damp every motor as much as it can. A bus that fails is opened again; the others are still served."""
+        if self._dry:
+            return
+        motor_bus, d, now = self.motor_bus, self._description, self.now()
+        q, _, _ = motor_bus.readings(-np.inf)
+        q = np.clip(np.where(np.isnan(q), d.poses["lie"], q), d.q_min, d.q_max)
+        damping, self._damped = damping_command(q, d.kd_max), now
+        for joint in ALL:
+            try:
+                motor_bus.command(damping, [joint])
+                self._taken = now
+            except BusError as reason:
+                self._fail(reason)
+        if max(now - self._taken, now - self._heard) > DEAD:
+            self._open_again(now)
+
+    def _open_again(self, now: float) -> None:
+        """Open the buses a second time, and take them if that works."""
+        if self._reopen is None or now - self._tried < REOPEN_EVERY:
+            return
+        self._tried = now
+        try:
+            link = self._reopen()
+        except BusError as reason:
+            self._fail(reason)
+            return
+        self.motor_bus.link.close()
+        self.motor_bus.link = link
+        self._taken = self._heard = link.now()
+
+    def speed(self) -> float:
+        """Return how fast the fastest joint moves by answers to damping [rad/s]; infinite without any."""
+        if self._dry:
+            return 0.0
+        _, dq, _ = self.motor_bus.readings(self._damped)
+        return float("inf") if np.isnan(dq).all() else float(np.nanmax(np.abs(dq)))
+
+    @property
+    def lost(self) -> bool:
+        """Whether no bus takes frames."""
+        return not self._dry and self.now() - self._taken > DEAD
+
+    def end(self, *, since: float, rested: bool) -> str | None:
+        """Send stops; return how the motors were left once all confirm or were asked often enough."""
+        if self._dry:
+            return "dry run: nothing was switched on"
+        self._left = [joint for joint in self._left if not self._is_off(joint, since)]
+        if not self._left or self._tries >= STOP_TRIES:
+            return self._left_as()
+        self._tries += 1
+        for joint in self._left:
+            with suppress(BusError):
+                self._stop([joint])
+        return None
+
+    @property
+    def off(self) -> bool:
+        """Whether every motor has confirmed that it is off."""
+        return not self._left
+
+    def _is_off(self, joint: int, since: float) -> bool:
+        newest = self.motor_bus.feedback[joint]
+        return newest is not None and self.motor_bus.came[joint] > since and newest.mode == MotorMode.OFF
+
+    def _left_as(self) -> str:
+        if not self._left:
+            return "the robot was damped and all motors are off"
+        if self.lost:
+            return f"the motors could not be stopped: {self.problem or 'no bus takes frames any more'}; cut the power"
+        names = "all motors" if len(self._left) == len(ALL) else ", ".join(JOINTS[j] for j in self._left)
+        return f"damping was sent, but {names} did not confirm that they are off: cut the power"
+
+    def close(self) -> None:
+        """Let go of the buses."""
+        self.motor_bus.link.close()
+
+
+def homing_file(wiring: Wiring) -> Path:
+    """Return the file with the zeros of a robot: one for each wiring file."""
+    base = os.environ.get("XDG_STATE_HOME")
+    folder = (Path(base) if base else Path.home() / ".local" / "state") / "mimic"
+    return folder / f"zeros-{wiring.path.parent.name}-{wiring.path.stem}.json"
+
+
+def open_buses(bus_url: str, wiring: Wiring, *, quick: bool = False) -> Link:
+    """Open the buses of a robot.
+
+    Args:
+        bus_url: See `mimic.hardware.can.python_can`.
+        wiring: For the bit rate.
+        quick: One attempt, and no time for an adapter to start up.
+
+    Raises:
+        ConfigError, BusError: If that is not possible.
+    """
+    from mimic.hardware.can.python_can import open_link
+
+    for _ in range(0 if quick else OPEN_TRIES - 1):
+        try:
+            return open_link(bus_url, bitrate=wiring.bitrate)
+        except BusError:
+            time.sleep(REOPEN_EVERY)
+    return open_link(bus_url, bitrate=wiring.bitrate, quick=quick)
+
+
+def open_can_driver(settings: DriverSettings, *, quick: bool = False) -> CanDriver:
+    """Open the driver of a robot on CAN; see `mimic.hardware.robot.driver.open_driver`."""
+    path = None if settings.wiring is None else Path(settings.wiring)
+    wiring = load_wiring(path, buses=len(settings.bus_url.split(",")))
+    homing = None if settings.zeroed else read_homing(homing_file(wiring))
+    return CanDriver(
+        open_buses(settings.bus_url, wiring, quick=quick),
+        wiring if homing is None else with_homing(wiring, homing),
+        load_description(settings.robot),
+        torque_limit=settings.torque_limit,
+        homing=homing,
+        zeroed=settings.zeroed,
+        dry_run=settings.dry_run,
+        reopen=lambda: open_buses(settings.bus_url, wiring, quick=True),
+    )

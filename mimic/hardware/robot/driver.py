@@ -1,0 +1,215 @@
+"""What speaks to a robot's motors: the same for twelve motors on CAN and for a maker's motion board.
+
+A driver lives in the process that sends (`mimic.hardware.robot.process`). It has no process, no orders and no rules of
+its own: `mimic.hardware.robot.sender` says when to send what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mimic.hardware.robot.checks import Check
+from mimic.records import JOINTS, JointCommand
+
+ALL = tuple(range(len(JOINTS)))
+
+NEVER = -np.inf
+"""When something came that never did."""
+
+BUSES = 12
+"""Most buses of a robot."""
+
+REPORT = np.dtype(
+    [
+        ("t", "f8"),
+        ("state", "i8"),
+        ("sent", "i8"),
+        ("heard", "f8"),
+        ("q", "f8", 12),
+        ("dq", "f8", 12),
+        ("tau", "f8", 12),
+        ("came", "f8", 12),
+        ("faults", "i8", 12),
+        ("running", "i8", 12),
+        ("temperature", "f8", 12),
+        ("q_sent", "f8", 12),
+        ("kp_sent", "f8", 12),
+        ("kd_sent", "f8", 12),
+        ("quat_WB", "f8", 4),
+        ("omega_B", "f8", 3),
+        ("imu_came", "f8"),
+        ("imu_changed", "f8"),
+        ("imu_count", "i8"),
+        ("imu_valid", "i8"),
+        ("readings", "i8"),
+        ("errors", "i8"),
+        ("foreign", "i8"),
+        ("err_flag", "i8"),
+        ("gap", "f8"),
+        ("voltage", "f8"),
+        ("round_trip", "f8"),
+        ("busy", "f8", BUSES),
+    ]
+)
+"""The newest readings of a robot, in joint order and sign, and when each came on the monotonic clock [s].
+
+``sent`` counts messages, ``heard`` is when anything came, ``imu_valid`` is -1 where the IMU does not say, ``readings``
+counts full sets of readings where each is worth a sample, ``errors`` counts what made no sense, ``foreign`` commands of
+other programs, ``err_flag`` and ``gap`` [s] are a motion board's, ``busy`` is for how long each bus was busy so far
+[s] (NaN where there is no bus)."""
+
+
+def no_report() -> Any:
+    """Return a report without any reading: a scalar of REPORT."""
+    report: Any = np.zeros((), REPORT)
+    for name in ("heard", "came", "imu_came", "imu_changed"):
+        report[name] = NEVER
+    for name in (
+        *("q", "dq", "tau", "temperature", "q_sent", "kp_sent", "kd_sent", "quat_WB", "omega_B"),
+        *("voltage", "round_trip", "busy"),
+    ):
+        report[name] = np.nan
+    report["imu_valid"] = -1
+    return report
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """What the pre-flight needs to know of the run."""
+
+    rate_hz: Sequence[Any] | float
+    """Commands a second to each motor, or to these motors in each part of a motion (parts, 12) [Hz]."""
+    suspended: bool = False
+    """The robot hangs in the air instead of lying on the floor."""
+    inference: float | None = None
+    """Time that the policy takes on this computer [s]; None where no policy drives the robot."""
+
+
+class Driver(Protocol):
+    """Sends to a robot and keeps what it says."""
+
+    period: float
+    """Time from one message to the next [s]."""
+    repeats: bool
+    """Whether the robot must hear the newest command again and again."""
+    report: Any
+    """Newest readings; a scalar of REPORT whose time and state the sender fills in."""
+    problem: str
+    """What is wrong with the way to the robot, as a sentence without its full stop; empty where nothing is."""
+
+    def now(self) -> float:
+        """Return the driver's time: the monotonic clock [s], or that of an emulated robot."""
+        ...
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot that nobody drives; nothing moves."""
+        ...
+
+    def start(self, *, suspended: bool) -> None:
+        """Switch the motors on without gains.
+
+        Raises:
+            PlantError: If something stands against it.
+            BusError: If a bus fails.
+        """
+        ...
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command to these joints; where the way to the robot fails, ``problem`` says so.
+
+        Raises:
+            FrameError: If it is not finite.
+        """
+        ...
+
+    def damp(self) -> None:
+        """Send a command that only damps, over whatever still works; open again what does not."""
+        ...
+
+    def speed(self) -> float:
+        """Return how fast the fastest joint moves [rad/s]; infinite where no joint says."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing at all reaches the robot."""
+        ...
+
+    def end(self, *, since: float, rested: bool) -> str | None:
+        """Switch the motors off a little more; return how the robot was left once that is done.
+
+        Args:
+            since: When ending began [s].
+            rested: Whether the robot has come to rest.
+        """
+        ...
+
+    def abandon(self) -> str:
+        """Return how a robot is left whose start failed before its motors were on; empty where they must be damped."""
+        ...
+
+    def listen(self, until: float, wake: int | None = None) -> bool:
+        """Take readings until a time [s]; return early, with True, once a full set of them is there.
+
+        Args:
+            until: On the driver's clock.
+            wake: Descriptor; also return when something is to be read from it.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the robot. Safe to call twice."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriverSettings:
+    """What it takes to open the driver of a robot, in any process."""
+
+    bus_url: str
+    """Buses, or the name of a motion board."""
+    robot: str
+    """Name of the robot's description."""
+    wiring: str | None = None
+    """Path of a wiring file."""
+    interface: str | None = None
+    """Network interface to a motion board."""
+    zeroed: bool = False
+    torque_limit: float | None = None
+    """[N m]"""
+    dry_run: bool = False
+
+    def plain(self) -> dict[str, Any]:
+        """Return the settings as plain values."""
+        return asdict(self)
+
+
+def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
+    """Import what opens the driver of a robot, and return it: opening is quick then."""
+    from mimic.hardware.stock.wiring import BOARDS
+
+    if settings.bus_url in BOARDS:
+        from mimic.hardware.stock.driver import open_stock_driver
+
+        return open_stock_driver
+    import mimic.hardware.can.python_can  # noqa: F401
+    from mimic.hardware.can.driver import open_can_driver
+
+    return open_can_driver
+
+
+def open_driver(settings: DriverSettings, *, quick: bool = False) -> Driver:
+    """Open the driver of a robot; nothing is sent.
+
+    Args:
+        settings: Which robot.
+        quick: Do not wait for an adapter that starts up: it was in use a moment ago.
+
+    Raises:
+        ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
+    """
+    return load_driver(settings)(settings, quick=quick)

@@ -1,0 +1,234 @@
+"""The only way to a motor: newest target in, commands out, and damping where no target comes.
+
+    control loop --Order--> Sender --> Driver (CAN, motion board) --> motors
+                 <--REPORT--
+
+The sender puts targets on a line between two orders, damps when no order has come for ORDER_TIMEOUT, and then until the
+robot rests and its motors are off. Once it damps it never drives again. It has no clock and no process of its own:
+`mimic.hardware.robot.process` runs it beside the control loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from mimic.control.safety_limits import limits_for
+from mimic.errors import FrameError, MimicError
+from mimic.hardware.robot.driver import ALL, NEVER, Driver
+from mimic.records import JOINTS, FloatArray, JointCommand
+from mimic.robot.description import RobotDescription
+
+ORDER_TIMEOUT = 0.1
+"""Five control steps without an order [s]; the loop itself damps when one step is that late."""
+
+REPORT_PERIOD = 0.0025
+"""Longest time between two reports of a robot that is not sent to all the time [s]."""
+
+_MOMENT = 1e-6
+"""Times that differ by less are the same [s]."""
+
+GIVE_UP = 30.0
+"""A robot that nothing reaches is tried for this long [s]."""
+
+
+class State(IntEnum):
+    """What the sender sends."""
+
+    LISTEN = 0
+    """Nothing."""
+    DRIVE = 1
+    """The newest target."""
+    DAMP = 2
+    """Damping, until the robot rests; then ENDING."""
+    ENDING = 3
+    """Switching off; then DONE."""
+    DONE = 4
+    """Nothing any more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Order:
+    """What the control loop wants of the joints."""
+
+    command: JointCommand
+    begin: float
+    """When its control step was planned to begin [s]; the parts of an interpolated command keep to it."""
+    joints: tuple[int, ...] = ALL
+    """The motors that are commanded."""
+
+    def to_bytes(self) -> bytes:
+        """Return it as bytes."""
+        c = self.command
+        numbers = np.zeros((6, len(JOINTS)))
+        numbers[:5], numbers[5, :2] = (c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff), (c.ramp, self.begin)
+        return np.isin(ALL, self.joints).tobytes() + numbers.tobytes()
+
+    @staticmethod
+    def from_bytes(data: bytes) -> Order:
+        """Return an order from its bytes.
+
+        Raises:
+            ValueError: If they are none.
+        """
+        count = len(JOINTS)
+        joints = np.flatnonzero(np.frombuffer(data[:count], dtype=bool))
+        q, dq, kp, kd, tau, more = np.frombuffer(data[count:]).reshape(6, count)
+        command = JointCommand(q_des=q, dq_des=dq, kp=kp, kd=kd, tau_ff=tau, ramp=float(more[0]))
+        return Order(command=command, begin=float(more[1]), joints=tuple(map(int, joints)))
+
+
+class Sender:
+    """Decides what is sent, from orders, readings and time."""
+
+    def __init__(self, driver: Driver, description: RobotDescription) -> None:
+        """Begin in LISTEN."""
+        self.driver, self._limits = driver, limits_for(description)
+        self.state = State.LISTEN
+        self.reason = ""
+        """Why it took over from the control loop, as a sentence without its full stop; empty where it did not."""
+        self.ending = ""
+        """How the robot was left, as a sentence without its full stop; once DONE."""
+        self._order: Order | None = None
+        self._from: FloatArray | None = None
+        self._ordered = self._due = NEVER
+        self._since = self._reached = self._rested = self._reported = 0.0
+        self._rests = False
+        self._pause = driver.period if driver.repeats else description.dt
+
+    # ------------------------------------------------------------------ orders
+
+    def start(self, *, suspended: bool = False) -> None:
+        """Switch the motors on without gains.
+
+        Raises:
+            MimicError: If something stands against it; what was switched on is damped then.
+        """
+        try:
+            self.driver.start(suspended=suspended)
+        except MimicError:
+            self.ending = self.driver.abandon()
+            if self.ending:
+                self.state = State.DONE
+            else:
+                self.damp("")
+            raise
+        self.state, self._ordered, self._due = State.DRIVE, np.inf, np.inf  # without gains they may wait for an order
+
+    def order(self, order: Order) -> None:
+        """Take an order; one that is not finite damps the robot."""
+        if self.state != State.DRIVE:
+            return  # a robot that is damped is not driven again
+        now, c = self.driver.now(), order.command
+        if not np.isfinite([c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff]).all():
+            self.damp("a command holds numbers that are not finite")
+            return
+        self._from = c.q_des if self._order is None or c.ramp <= 0.0 else self._target(now)
+        self._order, self._ordered, self._due = order, now, now
+
+    def finish(self) -> None:
+        """Damp the robot until it rests, and switch it off."""
+        if self.state == State.LISTEN:
+            self.state, self.ending = State.DONE, "nothing was switched on"
+        elif self.state == State.DRIVE:
+            self.damp("")
+
+    def closed(self) -> None:
+        """Take note that no more orders can come."""
+        if self.state == State.DRIVE:
+            self.damp("the process that drives the robot has ended")
+        else:
+            self.finish()
+
+    def damp(self, reason: str) -> None:
+        """Take over for a reason: damp from now on."""
+        self.state, self.reason = State.DAMP, reason
+        self._since = self._reached = self._rested = self._due = self.driver.now()
+
+    # ------------------------------------------------------------------ time
+
+    def cycle(self, until: float, wake: int | None = None) -> Any:
+        """Send what is due, listen until a time [s] or until more is due, and return a report if it is time for one.
+
+        Args:
+            until: On the driver's clock.
+            wake: Descriptor; also return when something is to be read from it.
+        """
+        driver = self.driver
+        self._send(driver.now())
+        due = self._due if self.state in (State.DRIVE, State.DAMP, State.ENDING) else np.inf
+        every = self._pause if driver.repeats or self.state != State.DRIVE else REPORT_PERIOD
+        report_at = self._reported + every
+        complete = driver.listen(min(until, due, report_at), wake)
+        now = driver.now()
+        if not complete and now < report_at - _MOMENT:
+            return None
+        self._reported = now
+        report = driver.report.copy()
+        report["t"], report["state"] = now, self.state
+        return report
+
+    def run(self) -> str:
+        """Damp the robot to the end, and return how it was left."""
+        if self.state < State.DAMP:
+            self.damp("")
+        while self.state != State.DONE:
+            self.cycle(self.driver.now() + 1.0)
+        return self.ending
+
+    def _send(self, now: float) -> None:
+        if self.state == State.DRIVE and now - self._ordered > ORDER_TIMEOUT:
+            self.damp(f"no order for {now - self._ordered:.2f} s")
+        if now < self._due - _MOMENT or self.state in (State.LISTEN, State.DONE):
+            return
+        if self.state == State.DRIVE:
+            self._drive(now)
+        elif self.state == State.DAMP:
+            self._settle(now)
+            self.driver.damp()
+            self._due = now + self._pause
+        else:
+            ending = self.driver.end(since=self._since, rested=self._rests)
+            self._due = now + self._pause
+            if ending is not None:
+                self.state, self.ending = State.DONE, ending
+
+    def _drive(self, now: float) -> None:
+        order, driver = self._order, self.driver
+        assert order is not None
+        command = order.command
+        try:
+            driver.drive(replace(command, q_des=self._target(now)), order.joints)
+        except FrameError as reason:
+            self.damp(str(reason))
+            return
+        begin, period = order.begin, driver.period
+        self._due = begin + (np.floor((now - begin + _MOMENT) / period) + 1.0) * period
+        if not driver.repeats and self._due > begin + command.ramp - 0.5 * period:
+            self._due = np.inf  # that was the last part
+
+    def _target(self, now: float) -> FloatArray:
+        """Return the desired positions of a message that holds for one period (12,) [rad]."""
+        order = self._order
+        assert order is not None
+        target, ramp = order.command.q_des, order.command.ramp
+        if ramp <= 0.0 or self._from is None:
+            return target
+        period = self.driver.period
+        slot = np.floor((now - order.begin + _MOMENT) / period) + 1.0
+        share = min(max(slot * period / ramp, 0.0), 1.0)
+        return self._from + share * (target - self._from)
+
+    def _settle(self, now: float) -> None:
+        """End the damping once the robot rests, or after the longest time for it."""
+        limits, lost = self._limits, self.driver.lost
+        self._reached = now if lost else self._reached
+        if not self.driver.speed() < limits.rest_speed:
+            self._rested = now
+        self._rests = now - self._rested >= limits.rest_seconds
+        given_up = lost and now - self._since >= GIVE_UP
+        if self._rests or given_up or now - self._reached >= limits.damp_seconds:
+            self.state, self._since = State.ENDING, now

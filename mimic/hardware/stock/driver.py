@@ -1,0 +1,328 @@
+"""A stock CyberDog 2 behind mimic's `mimic.hardware.robot.driver.Driver`: messages at 500 Hz over LCM.
+
+The firmware cuts a desired position that is far from the measured one, which takes away the torque of a push. So each
+message holds the target inside that cut around the newest reading, and what was cut off travels in the desired
+velocity, which the firmware does not cut:
+
+    q_c = clip(q_des, q - cut, q + cut)        qd_des = dq_des + kp (q_des - q_c) / kd
+
+The torque is that of the policy's law, up to the limit of qd_des.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mimic.control.safety_limits import limits_for
+from mimic.errors import FrameError, PlantError
+from mimic.hardware.robot.checks import HOT, Check
+from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, DriverSettings
+from mimic.hardware.stock.lcm_bus import LcmBus, check_network
+from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
+from mimic.hardware.stock.preflight import LYING_TOLERANCE, board_preflight
+from mimic.hardware.stock.readings import NO_ERR_FLAG, Readings
+from mimic.hardware.stock.wiring import BoardWiring, load_board
+from mimic.records import JOINTS, JointCommand
+from mimic.robot.description import RobotDescription, load_description
+
+PERIOD = 0.002
+"""Time between two messages [s]: the firmware's own cycle."""
+
+ENTER_TIMEOUT = 2.0
+"""Motor mode is entered within this after the first zero message [s]; the firmware takes 5 ms."""
+
+CLEAR_TIMEOUT = 8.0
+"""Error 0x02 is cleared within this [s]; the firmware takes 2.5 s."""
+
+START_TILT = 0.3
+"""Largest tilt of the robot when it is taken over [rad]."""
+
+FRESH = 0.05
+"""A reading at most this old shows that the robot answers [s]."""
+
+ZERO_TIME = 0.2
+"""How long zero messages are sent at the end [s]."""
+
+OBEYED = 0.5
+"""For how long the firmware follows a command [s]."""
+
+_REMEMBERED = 2048
+"""Own messages that are recognised when they come back by multicast: 4 s."""
+
+_SMALL_KD = 0.05
+"""Below this velocity gain the part that was cut off is sent as torque [N m s/rad]."""
+
+OBEYS_ANOTHER = "another program still commands the robot, which obeys it: hold the robot, and end that program"
+"""How a robot is left to which another program still sends."""
+
+NOT_FOLLOWED = "it has followed no message of this program, and is as it was"
+"""How a robot is left that never entered motor mode."""
+
+UNREACHED = (
+    "the robot does not answer: its firmware damps it by itself, from 0.5 s after the last message that reached it on; "
+    "if it does not sink and lie still, switch it off"
+)
+"""How a robot is left that no message reaches."""
+
+RESTED = "the robot was damped until it rested, and its motors are without torque"
+"""How a robot should be left."""
+
+
+class Bus(Protocol):
+    """The two LCM ports of a board, or of an emulated one."""
+
+    heard: Callable[[str, bytes, float], None]
+    """Called with channel, bytes and time [s] of each message."""
+
+    def now(self) -> float:
+        """Return the time of the messages [s]."""
+        ...
+
+    def publish(self, channel: str, data: bytes) -> None:
+        """Send a message.
+
+        Raises:
+            OSError: If the network does not take it.
+        """
+        ...
+
+    def listen(self, until: float, wake: int | None) -> None:
+        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the network."""
+        ...
+
+
+class StockDriver:
+    """See `mimic.hardware.robot.driver.Driver`."""
+
+    period, repeats = PERIOD, True
+
+    def __init__(
+        self,
+        bus: Bus,
+        wiring: BoardWiring,
+        description: RobotDescription,
+        *,
+        network: str = "",
+        torque_limit: float | None = None,
+    ) -> None:
+        """Take an open bus; nothing is sent.
+
+        Args:
+            bus: LCM.
+            wiring: Of the board.
+            description: The robot; its largest velocity gain damps.
+            network: How messages leave this computer, in words.
+            torque_limit: Refused if below the motors' own: the board has no such limit.
+
+        Raises:
+            PlantError: If a torque limit is asked for.
+        """
+        if torque_limit is not None and torque_limit < description.torque_max:
+            raise PlantError(
+                f"the stock board has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
+            )
+        self.bus, self.network, self.problem = bus, network, ""
+        bus.heard = self.heard
+        self._wiring, self._description, self._limits = wiring, description, limits_for(description)
+        self._kd = min(description.kd_max, wiring.kd_max)
+        self.readings = Readings(wiring)
+        self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._own_set: dict[bytes, int] = {}
+        self._foreign = NEVER
+        self._tag = np.random.default_rng().uniform(-0.05, 0.05, len(JOINTS))  # tells own zero messages from others'
+
+    @property
+    def report(self) -> Any:
+        """Newest readings; a scalar of REPORT."""
+        return self.readings.report
+
+    def now(self) -> float:
+        """Return the time of the messages [s]."""
+        return self.bus.now()
+
+    def heard(self, channel: str, data: bytes, t: float) -> None:
+        """Take a message that arrived at time t [s]."""
+        if channel != MOTOR_CTRL.channel:
+            self.readings.take(channel, data, t)
+        elif data not in self._own_set:
+            self.report["foreign"] += 1
+            self._foreign = t
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot by listening to it; nothing is sent."""
+        return board_preflight(self, self._description, self.network, suspended=options.suspended)
+
+    # ------------------------------------------------------------------ start
+
+    def start(self, *, suspended: bool) -> None:
+        """Enter motor mode, clear error 0x02, and check the robot once more; it is limp until then.
+
+        Raises:
+            PlantError: If the board does not follow, or something stands against moving.
+        """
+        began = self.now()
+        self._await(
+            lambda: self.readings.commanded > began,
+            ENTER_TIMEOUT,
+            "the robot does not enter motor mode, which it does only from lying, switched off or damped. It hears no "
+            "other orders now: support it if it stands, switch it off, and start it again lying",
+        )
+        self._await(
+            lambda: not int(self.report["err_flag"]) & TIMED_OUT and self.report["came"][0] > began,
+            CLEAR_TIMEOUT,
+            "error 0x02 of the robot does not clear; switch it off and on. Is another program sending to it?",
+        )
+        self._await(  # the first message may come later than those of the motors
+            lambda: self.now() - self.report["imu_came"] <= self._limits.imu_age,
+            ENTER_TIMEOUT,
+            "the robot was not moved: no orientation comes from the robot",
+        )
+        problems = self._problems(suspended)
+        if problems:
+            raise PlantError(f"the robot was not moved: {'; '.join(problems)}")
+
+    def _await(self, reached: Callable[[], bool], timeout: float, problem: str) -> None:
+        """Send zero messages until something is reached.
+
+        Raises:
+            PlantError: If that takes too long.
+        """
+        end = self.now() + timeout
+        while self.now() < end:
+            self._zero()
+            self.listen(self.now() + PERIOD)
+            if reached():
+                return
+        raise PlantError(problem)
+
+    def _problems(self, suspended: bool) -> list[str]:
+        """Return what stands against moving of what is known only in motor mode, or may have changed meanwhile."""
+        report, found = self.report, []
+        found += [
+            f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits
+        ]
+        warmest = int(np.argmax(report["temperature"]))
+        if report["temperature"][warmest] >= HOT:
+            found.append(f"motor {JOINTS[warmest]} is at {report['temperature'][warmest]:.0f} degC; let it cool")
+        if report["foreign"]:
+            found.append("another program commands this robot")
+        if not suspended:
+            _, x, y, _ = report["quat_WB"]
+            if 1.0 - 2.0 * (x * x + y * y) < np.cos(START_TILT):
+                found.append("the robot is tilted")
+            away = np.abs(report["q"] - self._description.poses["lie"])
+            worst = int(np.argmax(away))
+            if away[worst] > LYING_TOLERANCE:
+                found.append(f"{JOINTS[worst]} is {np.rad2deg(away[worst]):.0f} deg from the lying pose")
+        return found
+
+    def abandon(self) -> str:
+        """Return how a robot is left that never followed; empty where it is in motor mode and must be damped."""
+        return NOT_FOLLOWED if self.report["err_flag"] == NO_ERR_FLAG else ""
+
+    # ------------------------------------------------------------------ messages
+
+    def listen(self, until: float, wake: int | None = None) -> bool:
+        """Take what comes until a time [s], or until something is to be read from a descriptor."""
+        self.bus.listen(until, wake)
+        return False
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command; the board takes only one for all joints."""
+        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
+            raise FrameError("a command holds numbers that are not finite")
+        wiring, report, q = self._wiring, self.report, self.report["q"]
+        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        room, target = wiring.cut - wiring.cut_margin, command.q_des
+        near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
+        rest = kp * (target - near)
+        by_velocity = kd >= _SMALL_KD
+        dq_des = command.dq_des + np.where(by_velocity, rest / np.maximum(kd, _SMALL_KD), 0.0)
+        tau = command.tau_ff + np.where(by_velocity, 0.0, rest)
+        self._send(
+            MOTOR_CTRL.encode(
+                q_des=wiring.wire_angles(near),
+                qd_des=wiring.wire(np.clip(dq_des, -wiring.velocity_max, wiring.velocity_max)),
+                kp_des=wiring.wire_gains(kp),
+                kd_des=wiring.wire_gains(kd),
+                tau_des=wiring.wire(np.clip(tau, -wiring.torque_max, wiring.torque_max)),
+            )
+        )
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = target, kp, kd
+
+    def damp(self) -> None:
+        """Send damping."""
+        q = self.report["q"]
+        q_des, kd = np.where(np.isfinite(q), q, 0.0), np.full(len(JOINTS), self._kd)
+        self._send(MOTOR_CTRL.encode(q_des=self._wiring.wire_angles(q_des), kd_des=kd))
+
+    def _zero(self) -> None:
+        self._send(MOTOR_CTRL.encode(q_des=self._tag))
+
+    def _send(self, data: bytes) -> None:
+        if len(self._own) == self._own.maxlen:
+            oldest = self._own[0]
+            self._own_set[oldest] -= 1
+            if not self._own_set[oldest]:
+                del self._own_set[oldest]
+        self._own.append(data)
+        self._own_set[data] = self._own_set.get(data, 0) + 1
+        self.report["sent"] += 1
+        try:
+            self.bus.publish(MOTOR_CTRL.channel, data)
+        except OSError as reason:
+            self.problem = f"the network takes no messages: {reason.strerror or reason}"
+
+    def speed(self) -> float:
+        """Return how fast the fastest joint moves [rad/s]; infinite where the robot does not answer."""
+        return float(np.max(np.abs(self.report["dq"]))) if self._answers() else float("inf")
+
+    def _answers(self) -> bool:
+        return bool(self.now() - self.report["came"][0] <= FRESH)
+
+    @property
+    def lost(self) -> bool:
+        """False: who no longer hears the robot cannot know whether the robot hears, and its firmware damps it."""
+        return False
+
+    def end(self, *, since: float, rested: bool) -> str | None:
+        """Send zero messages for a moment where the robot rests; return how it was left."""
+        if rested and self.now() - since <= ZERO_TIME:
+            self._zero()
+            return None
+        if self.now() - self._foreign < OBEYED:
+            return OBEYS_ANOTHER
+        if rested:
+            return RESTED
+        if not self._answers() or int(self.report["err_flag"]) & TIMED_OUT:
+            return UNREACHED
+        seconds = self._limits.damp_seconds
+        return (
+            f"the robot was damped for {seconds:g} s and still moves; its firmware damps it for another 2.5 s: hold it"
+        )
+
+    def close(self) -> None:
+        """Let go of the network."""
+        self.bus.close()
+
+
+def board_wiring(path: str | None, board: str = "cyberdog2") -> BoardWiring:
+    """Return the wiring of a board: of a file, or the shipped one."""
+    return load_board(None if path is None else Path(path), board)
+
+
+def open_stock_driver(settings: DriverSettings, *, quick: bool = False) -> StockDriver:
+    """Open the driver of a stock robot; see `mimic.hardware.robot.driver.open_driver`."""
+    wiring = board_wiring(settings.wiring, settings.bus_url)
+    network, ttl = check_network(wiring, settings.interface)
+    description = load_description(settings.robot)
+    return StockDriver(LcmBus(wiring, ttl), wiring, description, network=network, torque_limit=settings.torque_limit)

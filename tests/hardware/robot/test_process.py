@@ -1,0 +1,257 @@
+"""The process that sends, over socketcand and LCM on this computer: it drives, and whoever is left damps the robot."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from mimic.config.emulator import EmulateSettings
+from mimic.config.hardware import BusSettings
+from mimic.control.priority import EMULATOR, LOOP, real_time
+from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import EmulatorServer
+from mimic.errors import BusError, ConfigError, MimicError, SenderError
+from mimic.flows.watching import watch_robot
+from mimic.hardware.robot import process
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings, open_driver
+from mimic.hardware.robot.plant import Robot
+from mimic.hardware.robot.process import SenderProcess
+from mimic.hardware.robot.sender import Sender
+from mimic.hardware.stock.lcm_bus import LcmBus, check_network
+from mimic.hardware.stock.messages import MOTOR_CTRL
+from mimic.hardware.stock.wiring import load_board
+from mimic.hardware.wiring import load_wiring
+from mimic.io.assets import shipped
+from mimic.records import JointCommand
+
+PATIENCE = 60.0
+"""Something that has not happened by then does not happen [s]; an idle computer takes a second."""
+
+BUSY = 20.0
+"""How much longer a computer may take here that other tests keep busy; lab/faults holds the times themselves."""
+
+
+@pytest.fixture
+def wiring(tmp_path):
+    """Return the shipped wiring at two ports that nobody else uses; messages do not leave this computer."""
+    text = shipped("assets", "cyberdog2", "board.toml").read_text()
+    for name in ("port", "state_port"):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            sock.bind(("", 0))
+            text = re.sub(rf"^{name} = \d+", f"{name} = {sock.getsockname()[1]}", text, flags=re.M)
+    path = tmp_path / "board.toml"
+    path.write_text(text)
+    board = load_board(path)
+    try:
+        check_network(board, "lo")
+    except BusError as reason:
+        pytest.skip(f"no multicast on this computer: {reason}")
+    return board
+
+
+class Served:
+    """An emulated robot that is served from a thread, and what reaches it."""
+
+    def __init__(self, robot, server, settings: DriverSettings) -> None:
+        self.robot, self.settings, self._server = robot, settings, server
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with real_time(EMULATOR):
+            self._server.run(self._over.is_set)
+
+    def gains(self) -> float:
+        """Return the largest stiffness that a motor follows."""
+        if isinstance(self.robot, EmulatedBoard):
+            return float(self.robot.applied.kp.max())
+        return max(motor.drive.kp for motor in self.robot.motors)
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join(10.0)
+        if isinstance(self._server, EmulatorServer):
+            self._server.close()
+
+
+@pytest.fixture
+def board(wiring, description):
+    pytest.importorskip("lcm")
+    from mimic.emulator.board_server import BoardServer
+
+    robot = EmulatedBoard(description, wiring, EmulateSettings(placement=0.0))
+    settings = DriverSettings(bus_url="cyberdog2", robot="cyberdog2", wiring=str(wiring.path), interface="lo")
+    made = Served(robot, BoardServer(robot, wiring), settings)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def motors(description):
+    robot = EmulatedRobot(description, load_wiring(), EmulateSettings(zeroed=True, placement=0.0))
+    server = EmulatorServer(robot)
+    settings = DriverSettings(bus_url=server.addresses[0], robot="cyberdog2", zeroed=True)
+    made = Served(robot, server, settings)
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=["motors", "board"])
+def served(request):
+    """Return a robot on CAN, then a stock one."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def link(served, description):
+    made = SenderProcess(served.settings, description)
+    with real_time(LOOP):
+        yield made
+    made.close()
+
+
+def eventually(reached, patience: float = PATIENCE) -> bool:
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        if reached():
+            return True
+        time.sleep(0.005)
+    return False
+
+
+def hold(q) -> JointCommand:
+    zeros = np.zeros(12)
+    return JointCommand(q_des=q, dq_des=zeros, kp=np.full(12, 20.0), kd=np.full(12, 2.0), tau_ff=zeros)
+
+
+def driven(plant, served):
+    """Start a robot and drive it until its motors obey."""
+    state = plant.start()
+    end = time.monotonic() + PATIENCE
+    while not served.gains() and time.monotonic() < end:
+        plant.step(hold(np.nan_to_num(state.q)))
+    assert served.gains()
+    return np.nan_to_num(state.q)
+
+
+@pytest.mark.slow
+def test_it_checks_and_drives_a_robot_and_leaves_it_damped(link, served, description):
+    found = link.checks(CheckOptions(rate_hz=50.0))
+    assert [check.text for check in found if check.verdict == "stop"] == []
+    plant = Robot(link, description)
+    driven(plant, served)
+    plant.close()
+    assert plant.ending.startswith("the robot was damped")
+    assert eventually(lambda: not served.gains())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "within"), [(signal.SIGKILL, 0.15), (signal.SIGSTOP, 0.35)])
+def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, within, link, served, description):
+    plant = Robot(link, description)
+    q = driven(plant, served)
+    os.kill(link.pid, number)
+    begin, damped = time.monotonic(), []
+    watch = threading.Thread(target=lambda: damped.append(eventually(lambda: not served.gains()) and time.monotonic()))
+    watch.start()
+
+    def go_on() -> None:
+        for _ in range(1000):
+            plant.step(hold(q))
+
+    with pytest.raises(SenderError, match=r"has ended|hangs"):
+        go_on()
+    plant.close()
+    watch.join()
+    assert damped[0] - begin < BUSY * within
+    assert plant.ending.startswith("the robot was damped")
+    assert not served.gains()
+
+
+@pytest.mark.slow
+def test_a_loop_that_stands_still_loses_the_robot_to_the_sender(link, served, description):
+    plant = Robot(link, description)
+    q = driven(plant, served)
+    begin = time.monotonic()
+    assert eventually(lambda: not served.gains())
+    assert time.monotonic() - begin < BUSY * 0.15
+    with pytest.raises(SenderError, match=r"damped the robot: no order for 0\.1"):
+        plant.step(hold(q))
+    plant.close()
+    assert "damped" in plant.ending
+
+
+@pytest.mark.slow
+def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served, description):
+    driven(Robot(link, description), served)
+    link._ours.close()  # as if this process were killed
+    begin = time.monotonic()
+    assert eventually(lambda: not served.gains())
+    assert time.monotonic() - begin < BUSY * 0.15
+
+
+@pytest.mark.slow
+def test_a_computer_that_has_slept_damps_the_robot(motors, description, monkeypatch):
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setblocking(False)
+    driver = open_driver(motors.settings)
+    sender, asleep = Sender(driver, description), [0.0]
+    sender.start()
+    monkeypatch.setattr(process, "_clocks_apart", lambda: asleep[0])
+    served = threading.Thread(target=process._Server(theirs, sender).run, daemon=True)
+    served.start()
+    asleep[0] = 3.0  # as after a lid was closed
+    served.join(30.0)
+    ours.close()
+    driver.close()
+    assert sender.reason == "this computer slept for 3.0 s"
+    assert sender.ending == "the robot was damped and all motors are off"
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"bus_url": "socketcand://127.0.0.1:9/can0"}, "nobody listens"),
+        ({"bus_url": "can0", "wiring": "/nowhere/bus.toml"}, "cannot be read"),
+        ({"bus_url": "cyberdog2", "interface": "eth99"}, "there is no network interface 'eth99'"),
+    ],
+)
+@pytest.mark.slow
+def test_a_sender_that_cannot_open_the_robot_says_why(settings, expected, description):
+    with pytest.raises(MimicError, match=expected):
+        SenderProcess(DriverSettings(robot="cyberdog2", **settings), description)
+
+
+@pytest.mark.slow
+def test_messages_are_those_of_lcm(wiring):
+    pytest.importorskip("lcm")
+    heard = []
+    one, other = (LcmBus(wiring, 0, lambda *message: heard.append(message)) for _ in range(2))
+    one.publish(MOTOR_CTRL.channel, MOTOR_CTRL.encode())
+    assert eventually(lambda: other.listen(time.monotonic() + 0.01) or heard)
+    assert heard[0][:2] == ("motor_ctrl", MOTOR_CTRL.encode())
+
+
+def test_an_interface_that_does_not_exist_is_named_with_those_that_do(wiring):
+    with pytest.raises(ConfigError, match=r"there is no network interface 'eth99'; this computer has lo"):
+        check_network(wiring, "eth99")
+
+
+@pytest.mark.slow
+def test_watching_shows_joints_and_orientation_and_sends_nothing(board, wiring):
+    seen = []
+    settings = BusSettings(wiring=str(wiring.path), interface="lo")
+    watch_robot("cyberdog2", settings, seconds=1.0, every=0.5, show=seen.append)
+    np.testing.assert_allclose(seen[-1].q, board.robot.body.data.qpos[-12:], atol=0.02)
+    np.testing.assert_allclose(seen[-1].rpy[:2], 0.0, atol=0.02)
+    assert "not in motor mode" in seen[-1].notes
+    assert board.robot.err_flag == 0
