@@ -197,7 +197,7 @@ def _is_other(
     moved = float(np.linalg.norm(np.median(place[before], axis=0) - np.median(place[after], axis=0)) / small)
     grown = abs(float(np.log(np.median(height[after]) / max(np.median(height[before]), 1.0))))
     if gap > GAP:  # who only turned has a back of another colour, and is where they were
-        return colour > OTHER_COLOUR and (gap > AWAY or moved > JUMP or grown > OTHER_SIZE)
+        return colour > OTHER_COLOUR and bool(gap > AWAY or moved > JUMP or grown > OTHER_SIZE)
     return moved > FAR or (moved > JUMP and (colour > OTHER_COLOUR or grown > OTHER_SIZE))
 
 
