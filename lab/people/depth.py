@@ -1,10 +1,12 @@
-"""How well the depth of the arms is known: clips with exact truth, with the detector's depth and the estimated one.
+"""How well the depth of the arms is known: clips with truth, with the detector's depth and the estimated one.
 
-    python -m lab.people.depth VIDEO [...]
+    python -m lab.people.depth VIDEO [...] [VIEWS ...] [--pose-model heavy]
 
 Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera axes (examples/videos, or what
-lab/people/depth_clips.py --video wrote). Wrists are compared from their own shoulder in torso axes, each with its
-own heading, and the toe targets that follow from them.
+lab/people/depth_clips.py --video wrote). VIEWS is a folder of views of one real person by calibrated cameras: videos,
+Calib.qca.txt and triangulated_blazepose.npz. Toe targets are compared with those of the truth, and what is declared of
+the wrists' depth with its error, in fifths of the frames from the surest. What was detected is kept: another method
+of estimating depth is judged without the detector.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,20 +29,38 @@ from mimic.sources.video.depth import with_depth
 
 STILL = RetargetSettings(keep_peaks=False)
 SIDES = {"L": "left", "R": "right"}
+WRISTS, SHOULDERS = (
+    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("wrist", "shoulder")
+)
 
 
 def true_track(path: Path, like: PoseTrack) -> PoseTrack:
-    """Return the truth as a pose track, at the times of another."""
-    stored = np.load(path)
+    """Return the truth of a clip as a pose track, at the times of another."""
+    if path.parent.joinpath("Calib.qca.txt").is_file():
+        return _as_track(_seen_by(path), like)
+    stored = np.load(path.with_suffix(".npz"))
     landmarks = np.full((len(like.t), 33, 3), np.nan)
-    valid = np.zeros((len(like.t), 33), dtype=bool)
     for i, name in enumerate(stored["names"]):
         if name[-1] in SIDES:
             column = LANDMARKS.index(f"{SIDES[name[-1]]}_{name[:-1]}")
-            valid[:, column] = True
             for axis in range(3):
                 landmarks[:, column, axis] = np.interp(like.t, stored["t"], stored["joints"][:, i, axis])
+    return _as_track(landmarks, like)
+
+
+def _as_track(landmarks: np.ndarray, like: PoseTrack) -> PoseTrack:
+    valid = np.isfinite(landmarks).all(axis=-1)
     return replace(like, landmarks=landmarks, valid=valid, score=valid.astype(float), shot=np.zeros(len(like.t)))
+
+
+def _seen_by(view: Path) -> np.ndarray:
+    """Return the triangulated points (T, 33, 3) in the axes of one of the cameras [m]."""
+    cameras = ElementTree.parse(view.parent / "Calib.qca.txt").iter("camera")
+    turn = next(camera for camera in cameras if camera.get("serial") == view.stem).find("transform")
+    assert turn is not None
+    axes = np.array([[float(turn.get(f"r{i}{j}", "nan")) for j in (1, 2, 3)] for i in (1, 2, 3)])
+    axes = np.diag([1.0, -1.0, -1.0]) @ axes  # the calibration's camera looks along -z with y up
+    return np.load(view.parent / "triangulated_blazepose.npz")["xyz"] @ axes.T
 
 
 def estimated(seen: PoseTrack) -> PoseTrack:
@@ -67,28 +88,53 @@ def targets_apart(seen: PoseTrack, true: PoseTrack, reach: Reach) -> float:
     return 100 * float(np.linalg.norm(one.p_BE - other.p_BE, axis=-1)[one.valid & other.valid].mean())
 
 
+def depth_errors(seen: PoseTrack, true: PoseTrack) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is declared of each wrist's depth from its shoulder and its error (N,) [cm]."""
+    declared = seen.depth_spread
+    error = np.subtract(*(track.landmarks[:, WRISTS, 2] - track.landmarks[:, SHOULDERS, 2] for track in (seen, true)))
+    known = seen.valid[:, WRISTS] & np.isfinite(declared) & np.isfinite(error)
+    return 100 * declared[known], 100 * error[known]
+
+
+def fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> str:
+    """Return root mean squares of what is declared and of the error, in fifths of the frames."""
+    declared, error = (np.concatenate(column) for column in zip(*rows, strict=True))
+    parts = np.array_split(np.argsort(declared), 5)
+    rms = [[np.sqrt(np.mean(values[part] ** 2)) for values in (declared, error)] for part in parts]
+    return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("videos", nargs="+", type=Path)
+    parser.add_argument("clips", nargs="+", type=Path)
+    parser.add_argument("--pose-model", default=None)
     options = parser.parse_args()
+    settings = PoseSettings(depth=False, pose_model=options.pose_model)
     reach = Reach()
     print("| clip | true heading, off | detector alone: r, gain, RMSE, targets apart | with depth |\n|---|---|---|---|")
-    means = []
-    for path in options.videos:
-        cells, figures = [], []
-        detected = track_video(path, PoseSettings(depth=False))
-        true = true_track(path.with_suffix(".npz"), detected)
-        for depth in (False, True):
-            seen = estimated(detected) if depth else detected
-            figures.append((*forward(seen, true), targets_apart(seen, true, reach)))
-            cells.append("{:.2f}, {:.2f}, {:.1f} cm, {:.1f} cm".format(*figures[-1]))
-        own, off = (np.degrees(np.median(torso_heading(track))) for track in (true, detected))
-        means.append(figures)
-        off = (off - own + 180) % 360 - 180
-        print(f"| {path.stem} | {own:.0f}°, {off:.0f}° | {cells[0]} | {cells[1]} |", flush=True)
-    mean = np.mean(means, axis=0)
-    cells = ["{:.2f}, {:.2f}, {:.1f} cm, {:.1f} cm".format(*row) for row in mean]
-    print(f"| mean | | {cells[0]} | {cells[1]} |")
+    figures, errors = {"people": [], "rendered": []}, {"people": [], "rendered": []}
+    for path in [clip for given in options.clips for clip in (sorted(given.glob("*.mp4")) or [given])]:
+        kind = "people" if path.parent.joinpath("Calib.qca.txt").is_file() else "rendered"
+        detected = track_video(path, settings)
+        true = true_track(path, detected)
+        seen = estimated(detected)
+        figures[kind].append([(*forward(track, true), targets_apart(track, true, reach)) for track in (detected, seen)])
+        errors[kind].append(depth_errors(seen, true))
+        own, off = (np.degrees(np.median(torso_heading(track))) for track in (true, seen))
+        print(
+            f"| {path.stem} | {own:.0f}°, {(off - own + 180) % 360 - 180:.0f}° {_cells(figures[kind][-1])}", flush=True
+        )
+    for kind, rows in figures.items():
+        if rows:
+            print(f"| {kind}, mean | {_cells(np.mean(rows, axis=0))}")
+    print("\n| declared, true depth error [cm] | surest fifth | | | | least sure |\n|---|---|---|---|---|---|")
+    for kind, rows in errors.items():
+        if rows:
+            print(f"| {kind} | {fifths(rows)} |")
+
+
+def _cells(rows: np.ndarray | list[tuple[float, ...]]) -> str:
+    return "".join("| {:.2f}, {:.2f}, {:.1f} cm, {:.1f} cm ".format(*row) for row in rows) + "|"
 
 
 if __name__ == "__main__":

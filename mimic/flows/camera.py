@@ -60,7 +60,7 @@ def follow_camera(
     from mimic.sources.video.camera import check_camera, open_camera
 
     fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
-    record = CameraRecord()
+    record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
 

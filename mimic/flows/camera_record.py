@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mimic.flows.motion import Motion
+from mimic.errors import SourceError
+from mimic.flows.motion import InputSettings, Motion
+from mimic.flows.reporter import Reporter
 from mimic.io import store
 from mimic.records import PHASES, CommandTrack, FloatArray, LiveTrack, PoseTrack, Provenance, RunLog
 
@@ -23,6 +25,7 @@ LIVE = "live.parquet"
 class CameraRecord:
     """What the camera saw and how long each frame took, row by row."""
 
+    settings: InputSettings = field(default_factory=InputSettings)
     seen: list[CameraFrame] = field(default_factory=list)
     latency: list[float] = field(default_factory=list)
     began: float = float("nan")
@@ -62,8 +65,9 @@ class CameraRecord:
         rows = [row for row in self.seen if row.t >= zero]
         if len(rows) < 2:
             return None
-        return PoseTrack(
-            t=np.array([row.t for row in rows]) - zero,
+        t = np.array([row.t for row in rows]) - zero
+        track = PoseTrack(
+            t=t,
             landmarks=np.array([row.landmarks for row in rows]),
             image=np.array([row.image for row in rows]),
             score=np.array([row.score for row in rows]),
@@ -72,6 +76,34 @@ class CameraRecord:
             depth_spread=np.array([row.depth_spread for row in rows]),
             swapped=np.array([row.swapped for row in rows]),
         )
+        return replace(track, warnings=self._warnings(track))
+
+    def _warnings(self, track: PoseTrack) -> tuple[str, ...]:
+        """Return what is to be said of a track, as of that of a video."""
+        from mimic.sources.video.screening import person_rows
+        from mimic.sources.video.shots import describe, find_changes
+        from mimic.sources.video.video import doubts
+
+        rows, pose = self.seen[-len(track.t) :], self.settings.pose
+        person = person_rows(track.score, pose.min_visibility)
+        clothes = np.array([row.clothes for row in rows])
+        still, light = np.zeros(len(rows)), np.full((len(rows), 2), 100.0)  # a camera has no cuts and no fades
+        changes = find_changes(track.t, still, light, track.image, person, clothes, track.size)
+        doubtful = doubts(track.t, track.landmarks, track.image, track.score, track.swapped, track.size, pose)
+        return (*rows[-1].people, *describe(changes, track.t), *doubtful)
+
+    def report(self, pose: PoseTrack, reporter: Reporter) -> None:
+        """Say what a run of a video says: doubts, an arm that is not seen, where the camera is."""
+        from mimic.retargeting.wrists import pose_report, wrist_track
+
+        try:
+            wrists = wrist_track(pose, self.settings.retarget)
+        except SourceError as nobody:
+            reporter.warn(str(nobody))
+            return
+        for text in wrists.warnings:
+            reporter.warn(text)
+        reporter.note(pose_report(pose, self.settings.retarget)["unseen"])
 
     def motion(self, log: RunLog) -> Motion | None:
         """Return what was asked of the robot in the tracking phase, with the person; it can be played again."""

@@ -420,7 +420,7 @@ def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable
     if is_here(settings.pose_model):
         return
     check()
-    reporter.note("pose model   not on this computer yet: downloading mediapipe's wheel that carries it (once, 36 MB)")
+    reporter.note("pose model   not on this computer yet: downloading the package that carries it (once, 36 MB)")
     with reporter.progress("MB") as progress:
         path = pose_model(settings.pose_model, progress=progress)
     reporter.note(f"pose model   kept in {path}")

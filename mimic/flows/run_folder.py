@@ -194,7 +194,10 @@ def save_run(
     made_by = provenance(settings, {**run.inputs, **({} if source is None else {"source": source})})
     if camera is not None:
         more = {**(more or {}), "live": camera.save(folder, made_by)}
-        run = replace(run, motion=camera.motion(run.log) or run.motion)
+        motion = camera.motion(run.log)
+        run = replace(run, motion=motion or run.motion)
+        if motion is not None and motion.pose is not None:
+            camera.report(motion.pose, reporter)
     save_logs(run, folder, made_by)
     motion, result = run.motion, run.result
     if motion is not None:

@@ -270,6 +270,7 @@ def _turn_warnings(pose: PoseTrack, settings: RetargetSettings) -> tuple[str, ..
         return ()
     warning = (
         f"the person is turned by more than {np.degrees(MAX_TURN):.0f}° from the clip's heading in {share:.0%} of the "
-        "frames, which mixes forward and sideways motion; use --turns, or film a person who keeps one heading"
+        "frames, which mixes forward and sideways motion; set [retarget] turns in --config, or film a person who keeps "
+        "one heading"
     )
     return (warning,)

@@ -67,3 +67,12 @@ def test_what_was_asked_can_be_played_again(run, tmp_path):
     assert store.load(run / "pose.parquet", PoseTrack).valid.any()
     command = [str(run / "commands.parquet"), "--sim", "--no-view", *SHORT, "-o", str(tmp_path / "again")]
     assert main(command) == 0
+
+
+def test_it_says_what_a_run_of_a_file_says(run, capsys):
+    from mimic.cli.console import ConsoleReporter
+    from mimic.flows.camera import CameraRecord
+
+    CameraRecord().report(store.load(run / "pose.parquet", PoseTrack), ConsoleReporter())
+    said = capsys.readouterr()
+    assert "The camera is in front of the person" in said.out + said.err

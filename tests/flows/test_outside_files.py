@@ -218,7 +218,7 @@ def test_copies_of_one_skeleton_are_one_person(tmp_path):
 def test_a_frame_time_that_is_a_rate_is_refused():
     with pytest.raises(SourceError) as error:
         load_motion(outside("frame_time_is_fps.bvh"))
-    one_line(error, "60 s apart", "a rate of 60 Hz", "--fps")
+    one_line(error, "60 s apart", "a rate of 60 Hz", "[mocap] fps")
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,9 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     if settings.fps:
         step = 1.0 / settings.fps
     if step <= 0.0:
-        raise SourceError(f"{path.name} gives a frame time of {step:g} s; give the frame rate with --fps")
+        raise SourceError(
+            f"{path.name} gives a frame time of {step:g} s; give the frame rate as [mocap] fps in --config"
+        )
     return Points(
         t=step * np.arange(frames),
         xyz=_positions(joints, values),

@@ -44,7 +44,7 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
     if not len(xyz) or xyz.shape[1] == 0 or len(names) < xyz.shape[1]:
         raise SourceError(f"{path.name} has {len(names)} labels for {xyz.shape[1]} markers in {len(xyz)} frames")
     if not rate > 0.0:
-        raise SourceError(f"{path.name} has no frame rate; give it with --fps")
+        raise SourceError(f"{path.name} has no frame rate; give it as [mocap] fps in --config")
     unit = str(_value(point, "UNITS") or "").strip().lower()
     screen = str(_value(point, "Y_SCREEN") or "").strip().lower().removeprefix("+")
     xyz[(xyz == 0.0).all(axis=-1)] = np.nan

@@ -94,7 +94,9 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
             f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
             f"at least two and {settings.min_duration:g} s"
         )
-    check_clock(points.t, path.name, SourceError, "store times in seconds, or give the frame rate with --fps")
+    check_clock(
+        points.t, path.name, SourceError, "store times in seconds, or give the frame rate as [mocap] fps in --config"
+    )
     scheme, skeletons = recognise(points.names, read_names(mocap.names))
     named, others = _person(points, skeletons, settings.person, path)
     up, notes = _up(named, mocap.up if mocap.up != "auto" else None, points.up, path)
@@ -117,7 +119,7 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         swapped=np.zeros(len(xyz), dtype=np.bool_),
         warnings=(
             *points.warnings,
-            f"read as {scheme}, {up} up, in {unit}; correct it with --names or --up",
+            f"read as {scheme}, {up} up, in {unit}; correct it with [mocap] names or up in --config",
             *others,
             *doubts,
             *notes,
@@ -179,13 +181,13 @@ def _up(named: _Named, asked: str | None, header: str | None, path: Path) -> tup
         return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
     if trunk is None:
         raise SourceError(
-            f"{path.name} has neither hips nor feet, so the upward axis is unknown; give it, for example --up y"
+            f"{path.name} has neither hips nor feet, so the upward axis is unknown; give it as [mocap] up in --config"
         )
     axis = int(np.abs(trunk).argmax())
     if abs(trunk[axis]) < CLEARLY:
         raise SourceError(
             f"the torso in {path.name} points along ({', '.join(f'{v:.2f}' for v in trunk)}), along no single axis; "
-            "give the upward axis, for example --up y"
+            "give the upward axis as [mocap] up in --config"
         )
     up = ("" if trunk[axis] > 0 else "-") + "xyz"[axis]
     said = f"{path.name} says that {header} is up, but the trunk points along {up}; the trunk is believed"
@@ -275,5 +277,6 @@ def _check_person(track: PoseTrack, path: Path, settings: PoseSettings) -> None:
     if share < settings.min_person_share:
         raise SourceError(
             f"{path.name} shows both shoulders and a wrist in {share:.0%} of its rows, "
-            f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower --min-visibility"
+            f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower [pose] "
+            "min_visibility in --config"
         )

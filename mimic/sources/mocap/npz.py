@@ -113,4 +113,6 @@ def _times(arrays: dict[str, Any], rows: int, settings: MocapSettings, path: Pat
         return t
     if "fps" in arrays and np.ndim(arrays["fps"]) == 0 and float(arrays["fps"]) > 0:
         return np.arange(rows) / float(arrays["fps"])
-    raise SourceError(f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give --fps")
+    raise SourceError(
+        f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give [mocap] fps in --config"
+    )

@@ -1,7 +1,7 @@
 """What other people's files call a shoulder or a wrist, and how their rows are numbered.
 
 A scheme maps our landmark (see `mimic.records.LANDMARKS`) to a name of the file, or to several whose mean it is.
-``--names left_wrist=LWRA+LWRB`` adds to the tables or overrules them.
+``names = ["left_wrist=LWRA+LWRB"]`` under [mocap] adds to the tables or overrules them.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def layout_of(points: int, asked: str | None) -> tuple[str, ...]:
         what = f"could be {' or '.join(fitting)}" if fitting else "fit no layout that is known"
         raise SourceError(
             f"the file has {points} points without names, which {what}; store an array 'names' or 'layout' with them, "
-            f"or give --layout; known are {known}"
+            f"or give [mocap] layout in --config; known are {known}"
         )
     return LAYOUTS[fitting[0]]
 
@@ -133,7 +133,7 @@ def read_names(words: Sequence[str]) -> dict[str, tuple[str, ...]]:
         ours, separator, theirs = word.partition("=")
         if not separator or not theirs or ours not in LANDMARKS:
             raise ConfigError(
-                f"--names {word} cannot be read; expected OURS=THEIRS or OURS=THEIRS+THEIRS, OURS being one of "
+                f"[mocap] names: {word} cannot be read; expected OURS=THEIRS or OURS=THEIRS+THEIRS, OURS being one of "
                 f"{', '.join(name for name in LANDMARKS if name.split('_')[-1] in (*_LIMBS, 'index'))}"
             )
         asked[ours] = tuple(theirs.split("+"))
@@ -182,13 +182,13 @@ def recognise(names: Sequence[str], asked: Scheme) -> tuple[str, list[Columns]]:
 
     unknown = [name for theirs in asked.values() for name in theirs if not any(_plain(name) in key for key in column)]
     if unknown:
-        raise SourceError(f"--names asks for {', '.join(unknown)}; the file has {_some(names)}")
+        raise SourceError(f"[mocap] names asks for {', '.join(unknown)}; the file has {_some(names)}")
     fits = {name: skeletons({**scheme, **asked}) for name, scheme in SCHEMES.items()}
     best = max(fits, key=lambda name: (set(NEEDED) <= fits[name][0].keys(), len(fits[name][0])))
     if lacking := [name for name in NEEDED if name not in fits[best][0]]:
         raise SourceError(
             f"no {', '.join(lacking)} among the names of the file ({_some(names)}); the schemes {', '.join(SCHEMES)} "
-            "are known; map others with --names left_shoulder=… right_shoulder=… left_wrist=… right_wrist=…"
+            'are known; map others with [mocap] names = ["left_wrist=…", …] in --config'
         )
     return best, fits[best]
 

@@ -147,13 +147,15 @@ def _rate(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> flo
         return settings.fps
     name = _first(arrays, RATES)
     if name is None:
-        raise SourceError(f"{path.name} has no frame rate; give that of the recording, for example --fps 30")
+        raise SourceError(f"{path.name} has no frame rate; give that of the recording as [mocap] fps in --config")
     try:
         rate = float(np.asarray(arrays[name]).reshape(-1)[0])
     except (ValueError, TypeError, IndexError):
         rate = 0.0
     if not 0.0 < rate <= 10_000.0:
-        raise SourceError(f"{path.name}: '{name}' is {arrays[name]!r}; expected a frame rate in Hz, or give --fps")
+        raise SourceError(
+            f"{path.name}: '{name}' is {arrays[name]!r}; expected a frame rate in Hz, or give [mocap] fps in --config"
+        )
     return rate
 
 

@@ -191,7 +191,7 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
             f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}; "
-            "docs/manual/text.md has the phrasebook, or ask a language model with --planner llm"
+            "docs/manual/text.md has the phrasebook, or ask a language model: [text] planner in --config"
         )
     if not token:
         return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS}, a time, or a unit"

@@ -95,7 +95,7 @@ def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, prefix: s
 def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFrames:
     model = settings.llm_model
     if model is None:
-        raise ConfigError("name the model at the endpoint with --llm-model, or use --planner grammar")
+        raise ConfigError("name the model at the endpoint as [text] llm_model in --config, or leave planner to grammar")
     chat = _chat(settings, model)
     messages = [
         {"role": "system", "content": prompts.rules(reach, settings.longest)},
@@ -119,7 +119,7 @@ def _by_model(sentence: str, reach: Reach, settings: LanguageSettings) -> KeyFra
         ]
     raise SourceError(
         f"{model} gave no motion that can be played, after {CORRECTIONS} corrections: {one_line(errors)}; "
-        "say it more simply, try another model, or use --planner grammar"
+        "say it more simply, try another model, or set [text] planner to grammar"
     )
 
 
@@ -160,7 +160,9 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     where = settings.llm_url or os.environ.get("OPENAI_BASE_URL") or "OpenAI"
     key = os.environ.get("OPENAI_API_KEY")
     if key is None and where == "OpenAI":
-        raise ConfigError("put your key into the environment as OPENAI_API_KEY, or name an endpoint with --llm-url")
+        raise ConfigError(
+            "put your key into the environment as OPENAI_API_KEY, or name an endpoint as [text] llm_url in --config"
+        )
     client: OpenAI = openai.OpenAI(
         base_url=settings.llm_url, api_key=key or "none", timeout=settings.llm_timeout, max_retries=2
     )
@@ -177,14 +179,14 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
                 if not _without_refused_option(options, str(error)):
                     raise
 
-    late = f"{where} did not answer within {settings.llm_timeout:g} s; wait longer with --llm-timeout"
+    late = f"{where} did not answer within {settings.llm_timeout:g} s; wait longer ([text] llm_timeout)"
     failures: list[tuple[Any, str]] = [
-        ((openai.APITimeoutError, TimeoutError), f"{late}, or use --planner grammar"),
+        ((openai.APITimeoutError, TimeoutError), f"{late}, or set [text] planner to grammar"),
         (openai.APIConnectionError, f"no server answers at {where} (%s); is the server running there?"),
         (openai.RateLimitError, f"{where} refuses for now, too many requests or no credit (429): %s"),
         (openai.AuthenticationError, f"{where} does not accept the key in OPENAI_API_KEY (401): %s"),
         (openai.APIStatusError, f"{where} answers with an error: %s"),
-        (Exception, f"{where} has no chat completions API: %s; check --llm-url"),
+        (Exception, f"{where} has no chat completions API: %s; check [text] llm_url"),
     ]
 
     def chat(messages: list[dict[str, str]]) -> str:

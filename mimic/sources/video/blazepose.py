@@ -55,7 +55,13 @@ class BlazePose:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._pose.close()
+        with quiet_stderr():
+            self._pose.close()
+
+    def forget(self) -> None:
+        """Forget who was followed: in the next frame it looks for anybody."""
+        for _ in range(2):
+            self(np.zeros((64, 64, 3), np.uint8))
 
     def __call__(self, rgb: np.ndarray) -> _Detection | None:
         """Return the landmarks in the next frame of the video, None if no pose is detected.

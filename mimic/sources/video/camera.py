@@ -27,12 +27,16 @@ from mimic.sources.video.left_right import LiveSides, swap_sides
 from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
 from mimic.sources.video.screening import person_rows
+from mimic.sources.video.shots import clothes_colour
 
 if TYPE_CHECKING:
     from mimic.sources.video.depth import LiveDepth
+    from mimic.sources.video.people import People
 
 OPEN_TIMEOUT = 60.0
 """Time limit for the first frame of a camera [s]."""
+FIRST_LOOK = 2.0
+"""Time of the first look for several people [s]; each further one comes after twice the time."""
 LOW_PRIORITY = 10
 """Niceness of the camera process when the control loop has priority."""
 PREVIEW_WIDTH, PREVIEW_INTERVAL = 320, 0.1
@@ -63,6 +67,10 @@ class CameraFrame:
     """Time that the detector took [s]."""
     depth_spread: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     """Standard deviation of the depth of left and right wrist (2,) [m]; NaN if it was not estimated."""
+    clothes: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    """Colour of the person's clothes (3,), L*a*b*; NaN where none are in the picture."""
+    people: tuple[str, ...] = ()
+    """What is to be said about several people in view so far."""
     jpeg: bytes | None = None
     """Preview picture; None in most rows."""
 
@@ -238,6 +246,7 @@ def _run_camera(
 
     from mimic.sources.video.blazepose import BlazePose
     from mimic.sources.video.depth import LiveDepth
+    from mimic.sources.video.people import People
 
     try:
         capture, first = _opened(camera, live.camera_size)
@@ -245,15 +254,16 @@ def _run_camera(
         pipe.send(str(reason))
         return
     latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
-    assert pose.pose_model is not None
-    with BlazePose(pose.pose_model) as detect:
-        detect(cv2.cvtColor(first, cv2.COLOR_BGR2RGB))  # warm-up: the first detection is slow
+    assert isinstance(pose.pose_model, Path)
+    hint = "let one person stand before the camera"
+    with BlazePose(pose.pose_model) as detect, People(pose.pose_model, None, camera, hint) as people:
+        detect(people.show(0.0, cv2.cvtColor(first, cv2.COLOR_BGR2RGB)))  # warm-up: the first detection is slow
         pipe.send(True)
         if not device:
             threading.Thread(target=_wait_for_begin, args=(pipe, go), daemon=True).start()
         grab = _read_camera if device else _play_file
         threading.Thread(target=grab, args=(capture, first, latest, go), daemon=True).start()
-        _detect(latest, detect, depth, pose, pipe, previews)
+        _detect(latest, detect, people, depth, pose, pipe, previews)
 
 
 def _wait_for_begin(pipe: Connection, go: threading.Event) -> None:
@@ -295,16 +305,27 @@ def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, go: thread
 
 
 def _detect(
-    latest: _LatestFrame, detect: Any, depth: LiveDepth | None, pose: PoseSettings, pipe: Connection, previews: bool
+    latest: _LatestFrame,
+    detect: Any,
+    people: People,
+    depth: LiveDepth | None,
+    pose: PoseSettings,
+    pipe: Connection,
+    previews: bool,
 ) -> None:
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
 
-    sides, last_preview = LiveSides(), -np.inf
+    sides, last_preview, began = LiveSides(), -np.inf, time.monotonic()
+    look = FIRST_LOOK
     while (item := latest.take()) is not None:
         t, bgr, skipped = item
         started = time.monotonic()
-        found = detect(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+        rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+        if t - began > look:  # it takes as long as some frames: seldom
+            look *= 2
+            people.look(t - began, rgb)
+        found = detect(rgb)
         no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
         landmarks, image, score = found or no_person
         swapped = found is not None and sides.decide(t, landmarks)
@@ -312,6 +333,8 @@ def _detect(
             landmarks, image, score = (
                 swap_sides(a[None], np.ones(1, dtype=np.bool_))[0] for a in (landmarks, image, score)
             )
+        clothes = clothes_colour(rgb, image)
+        people.saw(image, clothes)
         person = bool(person_rows(score[None], pose.min_visibility)[0])
         size, spread = (bgr.shape[1], bgr.shape[0]), np.full(2, np.nan)
         if person and depth is not None:
@@ -331,6 +354,8 @@ def _detect(
             swapped=bool(swapped),
             detector_s=time.monotonic() - started,
             depth_spread=spread,
+            clothes=clothes,
+            people=tuple(people.sentences()),
             jpeg=jpeg,
         )
         try:

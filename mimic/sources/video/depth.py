@@ -1,9 +1,10 @@
-"""Depth of elbows and wrists from their shoulder, and the heading of the trunk, which the detector hardly sees.
+"""Depth of elbows and wrists from their shoulder, which the detector hardly sees.
 
 A small network looks at two seconds of landmarks, in the picture and as the detector places them, and says for each arm
-how far elbow and wrist lie behind the shoulder, how sure that is, and where the trunk points. It sees one arm at a
-time, as if it were the left one. It was trained on rendered people as the detector sees them (assets/depth/README.md).
-Of a camera the future is not known: the newest row stands for it, as at the end of a clip.
+how far elbow and wrist lie behind the shoulder, and how sure that is. It sees one arm at a time, as if it were the left
+one. It was trained on rendered people (assets/depth/README.md), and knows the motion of real ones better than their
+average pose, which is therefore in part the detector's. Of a camera the future is not known: the newest row stands for
+it, as at the end of a clip.
 
 Across and up, the arms come from the picture, with perspective.
 """
@@ -23,7 +24,6 @@ import onnxruntime
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from mimic.geometry import wrap_angle
 from mimic.io.assets import shipped
 from mimic.records import LANDMARKS, SIDES, FloatArray, IntArray
 from mimic.sources.video.smoothing import segments
@@ -36,16 +36,26 @@ FEATURES = 47
 """Numbers of a row that the network takes."""
 SHORTEST = 4
 """Shorter segments are left as they are [rows at RATE_HZ]."""
-LENS = 1.5
-"""Focal length over the longer side of the picture."""
+LENS = 1.0
+"""Focal length over the longer side of the picture: 0.7 to 1 of phones and webcams."""
 UPPER_LENGTH, FORE_LENGTH, LEAST_LENGTH = 0.94, 1.02, 0.97
 """Lengths of the bones over the longest seen; at least this share of the longest in the picture."""
 DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
 """Quantiles over time that count as the longest, in the picture and by the detector."""
-SLOW_S = 0.5
-"""Standard deviation of the Gaussian over scale and heading of a clip [s]."""
+SCALE_DOUBT = 0.05
+"""Standard deviation of a bone's length, as a share of it: people's clothes, lenses and lean hide as much.
+
+Source: two views of a real person against four calibrated cameras (lab/results/sources.md).
+"""
+MEAN_SHARE = 0.7
+"""Share of the network in the average depth of an arm; the rest is the detector's.
+
+With less, real people are nearer to the truth and rendered ones farther from it (lab/results/sources.md).
+"""
+SLOW_S, MEAN_S = 0.5, 1.0
+"""Standard deviation of the Gaussian over scale and heading of a clip, and over the average depth of an arm [s]."""
 FORGET_S = 1.0
-"""A camera starts anew after a gap of this length, and averages scale and heading with this time constant [s]."""
+"""A camera starts anew after a gap of this length, and averages with this time constant [s]."""
 REMEMBERED = 900
 """Frames of a camera in which bones are measured."""
 
@@ -53,10 +63,7 @@ _SHOULDERS, _ELBOWS, _WRISTS, _INDEX, _HIPS, _EARS = (
     [LANDMARKS.index(f"{side}_{part}") for side in SIDES]
     for part in ("shoulder", "elbow", "wrist", "index", "hip", "ear")
 )
-_HANDS, _LEGS = (
-    [[LANDMARKS.index(f"{side}_{part}") for part in parts] for side in SIDES]
-    for parts in (("pinky", "index", "thumb"), ("knee", "ankle", "heel", "foot_index"))
-)
+_HANDS = [[LANDMARKS.index(f"{side}_{part}") for part in ("pinky", "index", "thumb")] for side in SIDES]
 _NOSE = LANDMARKS.index("nose")
 _TRUNK = [*_SHOULDERS, *_HIPS]
 
@@ -86,16 +93,13 @@ def with_depth(
         grid, seen = sight(t[rows], landmarks[rows], image[rows], score[rows], size)
         if len(grid) < SHORTEST:
             continue
-        found = _answer(seen.features())
+        depth, sure = _answer(seen.features())
+        unlike = gaussian_filter1d(seen.detected() - depth, MEAN_S * RATE_HZ, axis=1, mode="nearest")
+        found = np.concatenate([depth + (1.0 - MEAN_SHARE) * unlike, sure], axis=2)
         at_rows = PchipInterpolator(grid, found, axis=1)(np.minimum(t[rows], grid[-1]))
-        own_scale, line = (
-            np.stack([np.interp(t[rows], grid, v) for v in values.T], axis=-1)
-            for values in (seen.scale[:, None], seen.line)
-        )
-        turned = _turned(landmarks[rows], line, at_rows)
-        depth = np.moveaxis(at_rows[..., :2], 0, 1)
-        result[rows] = placed(turned, image[rows], size, own_scale[:, 0], depth)
-        spread[rows] = at_rows[..., 2].T
+        scale, *bones = (np.interp(t[rows], grid, column) for column in (seen.scale, *seen.bones.T))
+        result[rows] = placed(landmarks[rows], image[rows], size, scale, np.moveaxis(at_rows[..., :2], 0, 1))
+        spread[rows] = _spread_with_scale(at_rows, np.stack(bones, axis=-1)).T
     return result, spread
 
 
@@ -105,6 +109,7 @@ class LiveDepth:
     def __init__(self) -> None:
         """Load the network, so that the first frame need not wait for it."""
         _network()
+        self._unlike = np.zeros((2, 1, 2))
         self._rows: deque[tuple[float, FloatArray]] = deque()
         self._bones: deque[FloatArray] = deque(maxlen=REMEMBERED)
         self._slow = np.zeros(5)
@@ -136,9 +141,11 @@ class LiveDepth:
         parts = np.split(rows, np.cumsum([99, 66, 33]), axis=1)
         seen = Seen.of(parts[0].reshape(-1, 33, 3), parts[1].reshape(-1, 33, 2), parts[2], size, parts[3])
         seen.bones[:] = _longest(np.array(self._bones))
-        found = _answer(seen.features())[:, -1:]
-        turned = _turned(world, self._slow[None, 2:], found)
-        return placed(turned, picture, size, seen.scale[-1:], found[None, :, 0, :2])[0], found[:, 0, 2]
+        depth, sure = (answer[:, -1:] for answer in _answer(seen.features()))
+        self._unlike = self._unlike + share * (seen.detected()[:, -1:] - depth - self._unlike)
+        depth = depth + (1.0 - MEAN_SHARE) * self._unlike
+        spread = _spread_with_scale(np.concatenate([depth, sure], axis=2), seen.bones[-1:])
+        return placed(world, picture, size, seen.scale[-1:], depth[None, :, 0])[0], spread[:, 0]
 
 
 def placed(
@@ -198,6 +205,11 @@ class Seen:
         """Return what the network takes of each arm (2, T, FEATURES), the right one in the mirror."""
         return np.stack([self._of_arm(side) for side in range(2)])
 
+    def detected(self) -> FloatArray:
+        """Return the depth of elbow and wrist from the shoulder as the detector places them (2, T, 2) [m]."""
+        z = self.world[..., 2]
+        return np.stack([z[:, [_ELBOWS[i], _WRISTS[i]]] - z[:, [_SHOULDERS[i]]] for i in range(2)])
+
     def _of_arm(self, side: int) -> FloatArray:
         other, mirror, rows = 1 - side, 1.0 - 2.0 * side, len(self.world)
         points = [
@@ -248,32 +260,26 @@ def _network() -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
-def _answer(features: FloatArray) -> FloatArray:
-    """Return depth of elbow and wrist [m], spread of the latter [m] and heading (x, z) of each row (2, T, 5)."""
+def _answer(features: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return depth of elbow and wrist (2, T, 2) [m] and spread of the latter (2, T, 1) [m]."""
     (found,) = _network().run(None, {"features": framed(features).astype(np.float32)})
     found = np.asarray(found, dtype=np.float64)
-    found[1, :, 4] *= -1.0  # the right arm was seen in a mirror
-    return found
+    return found[..., :2], found[..., 2:3]
 
 
-def _turned(landmarks: FloatArray, line: FloatArray, found: FloatArray) -> FloatArray:
-    """Return landmarks whose trunk has the heading that was found, where it had that of a slow line (T, 33, 3) [m].
+def _spread_with_scale(found: FloatArray, bones: FloatArray) -> FloatArray:
+    """Return the spread of each wrist's depth (2, T) [m], with what unsure lengths of the bones add to it.
 
-    Shoulders and hips turn about their middles; arms and legs go with them.
+    Where a bone of length L has the depth z, its picture is as long as L² - z² says: a bone across the picture hides
+    far more depth behind a wrong length than one that points along the line of sight.
+
+    Args:
+        found: Depth of elbow and wrist from the shoulder, and spread by the network (2, T, 3) [m].
+        bones: Lengths of upper arm and forearm (T, 2) [m].
     """
-    x, z = found[..., 3:].sum(axis=0).T
-    turn = wrap_angle(np.arctan2(z, x) - np.arctan2(line[:, 2], line[:, 0]))
-    c, s = np.cos(turn), np.sin(turn)
-    result = np.array(landmarks, dtype=np.float64)
-    for first, last, limbs in (
-        (*_SHOULDERS, [[_ELBOWS[i], _WRISTS[i], *_HANDS[i]] for i in range(2)]),
-        (*_HIPS, _LEGS),
-    ):
-        half = 0.5 * (landmarks[:, first] - landmarks[:, last])
-        across = np.stack([c * half[:, 0] - s * half[:, 2], half[:, 1], s * half[:, 0] + c * half[:, 2]], axis=1)
-        for sign, joint, limb in ((1.0, first, limbs[0]), (-1.0, last, limbs[1])):
-            result[:, [joint, *limb]] += sign * (across - half)[:, None]
-    return result
+    z = np.stack([found[..., 0], found[..., 1] - found[..., 0]], axis=-1)
+    hidden = np.sqrt(z**2 + 2.0 * SCALE_DOUBT * bones**2) - np.abs(z)
+    return np.hypot(found[..., 2], hidden.sum(axis=-1))
 
 
 def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int]) -> FloatArray:

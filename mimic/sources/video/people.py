@@ -1,7 +1,8 @@
 """How many people a video shows, and which of them is followed.
 
 The pose detector follows one person from frame to frame. From time to time a second detector looks for everybody; where
-one person was chosen, the first one sees only the part of the picture around them.
+one person was chosen, the first one sees only the part of the picture around them, and frames in which it found
+somebody else are left out. People are known again by their place and the colour of their clothes.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -17,13 +18,15 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from mimic.errors import SourceError
-from mimic.records import LANDMARKS, FloatArray, IntArray
+from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
 from mimic.sources.video.quiet import quiet_stderr
+from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 
 Choice = Literal["left", "right", "largest"] | int
 
-EVERY, EVERY_CHOSEN = 1.5, 0.5
-"""Time between two looks for everybody, and between two where one person was chosen [s]."""
+SOONEST, LATEST = 0.5, 3.0
+"""Times between two looks for everybody [s]: half of the time since the beginning, but the first where one person was
+chosen."""
 MOST = 5
 """At most this many people are found."""
 VISIBLE = 0.6
@@ -33,11 +36,16 @@ SMALLEST = 0.25
 FIRST = 2.0
 """Who is followed is decided among the people that are seen in this time from the beginning [s]."""
 LOST = 3
-"""After this many looks without the chosen person, as after a cut, they are chosen anew."""
+"""After this many looks without a person, as after a cut, only their clothes tell them."""
+UNLIKE, UNLIKE_ROW, ELSEWHERE = 2.0, 1.0, 1.5
+"""Most difference of one person between two looks, and between two frames [trunk heights, or OTHER_COLOUR]; what counts
+as the distance of a lost person."""
 SAME = 0.5
 """Two findings closer than this are one person [trunk heights]."""
 MIN_LOOKS, MIN_SHARE = 2, 0.15
 """Several people are reported if this many looks and this share of them found more than one."""
+FEW_GAPS = 0.02
+"""A larger share of frames without the chosen person is reported."""
 MARGIN = 0.35
 """What is shown around a chosen person, on each side [box heights]."""
 WIDE = 1.2
@@ -45,6 +53,7 @@ WIDE = 1.2
 whole of it are found there."""
 
 _SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
+CHOOSE = "--person left|right|largest|N chooses"
 _ORDINALS = ("left", "second from the left", "third from the left", "fourth from the left", "fifth from the left")
 
 
@@ -60,15 +69,20 @@ class Person:
     """Left and upper end (2,)."""
     high: FloatArray
     """Right and lower end (2,)."""
+    colour: FloatArray
+    """Of the clothes (3,), L*a*b*; NaN where it is unknown."""
+    missed: int = 0
+    """Looks since this person was found."""
 
 
-def person_of(image: FloatArray, aspect: float) -> Person:
+def person_of(image: FloatArray, aspect: float, colour: FloatArray | None = None) -> Person:
     """Return the person of landmarks (33, 2), fraction of width and height of a picture with this width over height."""
     points = image * (aspect, 1.0)
     shoulders, hips = points[_SHOULDERS], points[_HIPS].mean(axis=0)
     middle = shoulders.mean(axis=0)
     trunk = max(float(np.linalg.norm(hips - middle)), float(np.linalg.norm(shoulders[0] - shoulders[1])), 1e-3)
-    return Person(middle, trunk, points.min(axis=0), points.max(axis=0))
+    colour = np.full(3, np.nan) if colour is None else colour
+    return Person(middle, trunk, points.min(axis=0), points.max(axis=0), colour)
 
 
 def distinct(found: list[Person]) -> list[Person]:
@@ -95,6 +109,25 @@ def _apart(one: Person, other: Person) -> float:
     return float(np.linalg.norm(one.middle - other.middle)) / other.trunk
 
 
+def unlike(person: Person, known: Person) -> float:
+    """Return how much somebody differs from a known person: place [trunk heights] and clothes [OTHER_COLOUR]."""
+    colour = float(np.linalg.norm(person.colour - known.colour)) / OTHER_COLOUR
+    away = _apart(person, known) if known.missed < LOST else ELSEWHERE
+    return away + (0.5 if np.isnan(colour) else colour)
+
+
+def recognised(people: list[Person], known: list[Person]) -> list[int | None]:
+    """Return for each of the people which of the known ones it is; None of a new one."""
+    from scipy.optimize import linear_sum_assignment
+
+    costs = np.array([[min(unlike(one, other), UNLIKE) for other in known] for one in people])
+    found: list[int | None] = [None] * len(people)
+    for row, column in zip(*linear_sum_assignment(costs), strict=True) if costs.size else ():
+        if costs[row, column] < UNLIKE:
+            found[int(row)] = int(column)
+    return found
+
+
 def squares(width: int, height: int) -> list[tuple[int, int, int]]:
     """Return left end, upper end and side [px] of the squares of a picture; each overlaps the next by half or more."""
     side, longest = min(width, height), max(width, height)
@@ -108,7 +141,13 @@ def squares(width: int, height: int) -> list[tuple[int, int, int]]:
 class People:
     """Finds everybody now and then, and shows the detector only a chosen person; use it in a ``with`` block."""
 
-    def __init__(self, model: Path, choice: Choice | None, name: str) -> None:
+    def __init__(
+        self,
+        model: Path,
+        choice: Choice | None,
+        name: str,
+        hint: str = CHOOSE,
+    ) -> None:
         """Prepare.
 
         Args:
@@ -116,15 +155,21 @@ class People:
             choice: Who is followed: by place in the first picture with several people, or by size. None leaves that to
                 the detector.
             name: Of the video, for messages.
+            hint: What to do about several people.
         """
-        self._model, self._name = model, name
+        self._model, self._name, self._hint = model, name, hint
         self._choice: Choice | None = choice
         self._next, self._aspect = -np.inf, 1.0
-        self._person: Person | None = None
+        self._known: list[Person] = []
+        self._own: int | None = None
+        self._place: Person | None = None
         self._crop: tuple[int, int, int, int] | None = None
-        self._missed, self._settled = 0, False
         self._looks: list[tuple[float, list[Person]]] = []
         self._followed: list[int | None] = []
+        self._rows: list[bool] = []
+        self._since_look = 0
+        self.astray = False
+        """Whether the detector follows somebody else, and must forget them."""
 
     def __enter__(self) -> Self:
         with quiet_stderr():
@@ -143,7 +188,8 @@ class People:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._everybody.close()
+        with quiet_stderr():
+            self._everybody.close()
 
     def choose(self, frames: Iterable[tuple[float, np.ndarray]]) -> None:
         """Choose the person from the first seconds: not everybody is found in every picture.
@@ -151,29 +197,45 @@ class People:
         Args:
             frames: Times [s] and pictures of the clip from its beginning; they are read as far as needed.
         """
-        assert self._choice is not None
         looks: list[list[Person]] = []
         for t, rgb in frames:
             if t > FIRST:
                 break
-            if t >= EVERY_CHOSEN * len(looks):
+            if t >= SOONEST * len(looks):
                 self._aspect = rgb.shape[1] / rgb.shape[0]
                 looks.append(distinct(list(self._everybody_in(rgb))))
-        most = max(range(len(looks)), key=lambda i: len(looks[i]), default=0)
-        if not looks or not looks[most]:
+        most = max(looks, key=len, default=[])
+        if not self._enough(most):
             return
-        self._person, self._settled = chosen(looks[most], self._choice), len(looks[most]) > 1
-        for people in reversed(looks[:most]):  # where they were at the beginning
-            near = [one for one in people if _apart(one, self._person) < 1.0]
-            self._person = near[0] if near else self._person
+        self._known, own = list(most), most.index(chosen(most, self._choice))
+        for people in reversed(looks[: looks.index(most)]):  # where they were at the beginning
+            self._remember(people)
+        self._own, self._place = own, self._known[own]
+
+    def _enough(self, people: list[Person]) -> bool:
+        return len(people) >= (self._choice if isinstance(self._choice, int) else 1)
+
+    def _remember(self, people: list[Person]) -> list[int]:
+        """Take who was found, and return which of the known people each of them is; new ones become known."""
+        who = recognised(people, self._known)
+        self._known = [replace(one, missed=one.missed + 1) for one in self._known]
+        for i, (one, known) in enumerate(zip(people, who, strict=True)):
+            if known is None:
+                who[i] = len(self._known)
+                self._known.append(one)
+            else:
+                self._known[known] = (
+                    one if np.isfinite(one.colour).all() else replace(one, colour=self._known[known].colour)
+                )
+        return [int(known or 0) for known in who]
 
     def show(self, t: float, rgb: np.ndarray) -> np.ndarray:
         """Return what the detector may see of a frame at time t [s]: all of it, or the chosen person."""
         self._aspect = rgb.shape[1] / rgb.shape[0]
         if t >= self._next:
-            self._next = t + (EVERY if self._choice is None else EVERY_CHOSEN)
-            self._look(t, rgb)
-        if self._choice is None or self._person is None:
+            self._next = t + (float(np.clip(t / 2, SOONEST, LATEST)) if self._choice is None else SOONEST)
+            self.look(t, rgb)
+        if self._choice is None or self._place is None:
             return rgb
         height, width = rgb.shape[:2]
         x0, y0, x1, y1 = self._crop = self._section(width, height)
@@ -191,8 +253,8 @@ class People:
 
         It stays where it is as long as it fits: the detector looks for the person where they were in it.
         """
-        assert self._person is not None
-        low, high = self._person.low, self._person.high
+        assert self._place is not None
+        low, high = self._place.low, self._place.high
         margin = MARGIN * (high[1] - low[1])
 
         def around(gap: float) -> IntArray:
@@ -207,47 +269,67 @@ class People:
         x0, y0, x1, y1 = (int(end) for end in around(margin))
         return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else (0, 0, width, height)
 
-    def saw(self, image: FloatArray) -> None:
-        """Take the landmarks (33, 2) that the detector found in that frame, as fractions of it; NaN if none."""
+    def saw(self, image: FloatArray, colour: FloatArray) -> None:
+        """Take what the detector found in that frame.
+
+        Args:
+            image: Landmarks (33, 2), as fractions of the picture; NaN if none.
+            colour: Of the clothes (3,), L*a*b*.
+        """
+        self.astray = False
+        self._rows.append(self._choice is None)
         if not np.isfinite(image).all():
             return
-        person = person_of(image, self._aspect)
-        if self._person is not None:
-            self._person = person if _apart(person, self._person) < 1.0 else self._person
+        person = person_of(image, self._aspect, colour)
         if len(self._followed) < len(self._looks):
             people = self._looks[-1][1]
             away = [_apart(person, one) for one in people]
             near = int(np.argmin(away)) if away else -1
             self._followed.append(near if away and away[near] < 2 * SAME else None)
+        if self._own is None or self._place is None:
+            return
+        others = [unlike(person, one) for i, one in enumerate(self._known) if i != self._own and not one.missed]
+        own = unlike(person, replace(self._place, colour=self._known[self._own].colour, missed=0))
+        far = _apart(person, self._place) > UNLIKE_ROW  # hands before the trunk change its colour: no limit on that
+        self.astray = far or own > min(others, default=np.inf)
+        self._rows[-1] = not self.astray
+        if not self.astray:
+            self._place = person
 
-    def _look(self, t: float, rgb: np.ndarray) -> None:
+    def look(self, t: float, rgb: np.ndarray) -> None:
+        """Look for everybody in a picture at time t [s]."""
         people = distinct(list(self._everybody_in(rgb)))
         if len(self._followed) < len(self._looks):
             self._followed.append(None)
         self._looks.append((t, people))
-        if self._choice is None or not people:
+        if self._choice is None:
             return
-        if self._person is None or (len(people) > 1 and not self._settled) or self._missed >= LOST:
-            self._person, self._missed = chosen(people, self._choice), 0
-            self._settled = self._settled or len(people) > 1
-            return
-        last = self._person
-        nearest = min(people, key=lambda one: _apart(one, last))
-        near = _apart(nearest, last) < 2.0
-        self._missed = 0 if near else self._missed + 1
-        if near:
-            self._person = nearest
+        who = self._remember(people)
+        if self._own is None and self._enough(people):
+            self._own = who[people.index(chosen(people, self._choice))]
+        if self._own in who:
+            own = self._known[self._own]
+            if self._place is not None and _apart(self._place, own) > UNLIKE_ROW:  # it slid to somebody else
+                self._rows[self._since_look :] = [False] * (len(self._rows) - self._since_look)
+                self.astray = True
+            self._place = own
+        self._since_look = len(self._rows)
+
+    def followed_rows(self) -> BoolArray:
+        """Return the frames (T,) in which the detector found the chosen person, or whom it liked if none was chosen."""
+        return np.array(self._rows, dtype=np.bool_)
 
     def _everybody_in(self, rgb: np.ndarray) -> Iterator[Person]:
         """Yield the people in a picture and in its squares; some of them twice."""
         height, width = rgb.shape[:2]
         for image in self._poses_in(rgb):
-            yield person_of(image, self._aspect)
+            yield person_of(image, self._aspect, clothes_colour(rgb, image))
         for x, y, side in squares(width, height):
             for image in self._poses_in(rgb[y : y + side, x : x + side]):
                 inner = [x > 0, y > 0], [x + side < width, y + side < height]
                 if not ((image.min(axis=0) < 0) & inner[0]).any() and not ((image.max(axis=0) > 1) & inner[1]).any():
-                    yield person_of((image * side + (x, y)) / (width, height), self._aspect)
+                    whole = (image * side + (x, y)) / (width, height)
+                    yield person_of(whole, self._aspect, clothes_colour(rgb, whole))
 
     def _poses_in(self, rgb: np.ndarray) -> list[FloatArray]:
         """Return landmarks (33, 2) of everybody in a picture, fraction of its width and height."""
@@ -269,16 +351,24 @@ class People:
                 f"--person {self._choice}: {self._name} shows {most} {'person' if most == 1 else 'people'} at most; "
                 "give left, right, largest, or a number from the left"
             )
-        return describe(self._looks, self._followed, self._choice)
+        said = describe(self._looks, self._followed, self._choice, self._hint)
+        if self._choice is None:
+            return said
+        gaps = 1.0 - float(self.followed_rows().mean())
+        left_out = f"--person {self._choice}: in {gaps:.0%} of the frames that person was not found; these are gaps"
+        return [*said, *[left_out] * (gaps > FEW_GAPS)]
 
 
-def describe(looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None) -> list[str]:
+def describe(
+    looks: list[tuple[float, list[Person]]], followed: list[int | None], choice: Choice | None, hint: str = CHOOSE
+) -> list[str]:
     """Return a sentence if several people are in view: when, and who of them is followed.
 
     Args:
         looks: Times [s] and the people found then, from left to right.
         followed: Which of them the detector followed; None where it was none of them.
         choice: Who was chosen, if anybody.
+        hint: What to do if nobody was.
     """
     several = [i for i, (_, people) in enumerate(looks) if len(people) > 1]
     if len(several) < MIN_LOOKS or len(several) < MIN_SHARE * len(looks):
@@ -292,5 +382,5 @@ def describe(looks: list[tuple[float, list[Person]]], followed: list[int | None]
     said = f"up to {most} people are in view {times}; "
     said += f"the {who} one is followed" if ranks else "it is not clear who of them is followed"
     if choice is None:
-        return [said + ", as the detector chose: --person left|right|largest|N chooses"]
+        return [f"{said}, as the detector chose: {hint}"]
     return [f"{said} (--person {choice})"]

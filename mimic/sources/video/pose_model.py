@@ -2,9 +2,10 @@
 
 mediapipe 0.10.14 is the last release whose wheel carries the models of the detector and of the full landmarks; newer
 ones carry none. So its wheel comes once from the package registry that pip or uv is set up with. The two models are
-taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file).
+taken out of it by name, checked by SHA-256, and stored in a zip (a ``.task`` file). The heavy model of the landmarks,
+four times as slow and nearer to the truth on people, comes from mediapipe's package for browsers in npm's registry.
 
-The landmark model lacks one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
+The landmark models lack one thing that the Tasks API asks for: how pictures are normalised. It is added as TFLite
 metadata; weights and graph stay as they are.
 """
 
@@ -13,15 +14,18 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import struct
+import tarfile
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
+from typing import IO, Literal
 
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
 from mimic.io.store import written_whole
-from mimic.sources.video.registry import RegistryError, download_wheel
+from mimic.sources.video.registry import RegistryError, download_package, download_wheel
 from mimic.sources.video.tflite import ALIGNMENT, with_normalisation
 
 Progress = Callable[[int, int | None], None]
@@ -31,6 +35,7 @@ RELEASE = "0.10.14"
 """The release of mediapipe whose wheel carries the models."""
 WHEEL = f"mediapipe-{RELEASE}-cp312-cp312-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 """Its wheel for one platform; those of other platforms carry the same two files."""
+_WHEELS = f"mediapipe-{RELEASE}-*.whl"
 MODELS = {
     "pose_detector.tflite": (
         "mediapipe/modules/pose_detection/pose_detection.tflite",
@@ -43,6 +48,20 @@ MODELS = {
 }
 """Name in a bundle -> name in the wheel, and SHA-256."""
 BUNDLE = f"blazepose_full_{RELEASE}.task"
+_DETECTOR, _LANDMARKS = MODELS
+
+HEAVY_PACKAGE, HEAVY_RELEASE = "@mediapipe/pose", "0.5.1675469404"
+"""The package in npm's registry that carries the heavy model of the landmarks (Apache-2.0), and its release."""
+HEAVY_ARCHIVE = f"mediapipe-pose-{HEAVY_RELEASE}.tgz"
+HEAVY_MODEL = (
+    "package/pose_landmark_heavy.tflite",
+    "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe",
+)
+"""Its name in that archive, and SHA-256."""
+HEAVY_BUNDLE = f"blazepose_heavy_{HEAVY_RELEASE}.task"
+
+Model = Path | Literal["heavy"] | None
+"""A bundle or mediapipe's wheel, the heavy model, or the default one."""
 
 _MEAN, _STD = 0.0, 255.0
 """Normalisation of the landmark model: pictures are 0 to 1. The detector's model says -1 to 1 itself.
@@ -51,48 +70,67 @@ Source: mediapipe 0.10.14, modules/pose_landmark/pose_landmark_by_roi_cpu.pbtxt,
 """
 
 
-def is_here(given: Path | None = None) -> bool:
+def is_here(given: Model = None) -> bool:
     """Return whether `pose_model` needs no download."""
     folder = user_cache("models")
-    return given is not None or (folder / BUNDLE).is_file() or any(folder.glob(f"mediapipe-{RELEASE}-*.whl"))
+    default = (folder / BUNDLE).is_file() or any(folder.glob(_WHEELS))
+    if given == "heavy":
+        return (folder / HEAVY_BUNDLE).is_file() or (default and (folder / HEAVY_ARCHIVE).is_file())
+    return given is not None or default
 
 
-def pose_model(given: Path | None = None, *, progress: Progress | None = None) -> Path:
-    """Return the bundle of the BlazePose models; at the first use it is made from the wheel that carries them.
+def pose_model(given: Model = None, *, progress: Progress | None = None) -> Path:
+    """Return the bundle of the BlazePose models; at the first use it is made from the package that carries them.
 
     Args:
-        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; by default the cached bundle.
-        progress: Called while the wheel is downloaded.
+        given: A bundle (.task) of another BlazePose model, or mediapipe's wheel 0.10.14; "heavy"; by default the cached
+            bundle of the full model.
+        progress: Called while a package is downloaded.
 
     Raises:
         AssetError: If the file is neither, or the models are neither cached nor can be downloaded.
     """
     folder = user_cache("models")
     if given is None:
-        return _cached(folder, progress)
+        wheel = partial(download_wheel, "mediapipe", RELEASE, progress=progress)
+        return _cached(folder / BUNDLE, _WHEELS, WHEEL, wheel)
+    if given == "heavy":
+        archive = partial(download_package, HEAVY_PACKAGE, HEAVY_RELEASE, progress=progress)
+        return _cached(folder / HEAVY_BUNDLE, HEAVY_ARCHIVE, HEAVY_ARCHIVE, archive, pose_model(progress=progress))
     if not given.is_file():
-        raise AssetError(f"there is no pose model {given}; give a .task file, or {WHEEL}")
+        raise AssetError(f"there is no pose model {given}; give a .task file, {WHEEL}, or heavy")
     if _names(given) >= set(MODELS):
         return given
     return _bundled(given, folder / BUNDLE)
 
 
-def _cached(folder: Path, progress: Progress | None) -> Path:
-    path = folder / BUNDLE
+def _cached(
+    path: Path, kept: str, name: str, download: Callable[[], AbstractContextManager[Path]], full: Path | None = None
+) -> Path:
+    """Return a bundle in the cache, made there first from a package that a person put beside it or that is downloaded.
+
+    Args:
+        path: The bundle.
+        kept: Pattern of packages that a person may have put there.
+        name: Of such a package.
+        download: Yields the package.
+        full: Bundle whose detector is used, where the package holds landmarks only.
+    """
     if path.is_file() and _names(path) >= set(MODELS):
         return path
-    with _locked(folder):
+    with _locked(path.parent):
         if path.is_file() and _names(path) >= set(MODELS):  # another process has made it meanwhile
             return path
-        for wheel in sorted(folder.glob(f"mediapipe-{RELEASE}-*.whl")):
-            return _bundled(wheel, path)
+        if here := sorted(path.parent.glob(kept)):
+            return _bundled(here[0], path, full)
         try:
-            with download_wheel("mediapipe", RELEASE, progress=progress) as files:
-                return _bundled(files, path)
+            with download() as package:
+                return _bundled(package, path, full)
         except RegistryError as reason:
             raise AssetError(
                 f"the BlazePose models are not on this computer and could not be downloaded ({reason}); get "
-                f"{WHEEL} from a package registry and put it into {folder}, or name it with --pose-model FILE"
+                f"{name} from a package registry and put it into {path.parent}, or name a model with --pose-model "
+                "FILE"
             ) from None
 
 
@@ -121,14 +159,17 @@ def _names(path: Path) -> set[str]:
         return set()
 
 
-def _bundled(source: Path, path: Path) -> Path:
-    """Write the bundle of the two models in a wheel, or in the folder of an unpacked one.
+def _bundled(source: Path, path: Path, full: Path | None = None) -> Path:
+    """Write the bundle of the models in a wheel, in the folder of an unpacked one, or in the archive of the heavy one.
 
     Raises:
         AssetError: If one is missing there, or is another model.
     """
-    models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
-    models["pose_landmarks_detector.tflite"] = with_normalisation(models["pose_landmarks_detector.tflite"], _MEAN, _STD)
+    if full is None:
+        models = {name: _model(source, member, digest) for name, (member, digest) in MODELS.items()}
+    else:
+        models = {_DETECTOR: zipfile.ZipFile(full).read(_DETECTOR), _LANDMARKS: _model(source, *HEAVY_MODEL)}
+    models[_LANDMARKS] = with_normalisation(models[_LANDMARKS], _MEAN, _STD)
     with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, content in models.items():
             entry = zipfile.ZipInfo(name)
@@ -143,13 +184,20 @@ def _model(source: Path, member: str, digest: str) -> bytes:
     try:
         if source.is_dir():
             content = (source / member).read_bytes()
+        elif source.suffix == ".tgz":
+            with tarfile.open(source) as archive:
+                content = _whole(archive.extractfile(member))
         else:
             with zipfile.ZipFile(source) as archive:
                 content = archive.read(member)
-    except (OSError, KeyError, zipfile.BadZipFile):
+    except (OSError, KeyError, zipfile.BadZipFile, tarfile.TarError):
         raise AssetError(
             f"{source.name} holds no BlazePose model {member}; give a .task file of mediapipe, or {WHEEL}"
         ) from None
     if hashlib.sha256(content).hexdigest() != digest:
         raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; give {WHEEL}")
     return content
+
+
+def _whole(file: IO[bytes] | None) -> bytes:
+    return file.read() if file else b""

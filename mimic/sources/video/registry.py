@@ -1,4 +1,4 @@
-"""Downloads a wheel from the package registry that pip or uv is set up with."""
+"""Downloads a package from the registry that pip, uv or npm is set up with."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PYTHON, _PIP_PLATFORM, _UV_PLATFORM = "3.12", "manylinux2014_x86_64", "x86_64-m
 
 
 class RegistryError(Exception):
-    """No program could download the wheel; the message says why."""
+    """No program could download the package; the message says why."""
 
 
 @contextmanager
@@ -46,6 +46,25 @@ def download_wheel(
                 return
             reasons.append(f"{program}: {error}")
     raise RegistryError("; ".join(reasons) or "neither pip nor uv is in this environment or on the path")
+
+
+@contextmanager
+def download_package(
+    name: str, version: str, *, progress: Callable[[int, int | None], None] | None = None
+) -> Iterator[Path]:
+    """Yield the archive (.tgz) of a release in npm's registry; it is removed after the block.
+
+    Raises:
+        RegistryError: If npm is not there, or cannot download it.
+    """
+    npm = shutil.which("npm")
+    if npm is None:
+        raise RegistryError("npm, which comes with Node.js, is not on the path")
+    with tempfile.TemporaryDirectory(prefix="mimic-") as folder:
+        error = _run([npm, "pack", "--silent", f"{name}@{version}"], Path(folder), progress)
+        if error is not None:
+            raise RegistryError(f"npm: {error}")
+        yield next(Path(folder).glob("*.tgz"))
 
 
 def _programs() -> Iterator[tuple[str, list[str]]]:

@@ -18,9 +18,9 @@ WINDOW = 0.5
 DIM = 0.5
 """A fade takes about this long on each side [s]; clothes are compared outside it."""
 FEWEST = 3
-"""Rows with a person that each side of a change must have."""
-GAP = 0.25
-"""After a longer gap it may be another person who is seen [s]."""
+"""Rows that each side of a cut, and rows with a person that each side of another person must have."""
+GAP, AWAY = 0.25, 1.0
+"""After a longer gap it may be another person who is seen, in another place, and in the same place [s]."""
 JUMP = 0.4
 """A trunk that moves farther between two frames may be another one [trunk heights]."""
 FAR = 1.0
@@ -102,7 +102,7 @@ def find_changes(
     found: dict[int, Kind] = {}
     candidates: tuple[tuple[Kind, IntArray], ...] = (
         ("fade", _after_black(light)),
-        ("cut", shot_starts(change)),
+        ("cut", np.array([row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST], dtype=np.int64)),
         ("person", _jumps(t, image, person, size)),
     )
     for kind, rows in candidates:
@@ -196,8 +196,8 @@ def _is_other(
     small = max(min(np.median(height[before]), np.median(height[after])), 1.0)
     moved = float(np.linalg.norm(np.median(place[before], axis=0) - np.median(place[after], axis=0)) / small)
     grown = abs(float(np.log(np.median(height[after]) / max(np.median(height[before]), 1.0))))
-    if gap > GAP:
-        return colour > OTHER_COLOUR
+    if gap > GAP:  # who only turned has a back of another colour, and is where they were
+        return colour > OTHER_COLOUR and bool(gap > AWAY or moved > JUMP or grown > OTHER_SIZE)
     return moved > FAR or (moved > JUMP and (colour > OTHER_COLOUR or grown > OTHER_SIZE))
 
 

@@ -20,13 +20,13 @@ from mimic.sources.video.blazepose import BlazePose
 from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
-from mimic.sources.video.pose_model import BUNDLE, pose_model
+from mimic.sources.video.pose_model import BUNDLE, HEAVY_BUNDLE, pose_model
 from mimic.sources.video.screening import jump_share, person_rows, upside_down
 from mimic.sources.video.shots import clothes_colour, describe, find_changes, lightness
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 9
+ALGORITHM = 10
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -82,7 +82,7 @@ def track_video(
     from mimic.sources.video.depth import with_depth  # SciPy takes a second: the detector need not wait for it
     from mimic.sources.video.smoothing import smooth
 
-    person = _person_share(detections, settings)
+    _check_person(detections, settings)
     t = detections.t
     changes = find_changes(
         t,
@@ -99,13 +99,11 @@ def track_video(
         swap_sides(column, swapped) for column in (detections.landmarks, detections.image, detections.score)
     )
     valid: BoolArray = score >= settings.min_visibility
-    jumps = jump_share(t, landmarks, image, valid, detections.size, settings.max_jump)
     warnings = [
         *_file_warnings(detections),
         *detections.people,
         *describe(changes, t),
-        *_picture_warnings(person, jumps, settings),
-        *_side_warnings(swapped, upside_down(image, valid)),
+        *doubts(t, landmarks, image, score, swapped, detections.size, settings),
     ]
     for warning in warnings:
         log.info("%s: %s", detections.name, warning)
@@ -134,7 +132,8 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     this code.
     """
     given = settings.pose_model
-    model = sha256_of(given) if given is not None and given.is_file() else BUNDLE
+    named = HEAVY_BUNDLE if given == "heavy" else BUNDLE
+    model = sha256_of(given) if isinstance(given, Path) and given.is_file() else named
     others = plain(replace(settings, pose_model=None))
     parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -153,16 +152,20 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
             stamps.append(frame.stamp_ms)
             change.append(frame.change)
             shown = people.show((frame.stamp_ms - stamps[0]) / 1e3, frame.rgb)
+            if people.astray:
+                detect.forget()
             landmarks, image, score = detect(shown) or no_person
             height, width = frame.rgb.shape[:2]
             rows.append((landmarks, people.in_picture(image, width, height), score))
-            people.saw(rows[-1][1])
             light.append(lightness(frame.rgb))
             clothes.append(clothes_colour(frame.rgb, rows[-1][1]))
+            people.saw(rows[-1][1], clothes[-1])
             if progress is not None:
                 progress(len(rows), video.frame_count)
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
+    other = ~people.followed_rows()
+    landmarks[other], image[other], score[other] = no_person
     looks = np.array(change), np.array(light), np.array(clothes)
     said = people.sentences()
     return _Detections(path.name, t, landmarks, image, score, *looks, video.size, missing_bytes(path), repaired, said)
@@ -176,8 +179,8 @@ def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:
         yield (frame.stamp_ms - first) / 1e3, frame.rgb
 
 
-def _person_share(detections: _Detections, settings: PoseSettings) -> float:
-    """Return the share of frames with a person.
+def _check_person(detections: _Detections, settings: PoseSettings) -> None:
+    """Check that a clip shows a person.
 
     Raises:
         SourceError: If the clip is too short, or has too few such frames.
@@ -195,7 +198,6 @@ def _person_share(detections: _Detections, settings: PoseSettings) -> float:
             f"at least {settings.min_person_share:.0%} are required; "
             "film one person whose shoulders and arms stay in the picture"
         )
-    return share
 
 
 def _file_warnings(detections: _Detections) -> Iterator[str]:
@@ -208,7 +210,24 @@ def _file_warnings(detections: _Detections) -> Iterator[str]:
         )
 
 
-def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> Iterator[str]:
+def doubts(
+    t: FloatArray,
+    landmarks: FloatArray,
+    image: FloatArray,
+    score: FloatArray,
+    swapped: BoolArray,
+    size: tuple[int, int],
+    settings: PoseSettings,
+) -> Iterator[str]:
+    """Yield what makes the landmarks of a clip or a camera doubtful: a person seen seldom, jumps, exchanged sides.
+
+    Args:
+        t, landmarks, image, score, swapped, size: As in a pose track, with corrected sides.
+        settings: Limits.
+    """
+    valid: BoolArray = score >= settings.min_visibility
+    person = float(person_rows(score, settings.min_visibility).mean())
+    jumps = jump_share(t, landmarks, image, valid, size, settings.max_jump)
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
     if jumps > settings.max_jump_share:
@@ -216,13 +235,10 @@ def _picture_warnings(person: float, jumps: float, settings: PoseSettings) -> It
             f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "
             "the arms are hard to see; use a clip of one person, without cuts, from the front or a three-quarter view"
         )
-
-
-def _side_warnings(swapped: BoolArray, inverted: bool) -> Iterator[str]:
     if swapped.mean() > MAX_SWAP_SHARE:
         yield (
             f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, "
             "but errors may remain: film from the front or a three-quarter view, in good light"
         )
-    if inverted:
+    if upside_down(image, valid):
         yield "the shoulders are below the hips; if the video is upside down, rotate it"

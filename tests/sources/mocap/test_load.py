@@ -127,7 +127,7 @@ def test_what_was_not_seen_is_a_gap(tmp_path):
 def test_a_person_without_hips_says_where_up_is(tmp_path):
     upper = [name for name in PERSON if name.split("_")[1] in ("shoulder", "elbow", "wrist")]
     path = save(tmp_path / "a.npz", points=stacked("y", 1.0, upper), names=upper)
-    with pytest.raises(SourceError, match="for example --up y"):
+    with pytest.raises(SourceError, match=r"\[mocap\] up"):
         read(path)
     np.testing.assert_allclose(arms(path, up="y"), expected_arms(), atol=0.03)
 
@@ -420,7 +420,7 @@ def test_a_skeleton_file_that_was_cut_off_is_read_as_far_as_it_goes(angles, tmp_
         (lambda text: text + "nan\n", "expected a number, got 'nan'"),
         (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: inf"), "got 'inf'"),
         (lambda text: text + "the end\n", "expected a number, got 'the'"),
-        (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: 0"), "give the frame rate with --fps"),
+        (lambda text: text.replace("Frame Time: 0.016667", "Frame Time: 0"), r"give the frame rate as \[mocap\] fps"),
     ],
 )
 def test_a_skeleton_file_that_is_none_is_refused(change, message, angles, tmp_path):

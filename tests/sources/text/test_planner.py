@@ -322,7 +322,7 @@ def test_nobody_at_the_address_is_reported(endpoint, reach):
 
 
 def test_an_endpoint_without_a_model_is_asked_about(reach):
-    with pytest.raises(ConfigError, match="--llm-model"):
+    with pytest.raises(ConfigError, match=r"\[text\] llm_model"):
         plan(SENTENCE, reach, LanguageSettings(llm_url="http://127.0.0.1:1/v1"))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,17 +13,19 @@ import pytest
 from mimic.config.pose import PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.records import LANDMARKS
-from mimic.sources.video.people import Person, chosen, describe, distinct, person_of, squares
+from mimic.sources.video.people import LOST, Person, chosen, describe, distinct, person_of, recognised, squares
 from mimic.sources.video.video import track_video
 
+RED, BLUE = np.array([45.0, 55.0, 35.0]), np.array([40.0, 10.0, -45.0])
 
-def person(x: float, size: float = 1.0) -> Person:
+
+def person(x: float, size: float = 1.0, colour: np.ndarray | None = None) -> Person:
     """Somebody whose trunk is 0.3 of the picture times ``size``."""
     image = np.full((33, 2), (x, 0.3))
     for name, across, down in (("shoulder", 0.05, 0.0), ("hip", 0.03, 0.3), ("ankle", 0.03, 0.6)):
         for side, sign in (("left", 1.0), ("right", -1.0)):
             image[LANDMARKS.index(f"{side}_{name}")] += size * np.array([sign * across, down])
-    return person_of(image, 4 / 3)
+    return person_of(image, 4 / 3, colour)
 
 
 def test_people_are_told_apart_from_left_to_right_and_the_background_is_left_out():
@@ -34,6 +37,21 @@ def test_people_are_told_apart_from_left_to_right_and_the_background_is_left_out
 def test_one_is_chosen_by_place_or_size(choice, place):
     people = [person(0.2), person(0.5, 1.4), person(0.8)]
     assert chosen(people, choice) is people[place]
+
+
+def test_people_are_known_again_by_place_and_clothes():
+    known = [person(0.3, colour=RED), person(0.6, colour=BLUE)]
+    assert recognised([person(0.35, colour=RED), person(0.62, colour=BLUE)], known) == [0, 1]
+    assert recognised([person(0.4, colour=BLUE), person(0.5, colour=RED)], known) == [1, 0]  # they crossed
+    assert recognised([person(0.58)], known) == [1]  # the other one is hidden, the clothes are not seen
+    assert recognised([person(0.3, colour=BLUE)], known[:1]) == [None]
+    assert recognised([], known) == []
+
+
+def test_who_was_lost_is_known_by_their_clothes_only():
+    lost = replace(person(0.2, colour=RED), missed=LOST)
+    assert recognised([person(0.9, colour=RED)], [lost]) == [0]
+    assert recognised([person(0.2, colour=BLUE)], [lost]) == [None]
 
 
 def test_several_people_are_said_with_the_times_and_who_is_followed():
@@ -108,6 +126,18 @@ def test_the_chosen_person_is_followed_in_every_frame(two, choice, low, high):
     assert np.isfinite(x).all()
     assert low < x.min() <= x.max() < high
     assert any("up to 2 people are in view" in warning for warning in pose.warnings)
+
+
+@pytest.mark.slow
+def test_where_the_chosen_person_is_gone_there_are_gaps_and_nobody_else(clip, tmp_path):
+    left, right = (frames(clip(name), 320) for name in ("real/01_asl_walk.mkv", "rendered/boxing.mp4"))
+    nobody = [np.full_like(left[0], 90)] * 30
+    pose = track_video(side_by_side(tmp_path / "gone.mp4", left[:30] + nobody, right), PoseSettings(person="left"))
+    x = pose.image[:, [pose.index("left_shoulder"), pose.index("right_shoulder")], 0].mean(axis=1)
+    assert np.isfinite(x[:30]).mean() > 0.9
+    assert np.nanmax(x) < 0.5
+    assert np.isnan(x[40:]).all()
+    assert any("that person was not found; these are gaps" in text for text in pose.warnings)
 
 
 @pytest.mark.slow

@@ -53,6 +53,22 @@ def test_a_cut_says_whether_the_clothes_are_other_ones():
     assert "a cut at 1.50 s with another person after it" in next(describe(clip.changes(), clip.t))
 
 
+def test_a_last_frame_without_a_picture_is_no_cut():
+    clip = Clip()
+    clip.change[-1], clip.light[-1] = 60.0, (3.0, 1.0)
+    clip.person[-1] = False
+    assert clip.changes() == ()
+
+
+def test_who_turns_and_shows_a_back_of_another_colour_is_the_same_person():
+    clip = Clip()
+    clip.person[AT : AT + 12] = False  # 0.4 s in which the detector is lost
+    clip.clothes[AT:] = RED
+    assert clip.changes() == ()
+    clip.place(slice(AT, None), 0.65, 1.0)
+    assert clip.changes() == (Change(AT + 12, "person", True),)
+
+
 def test_a_fade_through_black_is_a_change_and_a_dark_start_or_end_is_none():
     clip = Clip()
     clip.light[:5] = clip.light[-5:] = (3.0, 1.0)
