@@ -236,7 +236,7 @@ BAD = [
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
     ("--text moonwalk --sim", nothing, "has no word 'moonwalk'; its verbs are step"),
-    ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "llm"'), "llm-model"),
+    ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "llm"'), "llm_model"),
     ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "poet"'), "planner is 'poet'"),
     ("text.yaml --sim", text_file("text.yaml"), "expected a list of frames"),
     ("fast.yaml --sim", fast_motion, "fast.yaml asks for what this robot cannot do: frame 1: velocity forward is 2"),

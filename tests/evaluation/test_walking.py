@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from mimic.config.play import AS_DESCRIBED
+from mimic.config.evaluation import EpisodeSettings
 from mimic.evaluation import walking
 from mimic.evaluation.walking import ARMS, evaluate_walking, swing_heights
 from mimic.io.assets import shipped
@@ -19,7 +17,9 @@ def walked():
         patch.setattr(walking, "SPEEDS", (-0.3, 0.0, 0.6))
         patch.setattr(walking, "TURNS", (-1.0, 0.5))
         patch.setattr(walking, "SECONDS", 5.5)
-        return evaluate_walking(shipped("policies", "stand_track.onnx"), range(1, 2), replace(AS_DESCRIBED, workers=1))
+        return evaluate_walking(
+            shipped("policies", "stand_track.onnx"), range(1, 2), EpisodeSettings(episodes=1, seconds=5.5, workers=1)
+        )
 
 
 def test_every_speed_and_turn_is_walked_with_still_and_with_moving_arms(walked):
@@ -65,5 +65,7 @@ def test_a_step_is_as_high_as_its_highest_point_and_counts_only_if_it_begins_and
 
 
 def test_nothing_is_walked_without_a_seed():
-    nothing = evaluate_walking(shipped("policies", "stand_track.onnx"), range(0), AS_DESCRIBED)
+    nothing = evaluate_walking(
+        shipped("policies", "stand_track.onnx"), range(0), EpisodeSettings(episodes=1, seconds=5.5)
+    )
     assert nothing == {"walking": [], "turning": []}
