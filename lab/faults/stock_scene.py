@@ -99,4 +99,4 @@ class StockScene:
         return not self.trouble.doing("master_commands")
 
     def told(self) -> bool:
-        return self.plant.ending in (OBEYS_ANOTHER, UNREACHED)
+        return self.plant.ending.startswith((OBEYS_ANOTHER, UNREACHED))

@@ -169,7 +169,7 @@ def children(pid: int) -> list[int]:
         ["ps", "-o", "pid=,stat=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
     )
     rows = [line.split(maxsplit=2) for line in listed.stdout.splitlines()]
-    return [int(row[0]) for row in rows if "stock.process" in row[2] and not row[1].startswith("Z")]
+    return [int(row[0]) for row in rows if "robot.process" in row[2] and not row[1].startswith("Z")]
 
 
 @contextmanager

@@ -304,7 +304,7 @@ class StockDriver:
         if rested:
             return RESTED
         if not self._answers() or int(self.report["err_flag"]) & TIMED_OUT:
-            return UNREACHED
+            return f"{UNREACHED} ({self.problem})" if self.problem else UNREACHED
         seconds = self._limits.damp_seconds
         return (
             f"the robot was damped for {seconds:g} s and still moves; its firmware damps it for another 2.5 s: hold it"
