@@ -264,7 +264,7 @@ def test_a_bus_that_fails_keeps_what_was_measured(description):
     _, plant = made(description, "unplugged@1.4-3")
     result = probe(plant, probe_motion(description, SHORT).begin(LESS), SHORT, Signals(), wiring=WIRING)
     assert result.ended is not None
-    assert result.ended.rule == "motor_silent"
+    assert result.ended.rule == "bus_errors"
     assert len(result.log.t) > 10
 
 

@@ -99,8 +99,7 @@ class Robot:
             raise SenderError(f"the process that sends to the robot hangs: it said nothing for {now - heard:.2f} s")
         t = now if heard > asked else heard  # nothing ages while the sender is silent
         if heard > asked:
-            missed = np.where(self.report["came"] > asked, 0, self._missed + 1)
-            self._missed[list(joints)] = missed[list(joints)]
+            self._missed = np.where(self.report["came"] > asked, 0, self._missed + 1)
         sent = self._sent(command)
         return Tick(
             state=self.state(asked),
