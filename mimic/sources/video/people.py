@@ -205,7 +205,7 @@ class People:
                 self._aspect = rgb.shape[1] / rgb.shape[0]
                 looks.append(distinct(list(self._everybody_in(rgb))))
         most = max(looks, key=len, default=[])
-        if not self._enough(most):
+        if self._choice is None or not self._enough(most):
             return
         self._known, own = list(most), most.index(chosen(most, self._choice))
         for people in reversed(looks[: looks.index(most)]):  # where they were at the beginning
