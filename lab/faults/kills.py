@@ -65,11 +65,9 @@ class Scene:
         with real_time(EMULATOR):
             self.server.run(self._over.is_set)
 
-    def stiffness(self) -> float:
-        """Return the largest stiffness that a motor follows [N m/rad]."""
-        if isinstance(self.robot, EmulatedBoard):
-            return float(self.robot.applied.kp.max())
-        return max(motor.drive.kp for motor in self.robot.motors)
+    def driven(self) -> bool:
+        """Return whether a motor has stiffness or torque."""
+        return bool(self.robot.driven())
 
     def close(self) -> None:
         self._over.set()
@@ -86,15 +84,15 @@ def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
         host = subprocess.Popen([*words, "-o", str(work / "run")], cwd=ROOT, stdout=said, stderr=said)
     row: dict[str, Any] = {"robot": robot, "seed": seed, "who": who, "how": how, "at": round(after, 2)}
     end = time.monotonic() + HANG
-    while not scene.stiffness() and host.poll() is None and time.monotonic() < end:
+    while not scene.driven() and host.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
     time.sleep(after)
     pid = host.pid if who == "loop" else helper_of(host.pid, HELPER)
     begin = last = time.monotonic()
-    row["driven_before"] = scene.stiffness() > 0.0
+    row["driven_before"] = scene.driven()
     send_signals([pid], signal.SIGKILL if how == "killed" else signal.SIGSTOP)
     while time.monotonic() - begin < WATCHED:
-        last = time.monotonic() if scene.stiffness() else last
+        last = time.monotonic() if scene.driven() else last
         time.sleep(0.001)
     send_signals([host.pid, pid], signal.SIGCONT)
     try:
@@ -103,7 +101,7 @@ def play(robot: str, seed: int, motion: Path, work: Path) -> dict[str, Any]:
         host.kill()
         row["status"] = "hung"
     row["damped_after"] = round(last - begin, 3)
-    row["fine"] = row["damped_after"] <= WITHIN[how] and not scene.stiffness()
+    row["fine"] = row["damped_after"] <= WITHIN[how] and not scene.driven()
     row["last"] = (work / "said.txt").read_text(errors="replace").strip().splitlines()[-1:]
     scene.close()
     return row

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from lab.faults.processes import HELPER
 from lab.faults.proxies import LcmProxy, wiring_through
 from lab.stock_firmware.firmware import ROOT, Bench, save_model, through_network
 from lab.stock_firmware.firmware import upright as uprightness
@@ -169,7 +170,7 @@ def children(pid: int) -> list[int]:
         ["ps", "-o", "pid=,stat=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False
     )
     rows = [line.split(maxsplit=2) for line in listed.stdout.splitlines()]
-    return [int(row[0]) for row in rows if "robot.process" in row[2] and not row[1].startswith("Z")]
+    return [int(row[0]) for row in rows if HELPER in row[2] and not row[1].startswith("Z")]
 
 
 @contextmanager

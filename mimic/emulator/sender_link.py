@@ -9,7 +9,7 @@ from mimic.hardware.can.link import Link
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import CheckOptions, Driver
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.robot.sender import Order, Sender, State
+from mimic.hardware.robot.sender import Order, Sender, State, why_lost
 from mimic.hardware.stock.driver import Bus, StockDriver
 from mimic.hardware.stock.wiring import BoardWiring
 from mimic.hardware.wiring import Wiring
@@ -20,7 +20,7 @@ LONGEST_ENDING = 60.0
 
 
 class EmulatedSenderLink:
-    """A `mimic.hardware.robot.process.Link` without a process: waiting advances the emulated robot."""
+    """A `mimic.hardware.robot.process.SenderLink` without a process: waiting advances the emulated robot."""
 
     def __init__(self, driver: Driver, description: RobotDescription) -> None:
         """Connect a sender to the driver of an emulated robot."""
@@ -38,9 +38,7 @@ class EmulatedSenderLink:
     @property
     def problem(self) -> str:
         """Why the sender takes no orders any more; empty while it does."""
-        if self.sender.reason:
-            return f"the process that sends damped the robot: {self.sender.reason}"
-        return "the process that sends to the robot has ended" if self.sender.state >= State.DAMP else ""
+        return why_lost(self.sender.reason) if self.sender.state >= State.DAMP else ""
 
     def now(self) -> float:
         """Return the robot's time [s]."""

@@ -89,21 +89,18 @@ def driver_settings(
 
 
 @contextmanager
-def open_robot(
-    bus_url: str, settings: LookSettings, description: RobotDescription, *, locked: bool = True
-) -> Iterator[Driver]:
+def open_robot(bus_url: str, settings: LookSettings, description: RobotDescription) -> Iterator[Driver]:
     """Open a robot that nobody drives, in this process, and let go of it at the end.
 
     Args:
         bus_url: Its buses, or the name of a motion board.
         settings: Wiring, network interface and zeros.
         description: The robot.
-        locked: Take the locks of its buses; not for who damps it, whoever drives it.
 
     Raises:
         ConfigError, AssetError, BusError, MissingExtra: If that is not possible.
     """
-    with bus_lock(bus_url) if locked and bus_url not in BOARDS else nullcontext():
+    with nullcontext() if bus_url in BOARDS else bus_lock(bus_url):
         driver = open_driver(driver_settings(bus_url, settings, description))
         try:
             yield driver

@@ -22,7 +22,7 @@ from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings, no_report
 from mimic.hardware.step_budget import PARTS, step_budget
 from mimic.hardware.wiring import Wiring, load_wiring
-from mimic.records import JOINTS, JointCommand
+from mimic.records import JOINTS, IntArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 STOP_TRIES = 10
@@ -79,10 +79,10 @@ class CanDriver:
         self._torque_limit = description.torque_max if torque_limit is None else torque_limit
         self._reopen, self._tried = reopen, -np.inf
         self._report = no_report()
-        self._failures = self._sent = self._asked_count = 0
+        self._failures = self._asked_count = 0
         self._taken = self._heard = link.now()
         self._next_question = -np.inf
-        self._waits: tuple[float, tuple[int, ...]] | None = None
+        self._waits: tuple[float, IntArray] | None = None
         self._damped = -np.inf
         self._tries, self._left, self._on = 0, list(ALL), False
 
@@ -90,7 +90,6 @@ class CanDriver:
     def report(self) -> Any:
         """Newest readings; a scalar of REPORT."""
         motor_bus, report, now = self.motor_bus, self._report, self.now()
-        report["sent"] = self._sent
         report["q"], report["dq"], report["tau"] = motor_bus.readings(-np.inf)
         report["came"] = motor_bus.came
         newest = motor_bus.feedback
@@ -183,11 +182,11 @@ class CanDriver:
                 self._ask()
         except BusError as reason:
             self._fail(reason)
-        self._sent += 1
-        nothing = np.full(len(JOINTS), np.nan)
+        report["sent"] += 1
+        asked = np.array(joints, dtype=int)
         for name, value in (("q_sent", "q_des"), ("kp_sent", "kp"), ("kd_sent", "kd")):
-            report[name][list(joints)] = (nothing if sent is None else getattr(sent, value))[list(joints)]
-        self._waits = now, tuple(joints)
+            report[name][asked] = np.nan if sent is None else getattr(sent, value)[asked]
+        self._waits = now, asked
 
     def _ask(self) -> None:
         """Ask one motor after the other for its supply voltage; where it has none to tell, for its position."""
@@ -224,7 +223,7 @@ class CanDriver:
         if self._waits is None:
             return False
         asked, joints = self._waits
-        return bool(np.all(self.motor_bus.came[list(joints)] > asked))
+        return bool(np.all(self.motor_bus.came[joints] > asked))
 
     # ------------------------------------------------------------------ damping and off
 

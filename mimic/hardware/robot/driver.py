@@ -7,7 +7,7 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -182,10 +182,6 @@ class DriverSettings:
     torque_limit: float | None = None
     """[N m]"""
     dry_run: bool = False
-
-    def plain(self) -> dict[str, Any]:
-        """Return the settings as plain values."""
-        return asdict(self)
 
 
 def load_driver(settings: DriverSettings) -> Callable[..., Driver]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mimic.errors import PlantError, SenderError
 from mimic.hardware.robot.driver import ALL, no_report
-from mimic.hardware.robot.process import HANGS, Link
+from mimic.hardware.robot.process import HANGS, SenderLink
 from mimic.hardware.robot.sender import Order
 from mimic.records import JOINTS, FloatArray, Health, JointCommand, JointSamples, RobotState, Tick
 from mimic.robot.description import RobotDescription
@@ -31,7 +31,7 @@ class Robot:
     health. The position of the base is not measured.
     """
 
-    def __init__(self, link: Link, description: RobotDescription, *, suspended: bool = False) -> None:
+    def __init__(self, link: SenderLink, description: RobotDescription, *, suspended: bool = False) -> None:
         """Prepare the plant; nothing is sent yet.
 
         Args:
@@ -47,7 +47,7 @@ class Robot:
         self._err_flag, self._gap = 0, 0.0
         self._began = self._ended = self._due = link.now()
         self._busy: FloatArray | None = None
-        self._started = self._closed = False
+        self._started = False
         self.ending = "nothing was switched on"
         """How the robot was left, as a sentence without its full stop."""
 
@@ -64,7 +64,7 @@ class Robot:
             BusError: If a bus fails.
         """
         link, d = self.link, self._description
-        self._started, self._closed = True, False
+        self._started = True
         link.start(suspended=self._suspended)
         self._missed[:] = 0
         self._began = self._ended = self._due = link.now()
@@ -197,9 +197,9 @@ class Robot:
 
     def close(self) -> None:
         """Damp the robot until it rests, then switch its motors off. Safe to call twice; never raises MimicError."""
-        if self._closed or not self._started:
+        if not self._started:
             return
-        self._closed, self._started = True, False
+        self._started = False
         try:
             self.ending = self.link.finish()
         except PlantError as reason:

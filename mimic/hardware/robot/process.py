@@ -26,7 +26,7 @@ from mimic.control.priority import SENDER, real_time
 from mimic.errors import MimicError, PlantError
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import REPORT, CheckOptions, DriverSettings, load_driver, open_driver
-from mimic.hardware.robot.sender import GIVE_UP, Order, Sender, State
+from mimic.hardware.robot.sender import GIVE_UP, Order, Sender, State, why_lost
 from mimic.robot.description import RobotDescription, load_description
 
 ANSWER_WITHIN = 30.0
@@ -50,7 +50,7 @@ _REPORT, _ANSWER, _ERROR, _TAKEN_OVER, _ENDING = b"R", b"A", b"E", b"D", b"T"
 _LARGEST = 1 << 17
 
 
-class Link(Protocol):
+class SenderLink(Protocol):
     """A sender as the plant sees it, in a process of its own or in an emulation."""
 
     @property
@@ -88,7 +88,7 @@ class Link(Protocol):
 
 
 class SenderProcess:
-    """Starts the process that sends, and talks to it; a `Link`."""
+    """Starts the process that sends, and talks to it; a `SenderLink`."""
 
     def __init__(self, settings: DriverSettings, description: RobotDescription, *, keep: tuple[int, ...] = ()) -> None:
         """Start the process, which opens the robot and only listens.
@@ -106,7 +106,7 @@ class SenderProcess:
         load_driver(settings)
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "mimic.hardware.robot.process"]
-        command += [str(theirs.fileno()), json.dumps(settings.plain())]
+        command += [str(theirs.fileno()), json.dumps(asdict(settings))]
         self._process = subprocess.Popen(
             command, pass_fds=[theirs.fileno(), *keep], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -133,11 +133,8 @@ class SenderProcess:
     @property
     def problem(self) -> str:
         """Why the sender takes no orders any more; empty while it does."""
-        if self._taken_over:
-            return f"the process that sends damped the robot: {self._taken_over}"
-        if self._lost or self._process.poll() is not None or self._state >= State.DAMP:
-            return "the process that sends to the robot has ended"
-        return ""
+        gone = self._taken_over or self._lost or self._process.poll() is not None or self._state >= State.DAMP
+        return why_lost(self._taken_over) if gone else ""
 
     def now(self) -> float:
         """Return the monotonic clock [s]."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from mimic.control.safety_limits import limits_for
 from mimic.errors import FrameError, MimicError
-from mimic.hardware.robot.driver import ALL, NEVER, Driver
+from mimic.hardware.robot.driver import ALL, Driver
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
@@ -81,6 +81,16 @@ class Order:
         return Order(command=command, begin=float(more[1]), joints=tuple(map(int, joints)))
 
 
+def why_lost(reason: str) -> str:
+    """Return why a sender takes no more orders, as a sentence without its full stop.
+
+    Args:
+        reason: Why it took over; empty where nothing says so.
+    """
+    took_over = f"the process that sends damped the robot: {reason}"
+    return took_over if reason else "the process that sends to the robot has ended"
+
+
 class Sender:
     """Decides what is sent, from orders, readings and time."""
 
@@ -94,7 +104,7 @@ class Sender:
         """How the robot was left, as a sentence without its full stop; once DONE."""
         self._order: Order | None = None
         self._from: FloatArray | None = None
-        self._ordered = self._due = NEVER
+        self._ordered = self._due = np.inf
         self._since = self._reached = self._rested = self._reported = 0.0
         self._rests = False
         self._pause = driver.period if driver.repeats else description.dt
@@ -116,7 +126,7 @@ class Sender:
             else:
                 self.damp("")
             raise
-        self.state, self._ordered, self._due = State.DRIVE, np.inf, np.inf  # without gains they may wait for an order
+        self.state = State.DRIVE  # without gains the motors may wait for an order
 
     def order(self, order: Order) -> None:
         """Take an order; one that is not finite damps the robot."""
@@ -159,10 +169,9 @@ class Sender:
         """
         driver = self.driver
         self._send(driver.now())
-        due = self._due if self.state in (State.DRIVE, State.DAMP, State.ENDING) else np.inf
         every = self._pause if driver.repeats or self.state != State.DRIVE else REPORT_PERIOD
         report_at = self._reported + every
-        complete = driver.listen(min(until, due, report_at), wake)
+        complete = driver.listen(min(until, self._due, report_at), wake)
         now = driver.now()
         if not complete and now < report_at - _MOMENT:
             return None
@@ -182,7 +191,7 @@ class Sender:
     def _send(self, now: float) -> None:
         if self.state == State.DRIVE and now - self._ordered > ORDER_TIMEOUT:
             self.damp(f"no order for {now - self._ordered:.2f} s")
-        if now < self._due - _MOMENT or self.state in (State.LISTEN, State.DONE):
+        if now < self._due - _MOMENT:
             return
         if self.state == State.DRIVE:
             self._drive(now)
@@ -194,7 +203,7 @@ class Sender:
             ending = self.driver.end(since=self._since, rested=self._rests)
             self._due = now + self._pause
             if ending is not None:
-                self.state, self.ending = State.DONE, ending
+                self.state, self.ending, self._due = State.DONE, ending, np.inf
 
     def _drive(self, now: float) -> None:
         order, driver = self._order, self.driver
@@ -205,9 +214,8 @@ class Sender:
         except FrameError as reason:
             self.damp(str(reason))
             return
-        begin, period = order.begin, driver.period
-        self._due = begin + (np.floor((now - begin + _MOMENT) / period) + 1.0) * period
-        if not driver.repeats and self._due > begin + command.ramp - 0.5 * period:
+        self._due = order.begin + self._slot_end(now)
+        if not driver.repeats and self._due > order.begin + command.ramp - 0.5 * driver.period:
             self._due = np.inf  # that was the last part
 
     def _target(self, now: float) -> FloatArray:
@@ -217,10 +225,14 @@ class Sender:
         target, ramp = order.command.q_des, order.command.ramp
         if ramp <= 0.0 or self._from is None:
             return target
-        period = self.driver.period
-        slot = np.floor((now - order.begin + _MOMENT) / period) + 1.0
-        share = min(max(slot * period / ramp, 0.0), 1.0)
+        share = min(max(self._slot_end(now) / ramp, 0.0), 1.0)
         return self._from + share * (target - self._from)
+
+    def _slot_end(self, now: float) -> float:
+        """Return when the period in which a time is ends, from the begin of the order's step on [s]."""
+        assert self._order is not None
+        period = self.driver.period
+        return (np.floor((now - self._order.begin + _MOMENT) / period) + 1.0) * period
 
     def _settle(self, now: float) -> None:
         """End the damping once the robot rests, or after the longest time for it."""

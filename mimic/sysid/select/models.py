@@ -101,8 +101,7 @@ def compare(
     if not use.any():
         return Comparison(gain=0.0, z=0.0, share=0.0)
     good, bad, noise = one[:, use], other[:, use], np.maximum(problem.readings, 1)[:, None]
-    count = _independent(problem) * int(use.sum())
-    price = 0.5 * numbers * np.log(count) / count
+    price = _price(numbers, _independent(problem) * int(use.sum()))
     each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
     whole = noise[:, 0] * int(use.sum())
     d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole)) - price
@@ -112,6 +111,18 @@ def compare(
         z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > MATERIAL] - price)),
         share=float((bad.sum() - good.sum()) / max(bad.sum() - whole.sum(), 1e-9)),
     )
+
+
+def _price(numbers: int, readings: float) -> float:
+    """Return what numbers cost of the log of an error, with so many independent readings (Schwarz 1978)."""
+    return float(0.5 * numbers * np.log(readings) / readings)
+
+
+def _score(problem: Problem, squares: FloatArray, numbers: int) -> float:
+    """Return the log of the probability of blocks (B_train, C) that were left out, less the price of the numbers."""
+    count = _independent(problem)
+    size = np.maximum(squares.sum(0) / max(int(problem.blocks.fitted.sum()), 1), 1e-12)
+    return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
 
 
 def _independent(problem: Problem) -> float:
@@ -158,9 +169,7 @@ class Trial:
 
     def score(self, problem: Problem) -> float:
         """Return the log of the probability of left-out blocks, less the price of its numbers."""
-        count = _independent(problem)
-        size = np.maximum(self.squares.sum(0) / max(int(problem.blocks.fitted.sum()), 1), 1e-12)
-        return float(-0.5 * count * np.log(size).sum() - 0.5 * self.numbers * np.log(count * len(size)))
+        return _score(problem, self.squares, self.numbers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,12 +232,9 @@ class FittedModel:
 
         Of late targets that is what the other chains show of them: each target has a lateness of its own.
         """
-        count, squares = _independent(self.problem), self.squares
-        if self.trial is not None and self.trial.lateness is not None:
-            squares = self.trial.squares
-        size = np.maximum(squares.sum(0) / max(int(self.problem.blocks.fitted.sum()), 1), 1e-12)
-        numbers = len(self.fitted.free_parameters)
-        return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
+        late = self.trial is not None and self.trial.lateness is not None
+        squares = self.trial.squares if self.trial is not None and late else self.squares
+        return _score(self.problem, squares, len(self.fitted.free_parameters))
 
     def mask(self, name: str) -> BoolArray:
         """Return the joints (J,) that have an effect."""
@@ -418,9 +424,9 @@ class Selection:
         asked = [self._fitting(model, s, s.point, 2, None if s.own_baseline else model.fitted) for s in starts]
         quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
         asked_first = list(names[:2])  # by gain and by z
-        strong = sorted((t for t in quick if t.numbers or t.name in asked_first), key=lambda t: -t.score(problem))
-        strong.sort(key=lambda t: t.name not in asked_first)
-        strong = [t for t in strong if t.against.gain >= RULES.gain or t.name in asked_first][: RULES.finished]
+        strong = [t for t in quick if t.name in asked_first or (t.numbers and t.against.gain >= RULES.gain)]
+        strong.sort(key=lambda t: (t.name not in asked_first, -t.score(problem)))
+        strong = strong[: RULES.finished]
         if not strong:
             return quick
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
@@ -460,8 +466,7 @@ class Selection:
                 squares = squares.copy()
                 for c in np.unique(chain):
                     mine, count = of == c, sum(chain[k.joint] == c for k in own)
-                    readings = _independent(problem) * mine.sum()
-                    price = 0.5 * count * np.log(readings) / readings
+                    price = _price(count, _independent(problem) * int(mine.sum()))
                     good, bad = ((x[:, mine] + noise).sum(0) for x in (squares, model.squares))
                     if count and 0.5 * np.log(bad / good).sum() > price:
                         joints[[k.joint for k in own if chain[k.joint] == c]] = True

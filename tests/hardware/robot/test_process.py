@@ -70,11 +70,9 @@ class Served:
         with real_time(EMULATOR):
             self._server.run(self._over.is_set)
 
-    def gains(self) -> float:
-        """Return the largest stiffness that a motor follows."""
-        if isinstance(self.robot, EmulatedBoard):
-            return float(self.robot.applied.kp.max())
-        return max(motor.drive.kp for motor in self.robot.motors)
+    def driven(self) -> bool:
+        """Return whether a motor has stiffness or torque."""
+        return bool(self.robot.driven())
 
     def close(self) -> None:
         self._over.set()
@@ -137,9 +135,9 @@ def driven(plant, served):
     """Start a robot and drive it until its motors obey."""
     state = plant.start()
     end = time.monotonic() + PATIENCE
-    while not served.gains() and time.monotonic() < end:
+    while not served.driven() and time.monotonic() < end:
         plant.step(hold(np.nan_to_num(state.q)))
-    assert served.gains()
+    assert served.driven()
     return np.nan_to_num(state.q)
 
 
@@ -151,7 +149,7 @@ def test_it_checks_and_drives_a_robot_and_leaves_it_damped(link, served, descrip
     driven(plant, served)
     plant.close()
     assert plant.ending.startswith("the robot was damped")
-    assert eventually(lambda: not served.gains())
+    assert eventually(lambda: not served.driven())
 
 
 @pytest.mark.slow
@@ -161,7 +159,7 @@ def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, wi
     q = driven(plant, served)
     os.kill(link.pid, number)
     begin, damped = time.monotonic(), []
-    watch = threading.Thread(target=lambda: damped.append(eventually(lambda: not served.gains()) and time.monotonic()))
+    watch = threading.Thread(target=lambda: damped.append(eventually(lambda: not served.driven()) and time.monotonic()))
     watch.start()
 
     def go_on() -> None:
@@ -174,7 +172,7 @@ def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, wi
     watch.join()
     assert damped[0] - begin < BUSY * within
     assert plant.ending.startswith("the robot was damped")
-    assert not served.gains()
+    assert not served.driven()
 
 
 @pytest.mark.slow
@@ -182,7 +180,7 @@ def test_a_loop_that_stands_still_loses_the_robot_to_the_sender(link, served, de
     plant = Robot(link, description)
     q = driven(plant, served)
     begin = time.monotonic()
-    assert eventually(lambda: not served.gains())
+    assert eventually(lambda: not served.driven())
     assert time.monotonic() - begin < BUSY * 0.15
     with pytest.raises(SenderError, match=r"damped the robot: no order for 0\.1"):
         plant.step(hold(q))
@@ -195,7 +193,7 @@ def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served, descr
     driven(Robot(link, description), served)
     link._ours.close()  # as if this process were killed
     begin = time.monotonic()
-    assert eventually(lambda: not served.gains())
+    assert eventually(lambda: not served.driven())
     assert time.monotonic() - begin < BUSY * 0.15
 
 
