@@ -1,57 +1,20 @@
 """A log and a model as a least-squares problem: fine steps, weights, blocks judged without themselves."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from mimic.config.sysid import LogSettings
 from mimic.dynamics.catalogue import BASELINE
-from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, read_machine
-from mimic.io.joint_log import JointLog
+from mimic.dynamics.effect_set import EffectValues
+from mimic.dynamics.machine import MachineModel
 from mimic.sysid.fit.least_squares import fit, left_out
-from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.fit.replay import Replay
+from mimic.sysid.fit.problem import Point
 from mimic.sysid.log.noise import coarse_steps, noise_floor
-from mimic.sysid.log.pool import make_blocks
-from mimic.sysid.predict import simulate_log
-
-PAIR = """<mujoco><worldbody>
-<body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
-<inertial pos="0 0 -0.08" mass="0.3" diaginertia="0.001 0.001 0.0003"/></body>
-<body name="b" pos="0 1 0"><joint name="b" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
-<inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></worldbody></mujoco>"""
-
-
-@pytest.fixture
-def pair(tmp_path: Path) -> MachineModel:
-    path = tmp_path / "pair.xml"
-    path.write_text(PAIR)
-    return read_machine(path, {"kp": 20.0, "kd": 0.8})
-
-
-def log_of(pair: MachineModel, *hidden: EffectValues, fast: float = 0.0, timestep: float = 0.001) -> JointLog:
-    """Return 10 s of sines; with ``fast``, in the seventh second only there is also a swing of this size at 4 Hz."""
-    rng = np.random.default_rng(3)
-    t = np.arange(0.0, 10.0, 0.02)
-    phase = rng.uniform(0, 2 * np.pi, (3, 2))
-    q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate((0.4, 0.9, 1.7)))
-    q_des = np.asarray(q_des)[:, : len(pair.joints)]
-    swing = np.where((t > 6.0) & (t < 7.0), fast * np.sin(8 * np.pi * t), 0.0)
-    made = simulate_log(pair, t, q_des + swing[:, None], EffectSet(hidden), LogSettings(seed=4, timestep=timestep))
-    return replace(made, tau=None)
-
-
-def problem_of(pair: MachineModel, log: JointLog, timestep: float = 0.005) -> tuple[Problem, Point]:
-    replay = Replay(pair, log, timestep=timestep)
-    problem = Problem(replay, np.full(len(pair.joints), 0.35e-3), None, make_blocks(log.t, replay.counts))
-    return problem, Point.of(BASELINE, pair)
 
 
 @pytest.mark.slow
-def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: MachineModel) -> None:
+def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(
+    pair: MachineModel, log_of, problem_of
+) -> None:
     """Without it nothing determines the limit: what a straight line makes of that is worse than any replay."""
     weak = EffectValues(name="torque_speed", joints=("a", "b"), values={"torque": 2.5, "speed": 9.0, "flat": 0.0})
     problem, baseline = problem_of(pair, log_of(pair, weak, fast=1.0))
@@ -63,7 +26,7 @@ def test_a_block_that_alone_shows_a_limit_is_not_judged_by_a_linear_model(pair: 
     assert np.all(squares < 10.0 * without.max())
 
 
-def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel) -> None:
+def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pair: MachineModel, log_of) -> None:
     log = log_of(pair, EffectValues(name="encoder_step", joints=("a",), values={"angle": np.array([0.0025])}))
     noise = noise_floor(log.q, log.rate)
     assert noise[0] > 1.3 * noise[1]
@@ -71,7 +34,7 @@ def test_the_step_of_an_encoder_is_read_off_where_it_makes_most_of_the_noise(pai
 
 
 @pytest.mark.slow
-def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: MachineModel) -> None:
+def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair, log_of, problem_of):
     """A slow current loop in one chain looks like a delay of the machine; the other chain then seems early."""
     lag = EffectValues(name="torque_lag", joints=("a",), values={"time": np.array([0.03])})
     delay = EffectValues(name="delay", values={"time": np.array([0.011])})
@@ -88,7 +51,7 @@ def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair: Machine
 
 
 @pytest.mark.slow
-def test_chains_alike_have_equal_weights(pair: MachineModel) -> None:
+def test_chains_alike_have_equal_weights(pair, log_of, problem_of):
     problem, start = problem_of(pair, log_of(pair))
     fitted = fit(problem, start, BASELINE, {}, most=5)
     assert problem.weighed(fitted.residual) is problem
@@ -96,7 +59,9 @@ def test_chains_alike_have_equal_weights(pair: MachineModel) -> None:
 
 
 @pytest.mark.slow
-def test_what_goes_together_without_a_change_has_derivatives_that_cancel(pair: MachineModel) -> None:
+def test_what_goes_together_without_a_change_has_derivatives_that_cancel(
+    pair: MachineModel, log_of, problem_of
+) -> None:
     """Gains, masses, rotors and friction times the same number move alike; a fit may not seem sure of that number."""
     problem, _ = problem_of(pair, log_of(pair, fast=1.0), 0.0025)
     names = ["coulomb", "viscous", "link_mass", "armature", "gains"]

@@ -8,7 +8,7 @@ import pytest
 from mimic.config.sysid import CalibrateSettings, LogSettings
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, read_machine
+from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.least_squares import fit, left_out
@@ -20,20 +20,7 @@ from mimic.sysid.result import Calibration
 from mimic.sysid.select.lateness import late_targets
 from mimic.sysid.select.models import compare
 
-PAIR = """<mujoco><worldbody>
-<body name="a"><joint name="a" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
-<inertial pos="0 0 -0.08" mass="0.3" diaginertia="0.001 0.001 0.0003"/></body>
-<body name="b" pos="0 1 0"><joint name="b" axis="0 1 0" armature="0.003" damping="0.05" frictionloss="0.04"/>
-<inertial pos="0 0 -0.06" mass="0.4" diaginertia="0.001 0.001 0.0003"/></body></worldbody></mujoco>"""
-
 TIMING = ("lost_commands", "delay_jitter")
-
-
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory: pytest.TempPathFactory) -> MachineModel:
-    path = tmp_path_factory.mktemp("pair") / "pair.xml"
-    path.write_text(PAIR)
-    return read_machine(path, {"kp": 20.0, "kd": 0.8})
 
 
 def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> JointLog:
