@@ -31,7 +31,7 @@ def play(
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
     model: Annotated[o.Effects, o.only("model", "effects")] = None,
-    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model", "also")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
     language: Annotated[o.Language, o.only("language")] = None,
     live: Annotated[o.Live, o.only("live")] = None,
@@ -125,6 +125,8 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
+    if pose is not None and pose.also is not None:
+        raise ConfigError("--also gives the second of two videos; a camera is followed by itself: leave it out")
     if retarget is not None and retarget.slow_down != 1.0:
         raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 

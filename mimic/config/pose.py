@@ -34,6 +34,10 @@ class PoseSettings:
     """heavy: four times as slow, and nearer to the truth on real people. Or another BlazePose model (.task), or the
     wheel of mediapipe 0.10.14, which carries the default one; by default it is downloaded at the first use."""
 
+    also: Path | None = None
+    """A second video of the same person at the same time, from another side: its picture shows the depth that the first
+    one hardly sees. Both start within 2 s."""
+
     def __post_init__(self) -> None:
         check_range("min-visibility", self.min_visibility, 0.0, 1.0)
         check_range("min-person-share", self.min_person_share, 0.0, 1.0)

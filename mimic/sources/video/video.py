@@ -134,7 +134,7 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     given = settings.pose_model
     named = HEAVY_BUNDLE if given == "heavy" else BUNDLE
     model = sha256_of(given) if isinstance(given, Path) and given.is_file() else named
-    others = plain(replace(settings, pose_model=None))
+    others = plain(replace(settings, pose_model=None, also=None))
     parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
