@@ -113,7 +113,8 @@ def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> No
         views: What was seen and the truth, by name.
         reach: Of the robot.
     """
-    print("\n| view | alone | " + " | ".join(f"and {name}" for name in views) + " |\n" + "|---" * (len(views) + 2) + "|")
+    print("\n| view | alone |", *(f"and {name} |" for name in views))
+    print("|---" * (len(views) + 2) + "|")
     errors = []
     for name, (seen, true) in views.items():
         cells = [f"{targets_apart(seen, true, reach):.1f} cm"]

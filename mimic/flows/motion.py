@@ -245,8 +245,9 @@ def _track_two(path: Path, other: Path, settings: PoseSettings, cache: bool, rep
 
     first, second = (track_video(video, settings, cache=cache, reporter=reporter) for video in (path, other))
     merged, fit = merge_views(first, second, (path.name, other.name))
+    order = "before" if fit.delay > 0 else "after"
     reporter.note(
-        f"two views    {other.name} starts {abs(fit.delay):.2f} s {'before' if fit.delay > 0 else 'after'} {path.name}, "
+        f"two views    {other.name} starts {abs(fit.delay):.2f} s {order} {path.name}, "
         f"{fit.angle_deg:.0f}° beside it; arms and trunk agree to {100 * fit.apart:.0f} cm"
     )
     return merged

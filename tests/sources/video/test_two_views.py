@@ -11,7 +11,9 @@ from mimic.records import LANDMARKS, PoseTrack
 from mimic.sources.video.two_views import merge_views
 
 T = np.arange(0.0, 4.0, 1 / 30)
-WRISTS, SHOULDERS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("wrist", "shoulder"))
+WRISTS, SHOULDERS = (
+    [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("wrist", "shoulder")
+)
 
 
 def person(t: np.ndarray, seed: int = 1) -> np.ndarray:
@@ -92,7 +94,9 @@ def test_an_arm_that_one_view_does_not_show_comes_from_the_other_one():
 
 
 def test_videos_of_different_motions_are_refused_in_one_line():
-    with pytest.raises(SourceError, match=r"^front\.mp4 and other\.mp4 do not show the same motion.* cm apart") as error:
+    with pytest.raises(
+        SourceError, match=r"^front\.mp4 and other\.mp4 do not show the same motion.* cm apart"
+    ) as error:
         merge_views(FRONT, seen_by(SIDE, T, person(T, seed=5)), ("front.mp4", "other.mp4"))
     assert "\n" not in str(error.value)
 
