@@ -34,7 +34,7 @@ from mimic.robot.description import load_description
 WITHIN = {"killed": 0.15, "stopped": 0.35}
 """A robot is damped this long after a process ends or hangs [s]."""
 
-WATCHED = 9.0
+WATCHED = 5.0
 """For how long motors are watched afterwards [s]."""
 
 HANG = 60.0
