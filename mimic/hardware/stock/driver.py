@@ -139,7 +139,7 @@ class StockDriver:
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
         self._foreign = NEVER
-        # tells own zero messages from others'; NumPy's generators take 40 ms to load, when a robot may have to be damped
+        # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
         self._tag = np.array([random.uniform(-0.05, 0.05) for _ in JOINTS])
 
     @property
