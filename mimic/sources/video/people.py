@@ -50,7 +50,7 @@ MARGIN = 0.35
 """What is shown around a chosen person, on each side [box heights]."""
 WIDE = 1.2
 """A picture with a longer side than this many shorter ones is also searched in squares: people who are small in the
-whole of it are found there."""
+whole of it are found there. Where nobody was chosen, every second look does so."""
 
 _SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
 CHOOSE = "--person left|right|largest|N chooses"
