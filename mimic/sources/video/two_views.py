@@ -93,10 +93,9 @@ class _Lines:
 
 
 def _lines(track: PoseTrack) -> _Lines:
-    p, ok = (
-        {f"{side}_{part}": column[:, track.index(f"{side}_{part}")] for side in SIDES for part in _PARTS}
-        for column in (track.landmarks, track.valid)
-    )
+    columns = {f"{side}_{part}": track.index(f"{side}_{part}") for side in SIDES for part in _PARTS}
+    p = {name: track.landmarks[:, column] for name, column in columns.items()}
+    ok = {name: track.valid[:, column] for name, column in columns.items()}
     middle = [(p[f"left_{part}"] + p[f"right_{part}"]) / 2 for part in ("hip", "shoulder")]
     pairs = [(f"{side}_shoulder", f"{side}_{part}") for side in SIDES for part in ("elbow", "wrist")]
     pairs += [("right_shoulder", "left_shoulder"), ("right_hip", "left_hip")]
