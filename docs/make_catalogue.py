@@ -14,15 +14,14 @@ BEGIN, END = "<!-- catalogue -->", "<!-- end of catalogue -->"
 
 
 def catalogue_text() -> str:
-    """Return the catalogue as Markdown: a table of all effects, then a section for each."""
-    lines = ["| effect | what | parameters | scope |", "|---|---|---|---|"]
-    lines += [_row(effect) for effect in CATALOGUE.values()]
-    return "\n".join([*lines, "", *(_section(effect) for effect in CATALOGUE.values())]).rstrip()
+    """Return the catalogue as Markdown: a section for each effect."""
+    return "\n".join(_section(effect) for effect in CATALOGUE.values()).rstrip()
 
 
-def _row(effect: Effect) -> str:
-    name = f"[`{effect.name}`](#{effect.name})"
-    return f"| {name} | {effect.title} | {_parameters(effect)} | {effect.scope} |"
+def _head(effect: Effect) -> str:
+    """Return title, parameters and scope of an effect."""
+    title = effect.title[0].upper() + effect.title[1:]
+    return f"{title}, per {effect.scope}: {_parameters(effect)}."
 
 
 def _parameters(effect: Effect) -> str:
@@ -32,10 +31,10 @@ def _parameters(effect: Effect) -> str:
 def _section(effect: Effect) -> str:
     """Return what there is to know about one effect."""
     marks = {
-        "Baseline: fitted before anything else is looked for.": effect.baseline,
-        "Always refitted: a derivative at its neutral value is blind to it.": effect.structural,
-        "Read from the log, one command at a time.": effect.random,
-        "Read from the positions.": effect.read_off and not effect.random,
+        "baseline": effect.baseline,
+        "always refitted": effect.structural,
+        "read from the log": effect.random,
+        "read from the positions": effect.read_off and not effect.random,
     }
     items = {
         "Equation": f"`{effect.equation}`",
@@ -43,10 +42,10 @@ def _section(effect: Effect) -> str:
         "Best excitation": effect.experiment,
         "In MuJoCo": effect.enters,
         "Source": effect.source,
-        "Fit": " ".join(text for text, applies in marks.items() if applies),
+        "Fit": ", ".join(text for text, applies in marks.items() if applies),
     }
     return "\n".join(
-        [f"### {effect.name}", "", *(f"* {key}: {text.rstrip('.')}." for key, text in items.items() if text), ""]
+        [f"### {effect.name}", "", _head(effect), "", *(f"* {key}: {text.rstrip('.')}." for key, text in items.items() if text), ""]
     )
 
 
