@@ -50,6 +50,8 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
         for action in group:
             add = _add_base if action.moves_base else _add_hands
             timeline.understood.append(add(action, timeline, hands, reach))
+        if frames and frames[-1].what == " while ".join(timeline.understood):
+            timeline.understood[-1] += ", again"
         rows, heading = _frames(timeline, hands, heading)
         frames += rows
         if len(frames) > MOST_FRAMES:

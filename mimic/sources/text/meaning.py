@@ -60,6 +60,7 @@ ENDLESS = {
 """Verbs without an amount of their own that could take the amount behind the next verb, too."""
 BASE = ("step", "walk", "turn", "stop", "wait")
 """Verbs of the base; all others move hands."""
+ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
 MOVES = ("STEP", "WALK", "RETREAT", "MOVE", "TURN")
 BOTH = ("left", "right")
@@ -122,11 +123,8 @@ class Action:
         self.words = {
             kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in {**self.words, **other.words}
         }
-        self.pause, self.stays, self.last = (
-            other.pause or self.pause,
-            self.stays and other.stays,
-            other.last or self.last,
-        )
+        self.pause, self.stays = other.pause or self.pause, self.stays and other.stays
+        self.last = other.last or self.last
 
 
 Groups = list[list[Action]]
@@ -175,8 +173,8 @@ def parse(sentence: str) -> Groups:
         raise SourceError(_misfit(error, text)) from None
     if tree.data == "_ambig":
         raise SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
-    reader = _Reader(text)
-    return [group for block in tree.children for group in reader.block(block)]
+    reader, again = _Reader(text), getattr(tree.children[-1], "type", "") == "REPEAT_ALL"
+    return [g for block in tree.children if isinstance(block, Tree) for g in reader.block(block)] * (2 if again else 1)
 
 
 def _misfit(error: UnexpectedInput, text: str) -> str:
@@ -563,7 +561,7 @@ def _counted(now: Action, tokens: list[Any]) -> None:
 
 def _repeated(said: Action, action: Action, several: bool) -> Groups:
     """Return an action hand by hand where it is said so, and with pauses in between."""
-    times, words = action.amounts.get("times"), said.words
+    times, seconds, words = action.amounts.get("times"), action.amounts.get("seconds"), said.words
     by_hand = words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
     if not (words.keys() & IN_TURN or by_hand):
         if "EACH" in words and len(action.sides) != 2 and not several:
@@ -572,14 +570,19 @@ def _repeated(said: Action, action: Action, several: bool) -> Groups:
             return [[action]]
         said.refuse(not times, "has a pause between nothing; say what comes before and behind it")
         return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times or 1), said.pause)
-    said.refuse("seconds" in action.amounts, "has a time for hands in turn; say how often instead")
+    pair = words.get("LEFT_AND_RIGHT", [""])[0] == "one two"
+    each, once = by_hand or pair or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
+    unclear = seconds and (times or each or said.pause or action.verb == "place")
+    said.refuse(unclear, "has a time for hands in turn; say how often instead")
     if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
         raise said.error("can count single moves or pairs; say how many for each hand")
     if "ONE_EACH" in words and times not in (None, 2.0):
         raise said.error(f"says {times:g} times and once for each of two hands")
     order = BOTH[::-1] if words.get("LEFT_AND_RIGHT", [""])[0].startswith("right") else BOTH
-    each, once = by_hand or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
     count = (1 if by_hand else int(times or 1)) * 2 if each else int(times or 2)
+    if seconds:
+        count = max(2, round(seconds * action.speed / ONE_GESTURE))
+        once = {"times": 1.0, "seconds": seconds / count}
     once = {} if action.verb == "place" else once
     return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], said.pause)
 
