@@ -112,7 +112,7 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
         there = holds and np.allclose(way[-1][1], hands[side])  # "raise it and keep it up for 2 seconds"
         timeline.hands[side] = [*([] if there else way), *([(said["seconds"], way[-1][1])] if holds else [])]
     who = "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
-    took = f" in {said['seconds']:g} s" if "seconds" in said and not holds else ""
+    took = f" in {said['seconds']:.3g} s" if "seconds" in said and not holds else ""
     if action.verb == "place":
         hold = f" and hold {said['seconds']:g} s" if holds else ""
         return f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}{hold}{took}"

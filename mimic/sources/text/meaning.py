@@ -21,9 +21,8 @@ from mimic.errors import SourceError
 PACES = {"SLOW": 0.6, "FAST": 1.5, "TWICE_AS_FAST": 2.0, "HALF_AS_FAST": 0.5}
 UNITS = {
     "SECONDS": ("seconds", 1.0), "MINUTES": ("seconds", 60.0), "TIMES": ("times", 1.0), "DEGREES": ("degrees", 1.0),
-    "RADIANS": ("degrees", 57.29577951), "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01),
-    "FEET": ("metres", 0.3048), "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0),
-    "CENTIMETRES_PER_SECOND": ("m/s", 0.01), "HALF_TURN": ("degrees", 180.0), "QUARTER_TURN": ("degrees", 90.0),
+    "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01), "FEET": ("metres", 0.3048), "INCHES": ("metres", 0.0254),
+    "METRES_PER_SECOND": ("m/s", 1.0), "HALF_TURN": ("degrees", 180.0), "QUARTER_TURN": ("degrees", 90.0),
     "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
@@ -54,15 +53,11 @@ TAKES = {
 }
 """Amounts that a verb takes."""
 GESTURES = ("wave", "punch", "cycle")
-ENDLESS = {
-    "times": ("step", *GESTURES), "seconds": ("walk", *GESTURES), "metres": ("walk", "step"), "degrees": ("turn",),
-}  # fmt: skip
-"""Verbs without an amount of their own that could take the amount behind the next verb, too."""
 BASE = ("step", "walk", "turn", "stop", "wait")
 """Verbs of the base; all others move hands."""
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
-MOVES = ("STEP", "WALK", "RETREAT", "MOVE", "TURN")
+MOVES = ("STEP", "WALK", "MOVE", "TURN")
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
 VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, move, hold, point or stretch"
@@ -161,8 +156,9 @@ def parse(sentence: str) -> Groups:
     text = re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])|\s+", " ", sentence.lower().replace("’", "'"))
     if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", text):
         raise SourceError(f"'{found.group().strip()}' is not a number of the phrasebook; write 45, 1.5 or three")
-    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text.replace("back and forth", "forward and back"))
-    text = re.sub(r"\ban? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
+    text = re.sub(r"\bretreat(ing)?\b", r"walk\1 back", text.replace("back and forth", "forward and back"))
+    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text)
+    text = re.sub(r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
     text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
     text = " ".join(text.split())
     if not re.search(r"\w", text):
@@ -279,7 +275,7 @@ class _Reader:
                 now.last = ""
             if isinstance(child, Token):
                 if child.type == "BACK_UP" and not now.kind:
-                    now.kind, now.word = "RETREAT", str(child)
+                    now.kind, now.word, now.ways = "WALK", str(child), now.ways | {"back"}
                 elif child.type == "BARE":
                     now.amount("bare", number(child))
                 elif child.type in WAYS:
@@ -321,7 +317,8 @@ class _Reader:
     def _scope(self, group: list[Action], said: Action, at_once: bool) -> None:
         """Give a time behind two joined actions to both, where they are at once; refuse what could belong to both."""
         name = said.last
-        free = [a for a in group if not a.amounts and a.verb in ENDLESS.get(name, ())]
+        takes = [a for a in group if name in TAKES[a.verb] and not a.amounts]
+        free = [a for a in takes if name != "seconds" or a.verb in ("walk", *GESTURES)]
         if name == "seconds" and not said.stays:
             free = [a for a in group if name not in a.amounts]
         if free and not (at_once and name == "seconds"):
@@ -418,9 +415,7 @@ class _Reader:
         before, hand, side = self.before, "HAND" in now.words, bool(now.words.keys() & {"LEFT", "RIGHT"})
         if now.word == "after" and before and before.verb in ("walk", *GESTURES) and not before.amounts:
             raise before.error("does not say for how long; say it, then what comes next")
-        if now.kind == "RETREAT":
-            now.kind, now.ways = "WALK", now.ways | {"back"}
-        elif now.kind == "TURN_AROUND":
+        if now.kind == "TURN_AROUND":
             now.kind = "TURN"
             now.amount("degrees", 180.0)
         elif now.kind == "MOVE":
@@ -550,9 +545,10 @@ def _counted(now: Action, tokens: list[Any]) -> None:
         now.kind, now.word = "TURN", "turn"
         now.words |= {token.type: [str(token)] for token in tokens[2:-1]}
         return now.amount("degrees", number(tokens[0]))
+    if noun.type == now.kind == "TURN" and len(tokens) == 2:
+        return now.amount("degrees", 360.0 * number(tokens[0]))
     if noun.type == "TURN" or not (now.kind in ("", noun.type) or (noun.type == "STEP" and now.kind in MOVES)):
         raise now.error(f"has {' '.join(tokens)}; say how far, how often or how many degrees")
-    now.ways |= {"back"} if now.kind == "RETREAT" else set()
     now.kind, now.word = noun.type, str(noun)
     for token in tokens[1:-1]:
         now.words.setdefault(token.type, []).append(str(token))
