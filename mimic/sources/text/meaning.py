@@ -21,14 +21,13 @@ from mimic.errors import SourceError
 PACES = {"SLOW": 0.6, "FAST": 1.5, "TWICE_AS_FAST": 2.0, "HALF_AS_FAST": 0.5}
 UNITS = {
     "SECONDS": ("seconds", 1.0), "MINUTES": ("seconds", 60.0), "TIMES": ("times", 1.0), "DEGREES": ("degrees", 1.0),
-    "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01), "FEET": ("metres", 0.3048), "INCHES": ("metres", 0.0254),
-    "METRES_PER_SECOND": ("m/s", 1.0), "HALF_TURN": ("degrees", 180.0), "QUARTER_TURN": ("degrees", 90.0),
-    "FULL_TURN": ("degrees", 360.0),
+    "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01), "FEET": ("metres", 0.3048),
+    "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0), "HALF_TURN": ("degrees", 180.0),
+    "QUARTER_TURN": ("degrees", 90.0), "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
-_TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
 NUMBERS = {word: float(n) for n, word in enumerate(f"{_SMALL} seventeen eighteen nineteen".split())}
-NUMBERS |= {w: 10.0 * n for n, w in enumerate(_TENS.split(), 2)}
+NUMBERS |= {w: 10.0 * n for n, w in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), 2)}
 NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0}
 WAYS = {
     "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out",
@@ -53,8 +52,7 @@ TAKES = {
 }
 """Amounts that a verb takes."""
 GESTURES = ("wave", "punch", "cycle")
-BASE = ("step", "walk", "turn", "stop", "wait")
-"""Verbs of the base; all others move hands."""
+BASE = ("step", "walk", "turn", "stop", "wait")  # verbs of the base; all others move hands
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
 MOVES = ("STEP", "WALK", "MOVE", "TURN")
@@ -90,9 +88,8 @@ class Action:
     @property
     def bare(self) -> bool:
         """Whether it only adds an amount or a pace to the action before."""
-        return not (self.kind or self.ways or "bare" in self.amounts) and not (
-            self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
-        )
+        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
+        return not (self.kind or self.ways or own or "bare" in self.amounts)
 
     def error(self, message: str) -> SourceError:
         """Return an error about it."""
@@ -115,9 +112,8 @@ class Action:
         """Add what is said behind a comma: "wave, slowly"."""
         for name, value in other.amounts.items():
             self.amount(name, value)
-        self.words = {
-            kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in {**self.words, **other.words}
-        }
+        kinds = {**self.words, **other.words}
+        self.words = {kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in kinds}
         self.pause, self.stays = other.pause or self.pause, self.stays and other.stays
         self.last = other.last or self.last
 
@@ -170,7 +166,12 @@ def parse(sentence: str) -> Groups:
     if tree.data == "_ambig":
         raise SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
     reader, again = _Reader(text), getattr(tree.children[-1], "type", "") == "REPEAT_ALL"
-    return [g for block in tree.children if isinstance(block, Tree) for g in reader.block(block)] * (2 if again else 1)
+    groups = [group for block in tree.children if isinstance(block, Tree) for group in reader.block(block)]
+    for side in BOTH if again else ():
+        ways = [a.way for group in groups for a in group if side in a.sides and not a.moves_base]
+        if ways and ways[0] and ways[0] == ways[-1]:
+            raise SourceError(f"the {side} hand is {ways[0]} already when all begins again; say what it does before")
+    return groups * 2 if again else groups
 
 
 def _misfit(error: UnexpectedInput, text: str) -> str:
@@ -213,6 +214,7 @@ class _Reader:
         self.text = text
         self.hands: tuple[str, ...] = ()
         self.before: Action | None = None
+        self.turns: list[Action] = []  # since it faced as at first, or turned back
 
     def block(self, tree: Any) -> Groups:
         """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
@@ -457,12 +459,15 @@ class _Reader:
         now.refuse("HAND" in now.words or now.words.keys() & IN_TURN, f"is not something a hand does: to {now.word}")
         now.refuse(now.speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
         if now.verb == "turn":
-            degrees = now.amounts.get("degrees")
+            degrees, turns = now.amounts.get("degrees"), [*self.turns, now]
+            if now.ways == {"back"} and len(self.turns) == 1 and not sides and not degrees:
+                sides, degrees = [OPPOSITE[turns[0].sides[0]]], turns[0].amounts.get("degrees", 90.0)
+                now.amounts["degrees"], now.ways, turns = degrees, set(), []
             now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
             now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
             if len(sides) > 1 or not (sides or degrees in (180.0, 360.0)):
                 raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
-            now.sides = (*sides, "left")[:1]
+            now.sides, self.turns = (*sides, "left")[:1], turns
             return
         if sides:
             raise now.error(f"goes sideways, and the robot does not {now.word} sideways; turn {sides[0]} first")
@@ -490,10 +495,8 @@ class _Reader:
                 raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
             now.way = found[" ".join(sorted(ways))]
             again = now.amounts.get("times", 1.0) != 1.0
-            now.refuse(
-                again and "seconds" in now.amounts and now.stays,
-                "says how often and for how long; say 'in' and the time of all",
-            )
+            unclear = again and "seconds" in now.amounts and now.stays
+            now.refuse(unclear, "says how often and for how long; say 'in' and the time of all")
             now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
             now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
 
@@ -516,9 +519,8 @@ class _Reader:
             return (OPPOSITE[self.hands[0]],)
         if self.hands and (first == "them" or (first == "it" and len(self.hands) == 1)):
             return self.hands
-        now.refuse(
-            first in ("no", "it", "them", "other"), "does not say which hand; say left hand, right hand or both hands"
-        )
+        unclear = first in ("no", "it", "them", "other")
+        now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
         if first in ("one", "either", "any"):
             return ("right",)
         last = self.hands if now.kind in ("LOWER", "PLACE") else ()
