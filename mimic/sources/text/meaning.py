@@ -26,8 +26,9 @@ UNITS = {
     "QUARTER_TURN": ("degrees", 90.0), "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
+_TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
 NUMBERS = {word: float(n) for n, word in enumerate(f"{_SMALL} seventeen eighteen nineteen".split())}
-NUMBERS |= {w: 10.0 * n for n, w in enumerate("twenty thirty forty fifty sixty seventy eighty ninety".split(), 2)}
+NUMBERS |= {w: 10.0 * n for n, w in enumerate(_TENS.split(), 2)}
 NUMBERS |= {"half": 0.5, "quarter": 0.25, "couple": 2.0, "once": 1.0, "twice": 2.0, "thrice": 3.0}
 WAYS = {
     "FORWARD": "forward", "BACK": "back", "UP": "up", "BACK_UP": "up", "DOWN": "down", "SIDEWAYS": "side", "OUT": "out",
@@ -35,22 +36,20 @@ WAYS = {
 }  # fmt: skip
 _OUT = {"out": "open", "side": "open"}
 _EACH_WAY = {"up": "up", "down": "down", "forward": "forward", **_OUT}
-POSTURES = {
+POSTURES = {  # for each verb the posture that a direction means
     "RAISE": {"": "up", "up": "up", "forward": "forward", **_OUT},
     "LOWER": {"": "down", "down": "down"},
     "OPEN": {"": "open", **_OUT, **dict.fromkeys(("up", "out up", "side up"), "high and open")},
     "EXTEND": {"": "forward", **_EACH_WAY},
     **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
-"""For each verb the posture that a direction means."""
-TAKES = {
+TAKES = {  # amounts that a verb takes
     "step": ("times", "seconds", "metres", "m/s"),
     "walk": ("seconds", "metres", "m/s"),
     "turn": ("degrees", "seconds"),
     **dict.fromkeys(("stop", "wait", "place"), ("seconds",)),
     **dict.fromkeys(("wave", "punch", "cycle"), ("times", "seconds")),
 }
-"""Amounts that a verb takes."""
 GESTURES = ("wave", "punch", "cycle")
 BASE = ("step", "walk", "turn", "stop", "wait")  # verbs of the base; all others move hands
 ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
