@@ -244,7 +244,6 @@ def test_the_shipped_policy_stands_up_holds_and_sits_down(made, description):
         ("imu_silent@+6", "imu_silent"),
         ("imu_frozen@+6", "imu_silent"),
         ("imu_tilted=0.6@+6", "imu_contradiction"),
-        ("frames_lost=1@+6-6.3", "motor_silent"),
         ("bus_off@+6", "motor_silent"),
     ],
 )
