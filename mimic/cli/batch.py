@@ -31,7 +31,7 @@ def batch(
     Parameters
     ----------
     folder
-        Searched with all folders in it.
+        Folder to search, with its subfolders.
     out
         Folder for summary.html, summary.parquet and a folder for each file.
     workers

@@ -28,12 +28,12 @@ def calibrate(
     Parameters
     ----------
     logs
-        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; the
-        manual's page on the log format has the others.
+        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; the manual (log
+        format) lists the others.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
     held_out
-        Further logs of the machine, which are only predicted.
+        More logs of the machine, for validation: they are predicted, not fitted.
     note
         Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one, such as kp=20 or b.csv:payload=0.5.
     out

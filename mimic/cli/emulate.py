@@ -35,7 +35,7 @@ def emulate(
     slcan
         Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, as an adapter on USB would be.
     buses
-        Number of buses that the motors are on.
+        Number of buses.
     wiring
         Wiring file; by default the one that ships with the robot.
     fault

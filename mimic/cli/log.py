@@ -31,7 +31,7 @@ def simulate(
     out
         Parquet or CSV file to write.
     effects
-        effects.toml with what the machine has; without it, the machine is as its model says.
+        effects.toml with the hidden effects; default: none, the machine is as its model says.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
     motion
@@ -71,11 +71,11 @@ def replay(
     log
         Parquet or CSV file as for mimic calibrate.
     effects
-        effects.toml files of calibrations, to compare them.
+        effects.toml files of calibrations to compare.
     model
         MJCF of the machine with its base held; by default the CyberDog 2 hung up.
     whole
-        Replay it in one piece from its first reading; without, in pieces of 6 s that begin with measured positions.
+        Replay in one piece from the first reading; default: pieces of 6 s that start at measured positions.
     threads
         Threads; 0 takes one for each core.
     out

@@ -58,7 +58,7 @@ def play(
     video
         Also write a film of person and robot side by side (.mp4).
     view
-        Open the Rerun viewer at the end; by default where there is a display.
+        Open the Rerun viewer at the end; by default if there is a display.
     """
     if sim == (robot is not None):
         raise ConfigError(
@@ -174,7 +174,7 @@ def demo(
     video
         Also write a film of person and robot side by side (.mp4).
     view
-        Open the Rerun viewer at the end; by default where there is a display.
+        Open the Rerun viewer at the end; by default if there is a display.
     """
     from mimic.io.assets import DEMO_CLIP, shipped
 

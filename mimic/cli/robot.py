@@ -186,7 +186,7 @@ def zero(
     bus_url
         Buses, such as can0; see mimic --help.
     again
-        Forget what was known of this robot: the pose it lies in now is exactly the lying pose.
+        Forget earlier zeros of this robot, and take the pose it lies in now as exact.
     yes
         Start without waiting for Enter; for rehearsals.
     """
@@ -361,7 +361,7 @@ def probe(
     out
         Parquet or CSV file to write.
     motion
-        Play the targets of this run folder or log.parquet, scaled into the ranges in which nothing can touch.
+        Play the targets of this run folder or log.parquet, scaled into the joint ranges that are free of collisions.
     """
     from mimic.flows.commissioning import probe_robot
 

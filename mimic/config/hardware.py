@@ -24,7 +24,8 @@ class LookSettings(WiringSettings):
     """How a robot is looked at."""
 
     interface: str | None = None
-    """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default the multicast route's."""
+    """Network interface to a stock robot, such as eth0, or lo for an emulated one; default: that of the multicast
+    route."""
     zeroed: bool = False
     """CAN: use the zeros as the wiring has them, without checking that mimic set them since power-up."""
 
@@ -53,8 +54,8 @@ class BusSettings(DriveSettings):
     dry_run: bool = False
     """CAN: do everything but switch the motors on: pre-flight, policy, timing and log."""
     tether: bool = False
-    """First steps on a rope: at most 9 N m, 6 s for the start, and sitting down at whatever would only be announced.
-    Standing up stays a push of 0.4 s: the policy has no slow one."""
+    """For first tests on a rope: at most 9 N m, 6 s for the start, and the robot sits down where it would otherwise
+    only warn. Standing up still takes a push of 0.4 s: the policy has no slow one."""
     hold: str | None = None
     """Run only while this is held: key (any key of this terminal), or a gamepad's device such as /dev/input/js0."""
 

@@ -33,8 +33,8 @@ class RunSettings:
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half of it."""
     early: float | None = None
-    """Lead of the commands over the person, against the lag of the toes [s]; by default their known lag, 0.06 s, and 0
-    for a camera."""
+    """Send each target this much early, to make up for the lag of the toes [s]; default: their known lag, 0.06 s, and
+    0 for a camera."""
 
     def __post_init__(self) -> None:
         check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
@@ -50,7 +50,7 @@ class EffectsSettings:
     """Calibrated effects of the simulated robot."""
 
     effects: str | None = None
-    """effects.toml of a calibration; by default the robot as described."""
+    """effects.toml of a calibration; default: none."""
     timestep: float = 0.0025
     """Physics step with effects [s]; by default the step without effects."""
 

@@ -25,14 +25,14 @@ class PoseSettings:
     max_jump_share: float = 0.05
     """Largest share of frames with such a jump, before a warning."""
     person: Literal["left", "right", "largest"] | int | None = None
-    """Who is followed where a video shows several people: by place in its first picture, or a number from the left."""
+    """Whom to follow if a video shows several people: by place in the first frame, or a number from the left."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     depth: bool = True
-    """Estimate the depth of the arms from their motion in the picture; otherwise it is as the detector says."""
+    """Estimate the depth of the arms from their motion in the picture; otherwise take the detector's."""
     pose_model: Literal["heavy"] | Path | None = None
-    """heavy: four times as slow, and nearer to the truth on real people. Or another BlazePose model (.task), or the
-    wheel of mediapipe 0.10.14, which carries the default one; by default it is downloaded at the first use."""
+    """heavy: four times slower, and more accurate on real people. Or a BlazePose model (.task), or the wheel of
+    mediapipe 0.10.14, which contains the default model; by default that is downloaded at the first use."""
 
     def __post_init__(self) -> None:
         check_range("min-visibility", self.min_visibility, 0.0, 1.0)

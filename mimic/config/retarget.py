@@ -22,8 +22,8 @@ class RetargetSettings:
     turns: bool = False
     """Follow slow turns of the person; otherwise the heading is constant over the clip."""
     heading: float | None = None
-    """Where the person faces, if you know better than shoulders and hips tell: 0 faces the camera, positive is turned
-    to the person's left [deg]. With turns, the middle of them."""
+    """Direction the person faces, in place of the estimate from shoulders and hips: 0 is toward the camera, positive
+    to the person's left [deg]. With turns: the middle of them."""
     keep_peaks: bool = True
     """Move each target to the nearest turning point within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = 0.98
@@ -31,7 +31,7 @@ class RetargetSettings:
     scale: float = 1.0
     """Scale of the motion in the robot's workspace."""
     slow_down: float | Literal["auto"] = 1.0
-    """Play the motion this many times slower; auto: as little as keeps 95 % of the targets within the speed limit."""
+    """Play the motion this many times slower; auto: just enough to keep 95 % of the targets within the speed limit."""
 
     def __post_init__(self) -> None:
         check_range("rate", self.rate, 0.05, 1.0, "s")

@@ -14,18 +14,18 @@ class CalibrateSettings:
     """How a log is explained."""
 
     baseline: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
-    """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
+    """Effects that are always fitted. Source: Li et al. 2024, section IV."""
     effects: tuple[str, ...] = ()
     """Effects that may be reported; by default all but those that must be named here."""
     drive: Literal["log", "torque", "voltage"] = "log"
-    """What the drives control: as the notes of the log say, torque, or voltage (hobby servos; the notes then have gain,
-    voltage, kt and resistance)."""
+    """What the drives control: log, as the log's metadata says; torque; or voltage (hobby servos; the metadata then
+    has gain, voltage, kt and resistance)."""
     most_effects: int = 5
-    """Most effects that are added."""
+    """Maximum number of effects to add."""
     torque: bool = True
     """Explain measured torque too, where the log has it."""
     timestep: float = 0.0
-    """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
+    """Physics step of a replay [s]; 0 takes the longest step up to 2.5 ms that divides the sampling interval."""
     threads: int = 0
     """Threads; 0 takes one for each core."""
 
@@ -57,7 +57,7 @@ class LogSettings:
     timestep: float = 0.0002
     """Physics step [s], 0.0001 to 0.005.
 
-    A calibration finds what steps without length would leave: with long ones the log is off.
+    Longer steps distort the log.
     """
     seed: int = 0
     """Seed of noise and losses."""

@@ -41,7 +41,7 @@ class ServeOptions:
     slcan: bool = False
     """Whether each bus is also served as a serial adapter (slcan) on a pseudo-terminal."""
     buses: int = 1
-    """Number of buses that the motors are on."""
+    """Number of buses."""
     wiring: Path | None = None
     """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
