@@ -71,7 +71,7 @@ def test_a_short_log_is_explained(shell):
     )
     (folder / "hidden.toml").write_text('[[effect]]\nname = "spring"\njoints = ["hinge"]\nstiffness = 2.0\n')
     model = ("--model", "pendulum.xml")
-    made = shell.mimic("log", "simulate", *model, "--effects", "hidden.toml", "--seconds", "10", "--out", "log.parquet")
+    made = shell.mimic("log", "simulate", *model, "--effects", "hidden.toml", "--seconds", "16", "--out", "log.parquet")
     assert made.status == 0, made.said
     done = shell.mimic("calibrate", "log.parquet", *model, "--out", "found")
     assert done.status == 0, done.said

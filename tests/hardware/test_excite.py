@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("numba")
-
-from lab.hidden_effects.suite import hung
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import ProbeSettings
 from mimic.config.sysid import CalibrateSettings
@@ -42,9 +39,6 @@ WIRING = load_wiring()
 
 SLOW = ProbeSettings(seconds=14.0, rate_hz=50.0, approach=0.3)
 """The same with half of the frames."""
-
-LEG = hung(JOINTS[6:9])
-"""A leg of the robot, hung up."""
 
 LESS = 200
 """Rows that are enough where calibration does not look."""
@@ -169,8 +163,9 @@ def test_the_log_is_one_that_calibration_takes(description, probed, tmp_path):
 @pytest.mark.slow
 def test_calibration_of_a_probed_leg_that_lacks_nothing_names_nothing(description, probed):
     """The emulated motors act at any time within a step, tell rounded words, and answer late now and then."""
-    log = probed[1].log.of(LEG.joints)
-    machine = with_gains(LEG, log.metadata)
+    leg = pytest.importorskip("lab.hidden_effects.suite").hung(JOINTS[6:9])
+    log = probed[1].log.of(leg.joints)
+    machine = with_gains(leg, log.metadata)
     facts = check_log(log, np.stack([machine.low, machine.high], -1))
     tried = CalibrateSettings(effects=("encoder_scale", "velocity_lag", "joint_delay"), timestep=0.005)
     result = calibrate(facts.log, machine, tried)

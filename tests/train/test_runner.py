@@ -61,7 +61,7 @@ def process(folder: str, *ports: str) -> int:
     env = StandTrackEnv(load_description(), MDP, "cpu", 0)
     os.environ.pop("TORCHELASTIC_USE_AGENT_STORE")
     for plain, port in zip((False, True), ports, strict=True):
-        os.environ["MASTER_PORT"] = port
+        os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
         torch.save(learned(env, 1 + rank, plain), f"{folder}/{rank}-{plain}.pt")
         torch.distributed.destroy_process_group()
     os.environ |= torchrun
