@@ -19,8 +19,9 @@ from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import (
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import (
     Enable,
     Fault,
     Feedback,
@@ -33,7 +34,6 @@ from mimic.hardware.cybergear.messages import (
     WriteParameter,
 )
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand, Tick
 from mimic.robot.description import RobotDescription
 

@@ -28,8 +28,8 @@ from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
 from mimic.emulator.faults import random_fault
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Operation, Stop
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Operation, Stop
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.io import store
 from mimic.policy.runtime import load_policy

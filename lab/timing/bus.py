@@ -22,9 +22,9 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.hardware.can.link import Link
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback, Operation
-from mimic.hardware.wiring import Wiring, load_wiring
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Enable, Feedback, Operation
 from mimic.robot.description import load_description
 
 COMMAND, ANSWER, ORIENTATION, TURN = 141.9, 137.5, 114.8, 102.1

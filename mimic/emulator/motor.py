@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.cybergear.codec import TORQUE, Codec
-from mimic.hardware.cybergear.messages import (
+from mimic.hardware.motors.cybergear.codec import TORQUE, Codec
+from mimic.hardware.motors.cybergear.messages import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_CUR,

@@ -25,9 +25,9 @@ from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, Emulated
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Fault, Mode, MotorMessage
-from mimic.hardware.wiring import Wiring
+from mimic.hardware.can.wiring import Wiring
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Fault, Mode, MotorMessage
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 

@@ -16,8 +16,8 @@ import pytest
 
 from mimic.cli import main
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Enable, Feedback
 
 PATIENCE = 60.0
 """Limit on hanging only [s]."""

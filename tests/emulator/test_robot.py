@@ -14,8 +14,9 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, frame_bits
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import (
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_SPD,
@@ -42,8 +43,7 @@ from mimic.hardware.cybergear.messages import (
     Stop,
     WriteParameter,
 )
-from mimic.hardware.wiring import Wiring, load_wiring
-from mimic.hardware.xsens_mti import ImuReading, make_imu
+from mimic.hardware.motors.imu import ImuReading, make_imu
 from mimic.records import JOINTS
 
 HOST = 0xFD

@@ -18,8 +18,8 @@ import pytest
 
 from mimic.errors import FrameError
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Feedback, Mode, Operation
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Feedback, Mode, Operation
 from mimic.io import store
 from mimic.records import PHASES, HealthLog, RunLog
 

@@ -21,9 +21,9 @@ from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.policy import command_script
 from mimic.hardware import session
 from mimic.hardware.can import driver
-from mimic.hardware.cybergear.messages import LIMIT_TORQUE, Mode
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.messages import LIMIT_TORQUE, Mode
 from mimic.hardware.robot.plant import idle_command
-from mimic.hardware.wiring import load_wiring
 from mimic.policy.runtime import load_policy
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from mimic.commissioning.homing import home
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
@@ -15,10 +16,9 @@ from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
 from mimic.hardware.can import driver
-from mimic.hardware.cybergear.messages import Mode
-from mimic.hardware.homing import home
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.messages import Mode
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.wiring import load_wiring
 
 
 @pytest.fixture

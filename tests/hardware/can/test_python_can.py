@@ -22,9 +22,9 @@ from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.python_can import CanLink, open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback, Mode
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec
+from mimic.hardware.motors.cybergear.messages import Enable, Feedback, Mode
 
 HOST, PATIENCE = 0xFD, 30.0
 CODEC = Codec()

@@ -13,9 +13,9 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError, SenderError
-from mimic.hardware.cybergear.messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
 from mimic.hardware.robot.plant import idle_command
-from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand
 
 
