@@ -49,7 +49,7 @@ from mimic.sysid.result import Calibration, Errors, Stage, Traces, UnexplainedRe
 DESCRIPTION = load_description()
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
 MOTION = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
-COARSE = 2 * STEP
+COARSE = 4 * STEP
 """Physics step where motions are compared with each other, not with the truth [s]."""
 SMOOTH = Machine(friction=np.zeros(12), damping=np.full(12, 0.05), mass=np.ones(12), delay=0.01)
 PLAIN = Machine.drawn(np.random.default_rng(0))
