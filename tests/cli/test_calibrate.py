@@ -84,22 +84,22 @@ def test_calibrating_finds_the_spring_and_writes_three_files(here: Path, capsys:
 
 @pytest.mark.slow
 def test_logs_with_gains_of_their_own_are_explained_together(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for seed, gains in enumerate((("30", "1.5"), ("15", "0.8"), ("20", "1.0"))):
+    for seed, gains in enumerate((("30", "1.5"), ("15", "0.8"), ("30", "1.5"), ("20", "1.0"))):
         options = ("--motion", "random", "--seed", str(seed), "--kp", gains[0], "--kd", gains[1])
         words = ("--model", "robot.xml", "--effects", "hidden.toml", *QUICK)
         assert main(["log", "simulate", *words, "-o", f"{seed}.csv", *options]) == 0
         (here / f"{seed}.json").write_text("{}")  # nothing is said beside the log
-    notes = [word for i, kp, kd in ((0, 30, 1.5), (1, 15, 0.8), (2, 20, 1.0)) for word in (
+    notes = [word for i, kp, kd in ((0, 30, 1.5), (1, 15, 0.8), (2, 30, 1.5), (3, 20, 1.0)) for word in (
         "--note", f"{i}.csv:kp={kp}", "--note", f"{i}.csv:kd={kd}")]  # fmt: skip
-    files = ["0.csv", "1.csv", "--held-out", "2.csv"]
+    files = ["0.csv", "1.csv", "2.csv", "--held-out", "3.csv"]
     assert main(["calibrate", *files, "--model", "robot.xml", *notes, "-o", "out", *SPRING]) == 0
     data = json.loads((here / "out" / "calibration.json").read_text())
     assert data["found"] == ["spring"]
     assert [(log["name"], log["fitted"]) for log in data["logs"]] == [
-        ("0.csv", True), ("1.csv", True), ("2.csv", False)]  # fmt: skip
+        ("0.csv", True), ("1.csv", True), ("2.csv", True), ("3.csv", False)]  # fmt: skip
     for log in data["logs"]:
         assert log["final"][0] < 0.5 * log["baseline"][0]
-    for log in data["logs"][:2]:
+    for log in data["logs"][:3]:
         assert log["left_out_final"][0] < 1.2 * log["final"][0]
     assert "Error of each log" in capsys.readouterr().out
     assert "Each log" in (here / "out" / "report.html").read_text()
