@@ -24,7 +24,7 @@ from mimic.errors import ConfigError, PlantError
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
-from mimic.hardware.motors.cybergear.messages import Mode
+from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.stock.wiring import load_board
 from mimic.io.joint_log import read_log, write_log
@@ -140,7 +140,7 @@ def probed(description):
 def test_the_log_is_one_that_calibration_takes(description, probed, tmp_path):
     robot, result = probed
     assert result.ended is None
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
     log = read_log(write_log(result.log, tmp_path / "probe.parquet"))
     machine = hung_robot(description)
     log = log.of(machine.joints)
@@ -264,7 +264,7 @@ def test_ctrl_c_damps_and_keeps_what_was_measured(description):
     assert result.ended is not None
     assert result.ended.rule == "asked_to_end"
     assert 100 <= len(result.log.t) <= 103
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_a_fault_damps_at_once_and_keeps_what_was_measured(fault, description):
     assert fault.split(":")[1][:6] in result.ended.text
     assert 10 < len(result.log.t) < LESS
     reached = [motor.mode for joint, motor in zip(JOINTS, robot.motors, strict=True) if joint not in fault]
-    assert set(reached) == {Mode.RESET}
+    assert set(reached) == {MotorMode.OFF}
 
 
 @pytest.mark.slow

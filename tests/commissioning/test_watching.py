@@ -19,8 +19,9 @@ from mimic.hardware import session
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.codec import Codec
-from mimic.hardware.motors.cybergear.messages import Mode, Operation, Stop
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import MotorCommand, MotorMode
 from mimic.hardware.robot.plant import idle_command
 from mimic.records import JOINTS
 
@@ -43,7 +44,7 @@ def orders(robot: EmulatedRobot) -> list[type]:
     send = robot.send
 
     def record(host, bus, frame, **more):
-        kinds.append(type(CODEC.decode(frame)))
+        kinds.append(getattr(CODEC.decode(frame), "kind", None))
         send(host, bus, frame, **more)
 
     robot.send = record
@@ -60,7 +61,7 @@ def test_it_shows_joints_orientation_temperatures_and_the_load_of_the_bus(robot)
     assert np.abs(seen[-1].rpy).max() < 0.02
     assert seen[-1].rates["orientation"] == pytest.approx(100, abs=10)
     assert re.fullmatch(r"bus load \d+%; 0 motors on", seen[-1].notes[0])
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
 def test_a_motor_that_is_silent_and_an_imu_that_is_silent_are_shown_as_such(robot):
@@ -100,7 +101,7 @@ def test_beside_a_program_that_drives_it_asks_nothing_and_shows_what_that_one_is
     watcher = Watcher(MotorBus(Beside(), load_wiring(), overhear=True), asks=True)
     seen = watcher.look(0.2)
     assert "another program commands" in watcher.only_listens
-    assert Stop not in kinds
+    assert Kind.STOP not in kinds
     assert np.isfinite(seen.q).all()
     assert seen.running == 12
     plant.close()
@@ -111,7 +112,10 @@ def test_it_asks_no_more_once_another_program_begins(robot):
     watcher = Watcher(MotorBus(EmulatedLink(robot), load_wiring(), overhear=True), asks=True)
     watcher.look(0.2)
     assert not watcher.only_listens
-    other.send(0, CODEC.encode(Operation(motor=3, q=0.0, dq=0.0, kp=1.0, kd=1.0, tau=0.0)))
+    other.send(
+        0,
+        CODEC.encode(HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0.0, dq=0.0, kp=1.0, kd=1.0, tau=0.0))),
+    )
     watcher.look(0.1)
     kinds = orders(robot)
     watcher.look(0.3)

@@ -20,7 +20,7 @@ from mimic.errors import ConfigError, PlantError
 from mimic.flows.wiring import wire_robot
 from mimic.hardware import session
 from mimic.hardware.can.wiring import Wiring, load_wiring
-from mimic.hardware.motors.cybergear.messages import Mode
+from mimic.hardware.motors.interface import MotorMode
 from mimic.records import JOINTS
 
 SEED = np.random.default_rng(5)
@@ -77,7 +77,7 @@ def found_by(description, monkeypatch, tmp_path):
         try:
             return wire_robot(buses, tmp_path / "wiring.toml", BusSettings(zeroed=True), say=person), robot
         finally:
-            assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+            assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
     return wire
 

@@ -106,6 +106,8 @@ class FaultReport:
     motor: int
     faults: int
     """0 when none is left."""
+    warnings: int = 0
+    """Warning bits as the maker defines them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -29,17 +29,9 @@ from mimic.hardware.can.other_programs import look_first
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.bus import MotorBus
-from mimic.hardware.motors.cybergear.codec import Codec
-from mimic.hardware.motors.cybergear.messages import (
-    Enable,
-    Feedback,
-    GetDeviceId,
-    Mode,
-    Operation,
-    ReadParameter,
-    SetZero,
-    Stop,
-)
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
 from mimic.hardware.robot.plant import Robot
 from mimic.records import DOUBLED, PHASES, JointCommand
 
@@ -119,7 +111,7 @@ def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(rob
     assert (found[-1].name, found[-1].verdict) == ("other programs", "stop")
     assert "another program commands the motors" in found[-1].text
     assert frames == []
-    assert {motor.mode for motor in robot.motors} == {Mode.RUN}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.RUNNING}
     with pytest.raises(PlantError, match="nothing was changed"):
         look_first(motor_bus)
     plant.close()
@@ -128,7 +120,7 @@ def test_a_second_program_refuses_without_a_frame_while_one_drives_the_robot(rob
 def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(robot, description):
     driven(robot, description, steps=40)  # and nobody closes it
     upper = EmulatedLink(robot)
-    command = Operation(motor=3, q=0.4, dq=0.0, kp=30.0, kd=3.0, tau=0.0)
+    command = HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0.4, dq=0.0, kp=30.0, kd=3.0, tau=0.0))
     upper.send(0, CODEC.encode(command))
     robot.advance(robot.now + 0.5)
     motor_bus = MotorBus(EmulatedLink(robot), load_wiring())
@@ -137,13 +129,13 @@ def test_motors_that_hold_a_robot_for_a_program_that_has_ended_are_not_dropped(r
     found = preflight(motor_bus, description, rate_hz=50.0, homing=None, trust_zeros=True)
     assert "hold a torque" in found[-1].text
     assert "mimic robot damp" in found[-1].text
-    assert {motor.mode for motor in robot.motors} == {Mode.RUN}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.RUNNING}
 
 
 def test_damping_switches_off_what_a_program_left_on(reached, description):
     driven(reached, description)
     assert commissioning.damp_robot("can0", BUSES) == (True, "the robot was damped and all motors are off")
-    assert {motor.mode for motor in reached.motors} == {Mode.RESET}
+    assert {motor.mode for motor in reached.motors} == {MotorMode.OFF}
 
 
 @pytest.mark.parametrize("call", [commissioning.scan_robot, commissioning.zero_robot, commissioning.check_robot])
@@ -230,10 +222,10 @@ def play(robot, description, frames: list[CanFrame], *, every: int = 10**6, tick
 @pytest.mark.parametrize(
     "message",
     [
-        Operation(motor=3, q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=1.0),
-        Stop(motor=3, host=0xFD),
-        Enable(motor=3, host=0x80),
-        SetZero(motor=3, host=5),
+        HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=1.0)),
+        HostMessage(Kind.STOP, 3),
+        HostMessage(Kind.ENABLE, 3, host=0x80),
+        HostMessage(Kind.SET_ZERO, 3, host=5),
     ],
     ids=lambda message: type(message).__name__,
 )
@@ -244,18 +236,27 @@ def test_a_command_of_another_program_makes_the_robot_sit_down(message, robot, d
 
 
 def test_a_program_that_goes_on_commanding_damps_the_robot(robot, description):
-    frames = [CODEC.encode(Operation(motor=n, q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=0.0)) for n in range(1, 13)]
+    frames = [
+        CODEC.encode(HostMessage(Kind.OPERATION, n, command=MotorCommand(q=0.0, dq=0.0, kp=10.0, kd=1.0, tau=0.0)))
+        for n in range(1, 13)
+    ]
     assert play(robot, description, frames, every=1).mode == SafetyMode.DAMP
 
 
-@pytest.mark.parametrize("message", [GetDeviceId(motor=3, host=0xFD), ReadParameter(motor=3, host=0xFD, index=0x7019)])
+@pytest.mark.parametrize(
+    "message",
+    [
+        HostMessage(Kind.DEVICE_ID, 3),
+        HostMessage(Kind.READ, 3, index=0x7019),
+    ],
+)
 def test_a_question_of_another_program_changes_nothing(message, robot, description):
     assert play(robot, description, [CODEC.encode(message)]).mode == SafetyMode.RUN
 
 
 def test_a_feedback_to_another_host_is_no_answer_to_us(robot, description):
     plant, other = driven(robot, description), EmulatedLink(robot)
-    other.send(0, CODEC.encode(Enable(motor=3, host=0x80)))  # from now on this motor answers that host
+    other.send(0, CODEC.encode(HostMessage(Kind.ENABLE, 3, host=0x80)))  # from now on this motor answers that host
     plant.step(hold(description))
     for _ in range(3):
         done = plant.step(hold(description))
@@ -350,8 +351,10 @@ class DoublingLink(EmulatedLink):
         received = super().receive(timeout)
         if received is not None and received.frame.extended:
             message = CODEC.decode(received.frame)
-            if isinstance(message, Feedback) and message.motor == 2:
-                self._second.append(received._replace(frame=CODEC.encode(replace(message, q=message.q + 0.4))))
+            said = getattr(message, "said", None)
+            if isinstance(said, Feedback) and said.motor == 2:
+                second = replace(message, said=replace(said, q=said.q + 0.4))
+                self._second.append(received._replace(frame=CODEC.encode(second)))
         return received
 
 

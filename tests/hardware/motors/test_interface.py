@@ -73,7 +73,7 @@ CASES = {
             ),
             (frame("110002FD#0B7000000000C040"), RegisterValue(motor=2, register=Register.TORQUE_LIMIT, value=6.0)),
             (frame("00007FFE#0102030405060708"), Identity(motor=0x7F, uid=0x0807060504030201)),
-            (frame("150002FD#0400000001000000"), FaultReport(motor=2, faults=4)),
+            (frame("150002FD#0400000001000000"), FaultReport(motor=2, faults=4, warnings=1)),
             (frame("110002FD#107000000000003E"), None),
         ),
         malformed=(frame("021#0102030405060708"), frame("028005FD#7FFF"), frame("0500FD03#0000000000000000")),

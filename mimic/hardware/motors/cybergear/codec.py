@@ -1,4 +1,5 @@
-"""Codec of the CyberGear protocol: messages to frames and back, pure.
+"""Codec of the CyberGear protocol: messages to frames and back, pure. What motors say has the types of mimic's motor
+interface, `mimic.hardware.motors.interface`.
 
 A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7
 bits. Hosts may have those of the manual, 0 to 127, or from 0x80 on, as most libraries have it (0xFD). The type shows
@@ -19,31 +20,8 @@ from typing import Any, Literal
 
 from mimic.errors import ConfigError, FrameError, UnknownFrame
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear.messages import (
-    PARAMETERS,
-    DetailedFault,
-    DeviceId,
-    Enable,
-    Fault,
-    FaultReport,
-    Feedback,
-    GetDeviceId,
-    HostMessage,
-    Kind,
-    Message,
-    Mode,
-    MotorMessage,
-    Operation,
-    OtherParameter,
-    ParameterValue,
-    ReadParameter,
-    SetBaudRate,
-    SetId,
-    SetZero,
-    Stop,
-    WriteParameter,
-    parameter,
-)
+from mimic.hardware.motors.cybergear.parameters import PARAMETERS, Kind, parameter
+from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
 
 BROADCAST = 0xFE
 """Destination of a device-id answer; manual 4.1.1."""
@@ -74,11 +52,6 @@ _ROUNDING = 1e-6
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
 
-def half_a_word(most: float) -> float:
-    """Return half a step of a quantity from -most to most: what truncating takes off on average."""
-    return most / WORDS
-
-
 def to_word(value: float, low: float, high: float) -> int:
     """Return the word of a quantity, saturated and truncated.
 
@@ -93,6 +66,44 @@ def to_word(value: float, low: float, high: float) -> int:
 def from_word(word: int, low: float, high: float) -> float:
     """Return the quantity of a word."""
     return low + word * (high - low) / WORDS
+
+
+@dataclass(frozen=True, slots=True)
+class HostMessage:
+    """What a host says to a motor. Every kind but DEVICE_ID and READ is answered by a feedback."""
+
+    kind: Kind
+    motor: int
+    host: int = DEFAULT_HOST
+    """Id of the host; OPERATION does not carry it."""
+    command: MotorCommand | None = None
+    """Of OPERATION."""
+    index: int = 0
+    """Of the parameter of READ and WRITE."""
+    value: float = 0.0
+    """Number to WRITE, id to SET_ID, BAUD_RATE [bit/s]; 1 where a STOP clears faults."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterValue:
+    """Answers READ.
+
+    A motor that lacks a parameter echoes the question with bits 23 to 16 set. Source: manual of the successor family,
+    RobStride, type 17.
+    """
+
+    motor: int
+    index: int
+    value: float | None
+    """None for a parameter that the motor lacks, or that is not in the table."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorMessage:
+    """What a motor says; an Identity is for everybody."""
+
+    said: Feedback | ParameterValue | Identity | FaultReport
+    host: int = DEFAULT_HOST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -110,61 +121,69 @@ class Codec:
         if not 1.0 < self.position_range < 100.0:
             raise ConfigError(f"position_range is {self.position_range:g} rad; expected 4 pi = 12.566 or 12.5")
 
-    def encode(self, message: Message) -> CanFrame:
+    @property
+    def _position(self) -> tuple[float, float]:
+        return -self.position_range, self.position_range
+
+    def encode(self, message: HostMessage | MotorMessage) -> CanFrame:
         """Return the frame of a message.
 
         Raises:
             FrameError: If a number is not finite, or an id or index does not exist.
         """
-        m = message
-        ids = [("motor", m.motor, 0, MOTOR_IDS)]
-        if not isinstance(m, (Operation, DeviceId)):
-            ids.append(("host", m.host, 0, 256))
-        for name, value, low, high in ids:
-            if not low <= value < high:
-                raise FrameError(f"the id of the {name} is {value}; expected from {low} to {high - 1}")
-        match m:
-            case Operation():
-                position = (-self.position_range, self.position_range)
-                words = (to_word(m.q, *position), to_word(m.dq, *VELOCITY), to_word(m.kp, *KP), to_word(m.kd, *KD))
-                return _frame(Kind.OPERATION, to_word(m.tau, *TORQUE), m.motor, struct.pack(">4H", *words))
-            case Feedback():
-                position = (-self.position_range, self.position_range)
-                words = (to_word(m.q, *position), to_word(m.dq, *VELOCITY), to_word(m.tau, *TORQUE))
-                heat = to_word(m.temperature, *TEMPERATURE)
-                area = m.mode << 14 | m.faults << 8 | m.motor
-                return _frame(Kind.FEEDBACK, area, m.host, struct.pack(">4H", *words, heat))
-            case GetDeviceId():
-                return _frame(Kind.DEVICE_ID, m.host, m.motor, bytes(8))
-            case DeviceId():
-                return _frame(Kind.DEVICE_ID, m.motor, BROADCAST, m.uid.to_bytes(8, "little"))
-            case Enable():
-                return _frame(Kind.ENABLE, m.host, m.motor, bytes(8))
-            case Stop():
-                return _frame(Kind.STOP, m.host, m.motor, bytes([m.clear_faults]) + bytes(7))
-            case SetZero():
-                return _frame(Kind.SET_ZERO, m.host, m.motor, b"\x01" + bytes(7))
-            case SetId():
-                if not 0 <= m.new < MOTOR_IDS:
-                    raise FrameError(f"the new id is {m.new}; expected from 0 to {MOTOR_IDS - 1}")
-                return _frame(Kind.SET_ID, m.new << 8 | m.host, m.motor, b"\x01" + bytes(7))
-            case ReadParameter():
-                parameter(m.index)
-                return _frame(Kind.READ, m.host, m.motor, struct.pack("<H6x", m.index))
-            case ParameterValue():
-                return _frame(Kind.READ, m.motor, m.host, _parameter_bytes(m.index, m.value))
-            case WriteParameter():
-                return _frame(Kind.WRITE, m.host, m.motor, _parameter_bytes(m.index, m.value))
-            case FaultReport():
-                data = int(m.faults).to_bytes(4, self.fault_order) + m.warnings.to_bytes(4, self.fault_order)
-                return _frame(Kind.FAULT, m.motor, m.host, data)
-            case SetBaudRate():
-                codes = {rate: code for code, rate in BAUD_RATES.items()}
-                if m.rate not in codes:
-                    raise FrameError(f"the bit rate is {m.rate}; a motor knows {', '.join(map(str, codes))}")
-                return _frame(Kind.BAUD_RATE, m.host, m.motor, bytes([codes[m.rate]]) + bytes(7))
+        motor = message.motor if isinstance(message, HostMessage) else message.said.motor
+        for name, value, high in (("motor", motor, MOTOR_IDS), ("host", message.host, 256)):
+            if not 0 <= value < high:
+                raise FrameError(f"the id of the {name} is {value}; expected from 0 to {high - 1}")
+        return self._to_motor(message) if isinstance(message, HostMessage) else self._to_host(message)
 
-    def decode(self, frame: CanFrame) -> Message | OtherParameter:
+    def _to_motor(self, m: HostMessage) -> CanFrame:
+        area, data = m.host, bytes(8)
+        match m.kind:
+            case Kind.OPERATION:
+                assert m.command is not None
+                q, dq, kp, kd, tau = m.command
+                words = (to_word(q, *self._position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
+                area, data = to_word(tau, *TORQUE), struct.pack(">4H", *words)
+            case Kind.STOP:
+                data = bytes([m.value == 1]) + bytes(7)
+            case Kind.SET_ZERO:
+                data = b"\x01" + bytes(7)
+            case Kind.SET_ID:
+                if not 0 <= m.value < MOTOR_IDS:
+                    raise FrameError(f"the new id is {m.value:g}; expected from 0 to {MOTOR_IDS - 1}")
+                area, data = int(m.value) << 8 | m.host, b"\x01" + bytes(7)
+            case Kind.READ:
+                parameter(m.index)
+                data = struct.pack("<H6x", m.index)
+            case Kind.WRITE:
+                data = _parameter_bytes(m.index, m.value)
+            case Kind.BAUD_RATE:
+                codes = {rate: code for code, rate in BAUD_RATES.items()}
+                if m.value not in codes:
+                    raise FrameError(f"the bit rate is {m.value:g}; a motor knows {', '.join(map(str, codes))}")
+                data = bytes([codes[int(m.value)]]) + bytes(7)
+            case _:
+                pass
+        return _frame(m.kind, area, m.motor, data)
+
+    def _to_host(self, message: MotorMessage) -> CanFrame:
+        said, host = message.said, message.host
+        match said:
+            case Feedback():
+                words = (to_word(said.q, *self._position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
+                data = struct.pack(">4H", *words, to_word(said.temperature, *TEMPERATURE))
+                return _frame(Kind.FEEDBACK, said.mode << 14 | said.faults << 8 | said.motor, host, data)
+            case Identity():
+                return _frame(Kind.DEVICE_ID, said.motor, BROADCAST, said.uid.to_bytes(8, "little"))
+            case ParameterValue():
+                assert said.value is not None
+                return _frame(Kind.READ, said.motor, host, _parameter_bytes(said.index, said.value))
+            case FaultReport():
+                words = (said.faults, said.warnings)
+                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, self.fault_order) for w in words))
+
+    def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:
         """Return the message of a frame, of either direction.
 
         Raises:
@@ -176,101 +195,86 @@ class Codec:
             raise UnknownFrame(f"{frame} has an identifier of 11 bits; CyberGear's have 29")
         if len(frame.data) != 8:
             raise UnknownFrame(f"{frame} has {len(frame.data)} bytes; CyberGear's frames have 8")
-        number, area, destination, data = frame.id >> 24, frame.id >> 8 & 0xFFFF, frame.id & 0xFF, frame.data
+        number, area, destination = frame.id >> 24, frame.id >> 8 & 0xFFFF, frame.id & 0xFF
         try:
             kind = Kind(number)
         except ValueError:
             raise UnknownFrame(f"{frame} has the communication type {number}, which is not public") from None
         if kind is Kind.FAULT and (area == self.host or (destination < MOTOR_IDS <= area <= 0xFF)):
             # The manual has the host in bits 15 to 8 and the motor in 7 to 0; libraries have it the other way.
-            return self._from_motor(frame, kind, destination, area, data)
+            return self._of_motor(frame, kind, destination, area)
         if kind in (Kind.FEEDBACK, Kind.FAULT) or destination >= MOTOR_IDS or destination == self.host:
-            return self._from_motor(frame, kind, area, destination, data)
-        return self._from_host(frame, kind, area, destination, data)
+            return self._of_motor(frame, kind, area, destination)
+        return self._of_host(frame, kind, area, destination)
 
-    def _from_motor(
-        self, frame: CanFrame, kind: Kind, area: int, host: int, data: bytes
-    ) -> MotorMessage | OtherParameter:
-        motor = area & 0xFF
+    def _of_motor(self, frame: CanFrame, kind: Kind, area: int, host: int) -> MotorMessage:
+        motor, data = area & 0xFF, frame.data
         if motor >= MOTOR_IDS:
             raise UnknownFrame(f"{frame} comes from the id {motor}; motors have ids below {MOTOR_IDS}")
+        said: Feedback | ParameterValue | Identity | FaultReport
         if kind is Kind.FEEDBACK:
             q, dq, tau, heat = struct.unpack(">4H", data)
-            mode = area >> 14
-            if mode == 3:
+            if area >> 14 == 3:
                 raise FrameError(f"{frame} has mode 3; a motor has modes 0 to 2")
-            return Feedback(
+            said = Feedback(
                 motor=motor,
-                host=host,
-                q=from_word(q, -self.position_range, self.position_range),
+                q=from_word(q, *self._position),
                 dq=from_word(dq, *VELOCITY),
                 tau=from_word(tau, *TORQUE),
                 temperature=from_word(heat, *TEMPERATURE),
-                mode=Mode(mode),
-                faults=Fault(area >> 8 & 0x3F),
+                mode=MotorMode(area >> 14),
+                faults=area >> 8 & 0x3F,
             )
-        if kind is Kind.READ and (area >> 8 or _index_of(frame) not in PARAMETERS):
-            return OtherParameter(motor=motor, host=host, index=_index_of(frame))
-        if area >> 8:
+        elif kind is Kind.READ:
+            index = _index_of(frame)
+            lacks = area >> 8 or index not in PARAMETERS
+            said = ParameterValue(motor=motor, index=index, value=None if lacks else _value_of(frame))
+        elif area >> 8:
             raise UnknownFrame(f"{frame} has bits set where a motor leaves zeros")
-        if kind is Kind.DEVICE_ID and host == BROADCAST:
-            return DeviceId(motor=motor, uid=int.from_bytes(data, "little"))
-        if kind is Kind.READ:
-            index, value = _parameter_of(frame)
-            return ParameterValue(motor=motor, host=host, index=index, value=value)
-        if kind is Kind.FAULT:
+        elif kind is Kind.DEVICE_ID and host == BROADCAST:
+            said = Identity(motor=motor, uid=int.from_bytes(data, "little"))
+        elif kind is Kind.FAULT:
             faults, warnings = (int.from_bytes(part, self.fault_order) for part in (data[:4], data[4:]))
-            return FaultReport(motor=motor, host=host, faults=DetailedFault(faults), warnings=warnings)
-        raise UnknownFrame(
-            f"{frame} has the communication type {kind.value} ({kind.name}), which no motor sends to a host"
-        )
+            said = FaultReport(motor=motor, faults=faults, warnings=warnings)
+        else:
+            raise UnknownFrame(
+                f"{frame} has the communication type {kind.value} ({kind.name}), which no motor sends to a host"
+            )
+        return MotorMessage(said, host)
 
-    def _from_host(
-        self, frame: CanFrame, kind: Kind, area: int, motor: int, data: bytes
-    ) -> HostMessage | OtherParameter:
+    def _of_host(self, frame: CanFrame, kind: Kind, area: int, motor: int) -> HostMessage:
+        host, data = area & 0xFF, frame.data
         if kind is Kind.OPERATION:
             q, dq, kp, kd = struct.unpack(">4H", data)
-            return Operation(
-                motor=motor,
-                q=from_word(q, -self.position_range, self.position_range),
-                dq=from_word(dq, *VELOCITY),
-                kp=from_word(kp, *KP),
-                kd=from_word(kd, *KD),
-                tau=from_word(area, *TORQUE),
+            command = MotorCommand(
+                from_word(q, *self._position),
+                from_word(dq, *VELOCITY),
+                from_word(kp, *KP),
+                from_word(kd, *KD),
+                from_word(area, *TORQUE),
             )
-        host = area & 0xFF
+            return HostMessage(kind, motor, command=command)
         if kind is Kind.SET_ID:
             if area >> 8 >= MOTOR_IDS:
                 raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
-            return SetId(motor=motor, host=host, new=area >> 8)
-        if kind in (Kind.READ, Kind.WRITE) and _index_of(frame) not in PARAMETERS:
-            return OtherParameter(motor=motor, host=host, index=_index_of(frame), write=kind is Kind.WRITE)
+            return HostMessage(kind, motor, host, value=area >> 8)
+        index, value = 0, 0.0
+        if kind in (Kind.READ, Kind.WRITE):
+            index = _index_of(frame)
+            if index not in PARAMETERS:
+                return HostMessage(kind, motor, host, index=index)
         if area >> 8:
             raise UnknownFrame(f"{frame} has bits set where a host leaves zeros")
-        match kind:
-            case Kind.DEVICE_ID:
-                return GetDeviceId(motor=motor, host=host)
-            case Kind.ENABLE:
-                return Enable(motor=motor, host=host)
-            case Kind.STOP:
-                return Stop(motor=motor, host=host, clear_faults=data[0] == 1)
-            case Kind.SET_ZERO:
-                return SetZero(motor=motor, host=host)
-            case Kind.READ:
-                return ReadParameter(motor=motor, host=host, index=_index_of(frame))
-            case Kind.WRITE:
-                index, value = _parameter_of(frame)
-                return WriteParameter(motor=motor, host=host, index=index, value=value)
-            case Kind.BAUD_RATE:
-                if data[0] not in BAUD_RATES:
-                    raise FrameError(
-                        f"{frame} has the bit-rate code {data[0]}; expected {', '.join(map(str, BAUD_RATES))}"
-                    )
-                return SetBaudRate(motor=motor, host=host, rate=BAUD_RATES[data[0]])
-            case _:
-                raise UnknownFrame(
-                    f"{frame} has the communication type {kind.value} ({kind.name}), which no host sends"
-                )
+        if kind is Kind.WRITE:
+            value = _value_of(frame)
+        elif kind is Kind.STOP:
+            value = float(data[0] == 1)
+        elif kind is Kind.BAUD_RATE:
+            if data[0] not in BAUD_RATES:
+                known = ", ".join(map(str, BAUD_RATES))
+                raise FrameError(f"{frame} has the bit-rate code {data[0]}; expected {known}")
+            value = BAUD_RATES[data[0]]
+        return HostMessage(kind, motor, host, index=index, value=value)
 
     def check_range(self, q: float, mech_pos: float) -> float | None:
         """Return the end of the position range that a motor uses [rad], or None if two readings cannot decide it.
@@ -319,9 +323,9 @@ def _index_of(frame: CanFrame) -> int:
     return index
 
 
-def _parameter_of(frame: CanFrame) -> tuple[int, float]:
-    index = _index_of(frame)
-    value = struct.unpack(_PACK[parameter(index).kind], frame.data[4:])[0]
+def _value_of(frame: CanFrame) -> float:
+    p = parameter(_index_of(frame))
+    value = struct.unpack(_PACK[p.kind], frame.data[4:])[0]
     if not math.isfinite(value):
-        raise FrameError(f"{frame} gives parameter {parameter(index).name} a value that is not finite")
-    return index, value
+        raise FrameError(f"{frame} gives parameter {p.name} a value that is not finite")
+    return value

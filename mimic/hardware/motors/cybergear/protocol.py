@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.motors.cybergear import messages as gear
-from mimic.hardware.motors.cybergear.codec import KD, KP, MOTOR_IDS, POSITION_RANGES, TORQUE, VELOCITY, WORDS, Codec
+from mimic.hardware.motors.cybergear import parameters as gear
+from mimic.hardware.motors.cybergear.codec import (
+    KD,
+    KP,
+    MOTOR_IDS,
+    POSITION_RANGES,
+    TORQUE,
+    VELOCITY,
+    WORDS,
+    Codec,
+    HostMessage,
+    ParameterValue,
+)
+from mimic.hardware.motors.cybergear.parameters import Kind
 from mimic.hardware.motors.interface import (
     Answer,
-    FaultReport,
     Feedback,
-    Identity,
     MotorCommand,
     MotorFacts,
-    MotorMode,
     OtherHost,
     Register,
     RegisterValue,
@@ -62,7 +71,6 @@ class CyberGear:
         Raises:
             ConfigError: If the position range is none.
         """
-        self._host = host
         self._codec = Codec(position_range=position_range, host=host)
         self._facts = MotorFacts(
             name="CyberGear",
@@ -92,72 +100,62 @@ class CyberGear:
 
     def command(self, motor: int, command: MotorCommand) -> tuple[CanFrame, MotorCommand]:
         """Return the frame of a command, and the command as the motor reads it."""
-        q, dq, kp, kd, tau = command
-        frame = self._codec.encode(gear.Operation(motor=motor, q=q, dq=dq, kp=kp, kd=kd, tau=tau))
+        frame = self._say(Kind.OPERATION, motor, command=command)
         sent = self._codec.decode(frame)
-        assert isinstance(sent, gear.Operation)
-        return frame, MotorCommand(sent.q, sent.dq, sent.kp, sent.kd, sent.tau)
+        assert isinstance(sent, HostMessage)
+        assert sent.command is not None
+        return frame, sent.command
+
+    def _say(
+        self, kind: Kind, motor: int, *, command: MotorCommand | None = None, index: int = 0, value: float = 0.0
+    ) -> CanFrame:
+        return self._codec.encode(HostMessage(kind, motor, self._codec.host, command, index, value))
 
     def enable(self, motor: int) -> CanFrame:
         """Return the frame that switches a motor on."""
-        return self._codec.encode(gear.Enable(motor=motor, host=self._host))
+        return self._say(Kind.ENABLE, motor)
 
     def stop(self, motor: int) -> CanFrame:
         """Return the frame that switches a motor off."""
-        return self._codec.encode(gear.Stop(motor=motor, host=self._host))
+        return self._say(Kind.STOP, motor)
 
     def ask_identity(self, motor: int) -> CanFrame:
         """Return the frame that asks who has an id."""
-        return self._codec.encode(gear.GetDeviceId(motor=motor, host=self._host))
+        return self._say(Kind.DEVICE_ID, motor)
 
     def set_zero(self, motor: int) -> CanFrame:
         """Return the frame that makes the present position zero."""
-        return self._codec.encode(gear.SetZero(motor=motor, host=self._host))
+        return self._say(Kind.SET_ZERO, motor)
 
     def read(self, motor: int, register: Register) -> CanFrame:
         """Return the frame that asks for a register."""
-        return self._codec.encode(gear.ReadParameter(motor=motor, host=self._host, index=INDICES[register]))
+        return self._say(Kind.READ, motor, index=INDICES[register])
 
     def write(self, motor: int, register: Register, value: float) -> CanFrame:
         """Return the frame that sets a register until the power goes."""
-        return self._codec.encode(
-            gear.WriteParameter(motor=motor, host=self._host, index=INDICES[register], value=value)
-        )
+        return self._say(Kind.WRITE, motor, index=INDICES[register], value=value)
 
     def decode(self, frame: CanFrame) -> Answer | None:
         """Return the answer in a frame, or None for a parameter that mimic does not use."""
         message = self._codec.decode(frame)
-        match message:
-            case gear.Feedback():
-                feedback = Feedback(
-                    motor=message.motor,
-                    q=message.q,
-                    dq=message.dq,
-                    tau=message.tau,
-                    temperature=message.temperature,
-                    mode=MotorMode(message.mode),
-                    faults=int(message.faults),
-                )
-                if message.host == self._host:
-                    return feedback
-                text = f"motor {message.motor} answers host 0x{message.host:02X}"
-                return OtherHost(motor=message.motor, commands=True, text=text, feedback=feedback)
-            case gear.ParameterValue() if message.host != self._host:
-                text = f"motor {message.motor} tells host 0x{message.host:02X} a parameter"
-                return OtherHost(motor=message.motor, commands=False, text=text)
-            case gear.ParameterValue():
-                register = _REGISTERS.get(message.index)
-                if register is None:
-                    return None
-                return RegisterValue(motor=message.motor, register=register, value=message.value)
-            case gear.DeviceId():
-                return Identity(motor=message.motor, uid=message.uid)
-            case gear.FaultReport():
-                return FaultReport(motor=message.motor, faults=int(message.faults))
-            case gear.OtherParameter(write=False):
+        if isinstance(message, HostMessage):
+            host = "another computer" if message.kind is Kind.OPERATION else f"host 0x{message.host:02X}"
+            text = f"{_WORDS[message.kind]} for motor {message.motor} by {host}"
+            commands = message.kind not in (Kind.DEVICE_ID, Kind.READ)
+            return OtherHost(motor=message.motor, commands=commands, text=text)
+        said, ours = message.said, message.host == self._codec.host
+        if isinstance(said, ParameterValue):
+            register = _REGISTERS.get(said.index)
+            if said.value is None:
                 return None
-            case _:
-                return _other(message)
+            if not ours:
+                text = f"motor {said.motor} tells host 0x{message.host:02X} a parameter"
+                return OtherHost(motor=said.motor, commands=False, text=text)
+            return None if register is None else RegisterValue(motor=said.motor, register=register, value=said.value)
+        if isinstance(said, Feedback) and not ours:
+            text = f"motor {said.motor} answers host 0x{message.host:02X}"
+            return OtherHost(motor=said.motor, commands=True, text=text, feedback=said)
+        return said
 
     def check_range(self, q: float, exact: float) -> float | None:
         """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
@@ -173,23 +171,14 @@ class CyberGear:
         return known.name or str(faults)
 
 
-def _other(message: gear.HostMessage | gear.OtherParameter) -> OtherHost:
-    """Return what another computer sent."""
-    host = "another computer" if isinstance(message, gear.Operation) else f"host 0x{message.host:02X}"
-    text = f"{_WORDS[type(message)]} for motor {message.motor} by {host}"
-    commands = not isinstance(message, gear.GetDeviceId | gear.ReadParameter)
-    return OtherHost(motor=message.motor, commands=commands, text=text)
-
-
-_WORDS: dict[type, str] = {
-    gear.GetDeviceId: "a question",
-    gear.ReadParameter: "a question",
-    gear.Operation: "a command",
-    gear.Enable: "an order to switch on",
-    gear.Stop: "an order to stop",
-    gear.SetZero: "a new zero",
-    gear.SetId: "a new id",
-    gear.WriteParameter: "a new parameter",
-    gear.OtherParameter: "a new parameter",
-    gear.SetBaudRate: "a new bit rate",
+_WORDS = {
+    Kind.DEVICE_ID: "a question",
+    Kind.READ: "a question",
+    Kind.OPERATION: "a command",
+    Kind.ENABLE: "an order to switch on",
+    Kind.STOP: "an order to stop",
+    Kind.SET_ZERO: "a new zero",
+    Kind.SET_ID: "a new id",
+    Kind.WRITE: "a new parameter",
+    Kind.BAUD_RATE: "a new bit rate",
 }
