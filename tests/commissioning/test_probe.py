@@ -211,8 +211,8 @@ def test_fewer_joints_at_once_load_the_bus_less_as_the_arithmetic_says(joints, r
 @pytest.mark.slow
 def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_path):
     _, plant = made(description)
-    settings = ProbeSettings(seconds=20.0, rate_hz=50.0, joints="sides", approach=1.0)
-    motion = probe_motion(description, settings).begin(575)
+    settings = ProbeSettings(seconds=20.0, rate_hz=100.0, joints="sides", approach=1.0)
+    motion = probe_motion(description, settings).begin(1150)
     result = probe(plant, motion, settings, Signals(), wiring=WIRING)
     assert result.missing == 0.0
     asked = np.isfinite(result.log.q)
@@ -224,7 +224,7 @@ def test_a_log_of_joints_in_turn_is_one_that_calibration_takes(description, tmp_
     machine = hung_robot(description)
     log = read_log(write_log(result.log, tmp_path / "probe.parquet")).of(machine.joints)
     facts = check_log(log, np.stack([machine.low, machine.high], -1))
-    assert len(facts.log.t) == 575
+    assert len(facts.log.t) == 1150
     assert np.isfinite(log.q).all(axis=1).mean() > 0.97
     assert not any("never moves" in line for line in facts.warnings)
     assert np.all(np.abs(log.q - result.log.q)[asked] == 0.0)
