@@ -35,7 +35,7 @@ def batch(
     out
         Folder for summary.html, summary.parquet and a folder for each file.
     workers
-        Processes; 0 takes one for each core.
+        Processes; 0: one per core.
     ray
         Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
     export
