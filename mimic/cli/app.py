@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError, UnknownOptionError
@@ -50,6 +51,25 @@ MUJOCO_GL = (
 DEFAULTS = Parameter(negative_iterable=(), negative_none=(), consume_multiple=True, show_env_var=False)
 
 
+class _Flowing:
+    """The parser's help, with the lines of a docstring joined: a terminal breaks them elsewhere."""
+
+    def __call__(self, console: Any, options: Any, panel: Any) -> None:
+        from cyclopts.help import DefaultFormatter
+        from rich.text import Text
+
+        for entry in panel.entries:
+            text = getattr(entry.description, "primary_renderable", None)
+            if isinstance(text, Text):
+                text.plain = " ".join(text.plain.split())
+        DefaultFormatter()(console, options, panel)
+
+    def __getattr__(self, name: str) -> Any:
+        from cyclopts.help import DefaultFormatter
+
+        return getattr(DefaultFormatter(), name)
+
+
 app = App(
     name="mimic",
     version=__version__,
@@ -59,6 +79,7 @@ app = App(
     default_parameter=DEFAULTS,
     result_action="return_value",
     help_format="plaintext",  # markdown would take another 40 ms to load
+    help_formatter=_Flowing(),
     suppress_keyboard_interrupt=False,  # run() turns it into an exit status
 )
 app.register_install_completion_command(help="Install completion for your shell.")

@@ -35,7 +35,7 @@ def emulate(
     slcan
         Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, like a USB adapter.
     buses
-        Number of buses that the motors are on.
+        Number of buses.
     wiring
         Wiring file; default: the shipped one.
     fault

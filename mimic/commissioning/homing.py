@@ -108,9 +108,10 @@ def check_lying(q: FloatArray, description: RobotDescription) -> None:
     far = np.flatnonzero(np.abs(off) > LYING_TOLERANCE)
     if len(far):
         angles = ", ".join(f"{JOINTS[j]} by {np.rad2deg(off[j]):+.0f} deg" for j in far)
+        folded = ", ".join(f"{JOINTS[j][3:]} {np.rad2deg(lie[j]):.0f}" for j in range(3))
         raise PlantError(
-            f"the robot does not lie on its folded legs: {angles}; lay it down with all joints within "
-            f"{np.rad2deg(LYING_TOLERANCE):.0f} deg of the pose in docs/manual/robot.md"
+            f"the robot does not lie on its folded legs: {angles}; lay it on its belly and fold each leg to within "
+            f"{np.rad2deg(LYING_TOLERANCE):.0f} deg of {folded} deg"
         )
     beyond = beyond_limits(q, description)
     if len(beyond):

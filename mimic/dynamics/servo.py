@@ -126,8 +126,8 @@ def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
         return np.full(len(machine.joints) if spec.scope == "joint" else 1, float(value))
     if name == "motor" and machine.drives.volts is None:
         raise ConfigError(
-            "effect 'motor' is of voltage drives, and the drives here control torque; give the log a drive, see"
-            " docs/manual/log-format.md"
+            "effect 'motor' is of voltage drives, and the drives here control torque. If they control voltage, say so:"
+            " --note drive=voltage, and the numbers that it asks for"
         )
     own: dict[tuple[str, str], Any] = {
         ("motor", "kt"): machine.drives.kt,

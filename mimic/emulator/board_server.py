@@ -69,6 +69,10 @@ class BoardServer:
                 self._bus.publish(message.channel, message.data)
             each()
 
+    def close(self) -> None:
+        """Close LCM."""
+        self._bus.close()
+
     def status(self) -> BoardStatus:
         """Return the statistics so far."""
         return BoardStatus(

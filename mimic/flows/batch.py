@@ -110,7 +110,7 @@ def batch(
     A file that fails is a row with its error and stops nothing.
 
     Args:
-        folder: Searched with all folders in it.
+        folder: Folder to search, with its subfolders.
         out: Folder for summary.html, summary.parquet and a folder for each file.
         settings: How an input becomes commands.
         run: How commands are played.

@@ -40,7 +40,7 @@ def calibrate(
     Args:
         log: Parquet or CSV file with a row for each reading (docs/manual/log-format.md), a log in memory, or several,
             each with its own gains, supply voltage and payload.
-        held_out: Further logs of the machine, which are only predicted.
+        held_out: More logs of the machine, for validation: they are predicted, not fitted.
         notes: Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one.
         model: MJCF whose base is held, or a machine; by default the CyberDog 2 hung up.
         settings: How the log is explained.

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import EffectsSettings
@@ -17,6 +17,10 @@ from mimic.control.priority import EMULATOR, real_time
 from mimic.errors import ConfigError
 from mimic.flows.play import warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
+
+if TYPE_CHECKING:
+    from mimic.emulator.board_server import BoardStatus
+    from mimic.emulator.server import EmulatorStatus
 
 FRAME_INTERVAL = 1 / 30
 """Time between two pictures in the viewer [s]."""
@@ -37,7 +41,7 @@ class ServeOptions:
     slcan: bool = False
     """Whether each bus is also served as a serial adapter (slcan) on a pseudo-terminal."""
     buses: int = 1
-    """Number of buses that the motors are on."""
+    """Number of buses."""
     wiring: Path | None = None
     """Wiring file; by default the shipped one."""
     faults: Sequence[str] = ()
@@ -98,8 +102,6 @@ def serve_robot(
         ConfigError: If an address, a fault or the effects cannot be used.
         AssetError: If a file cannot be read.
     """
-    from mimic.dynamics.effect_set import read_effects
-    from mimic.dynamics.servo import read_standing
     from mimic.emulator.faults import BOARD_ONLY, parse_fault, random_fault
     from mimic.emulator.robot import EmulatedRobot
     from mimic.emulator.server import EmulatorServer
@@ -115,69 +117,41 @@ def serve_robot(
             raise ConfigError(f"{fault.kind} is a fault of the stock board; add --board cyberdog2")
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
-    held = None
-    if effects.effects is not None:
-        if not settings.suspended:
-            warn_of_stand_effects(effects, reporter)
-        held = (read_effects if settings.suspended else read_standing)(Path(effects.effects))
     emulated = EmulatedRobot(
         load_description(),
         load_wiring(options.wiring, buses=options.buses),
         settings,
-        effects=held,
+        effects=_effects(effects, settings, reporter),
         faults=faults,
         timestep=effects.timestep,
         visuals=options.view,
     )
-    shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
-    server = EmulatorServer(emulated, host=host, port=port, slcan=options.slcan)
-    for fault in faults:
-        reporter.note(f"fault        {fault}")
-    begin = time.monotonic()
-    reported, late, stood = begin, 0, 0.0
+    late, stood = 0, 0.0
 
-    def each() -> None:
-        nonlocal reported, late, stood
-        while emulated.events:
-            t, text = emulated.events.popleft()
-            reporter.note(f"{t:9.3f} s  {text}")
-        if options.every and time.monotonic() - reported >= options.every:
-            reported = time.monotonic()
-            status = server.status()
-            late, stood = late + status.late, stood + status.stood_still
-            reporter.note(_line(status))
-        if shown is not None:
-            shown.show()
+    def line(status: EmulatorStatus) -> str:
+        nonlocal late, stood
+        late, stood = late + status.late, stood + status.stood_still
+        return _line(status)
 
-    try:
-        with _until_signal() as signalled, real_time(EMULATOR):
+    def listen() -> tuple[EmulatorServer, Sequence[str]]:
+        server = EmulatorServer(emulated, host=host, port=port, slcan=options.slcan)
+        return server, server.addresses
 
-            def ended() -> bool:
-                over = options.seconds is not None and time.monotonic() - begin >= options.seconds
-                return signalled() or over or (shown is not None and not shown.open())
-
-            for address in server.addresses:
-                reporter.note(f"ready        {address}")
-            server.run(ended, each)
-    finally:
-        server.close()
-        if shown is not None:
-            shown.close()
-    status = server.status()
+    line(_serve(emulated, listen, line, options, faults, reporter))
     bits, frames = sum(bus.bits for bus in emulated.buses), sum(bus.frames for bus in emulated.buses)
     return Served(
         seconds=emulated.now,
         frames=frames,
         bits_per_frame=bits / max(frames, 1),
         load=tuple(emulated.load(i) for i in range(len(emulated.buses))),
-        late=late + status.late,
-        stood_still=stood + status.stood_still,
+        late=late,
+        stood_still=stood,
         switched_on=emulated.switched_on(),
         driven=emulated.driven(),
     )
 
 
-def _line(status: Any) -> str:
+def _line(status: EmulatorStatus) -> str:
     buses = ", ".join(
         f"{load:.1%} at {rate:.0f} frames/s" for load, rate in zip(status.load, status.frames, strict=True)
     )
@@ -224,8 +198,6 @@ def serve_board(
         AssetError: If a file cannot be read.
         BusError, MissingExtra: If LCM cannot be opened.
     """
-    from mimic.dynamics.effect_set import read_effects
-    from mimic.dynamics.servo import read_standing
     from mimic.emulator.board import FAULTS, TICK, EmulatedBoard
     from mimic.emulator.board_server import BoardServer
     from mimic.emulator.faults import parse_fault, random_fault
@@ -240,36 +212,81 @@ def serve_board(
     faults = [parse_fault(text) for text in options.faults]
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=FAULTS))
-    held = None
-    if effects.effects is not None:
-        held = (read_effects if settings.suspended else read_standing)(Path(effects.effects))
     board = EmulatedBoard(
         load_description(),
         wiring,
         settings,
-        effects=held,
+        effects=_effects(effects, settings, reporter),
         faults=faults,
         timestep=TICK if effects.effects is None else effects.timestep,
         visuals=options.view,
     )
-    shown = _Viewer(board.body.model, board.body.data) if options.view else None
-    server = BoardServer(board, wiring)
+
+    def listen() -> tuple[BoardServer, Sequence[str]]:
+        return BoardServer(board, wiring), ("cyberdog2 (on this computer: add --interface lo)",)
+
+    def line(status: BoardStatus) -> str:
+        return (
+            f"{status.t:9.1f} s  {status.commands} commands, error flag {status.err_flag:#04x}, "
+            f"{status.late_ticks} cycles with a late command"
+        )
+
+    status = _serve(board, listen, line, options, faults, reporter)
+    return ServedBoard(
+        seconds=status.t,
+        commands=status.commands,
+        late_ticks=status.late_ticks,
+        err_flag=status.err_flag,
+        stood_still=status.stood_still,
+        driven=board.driven(),
+    )
+
+
+def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> Any:
+    """Return the effects that a robot in the air or on its feet has; None without a file."""
+    from mimic.dynamics.effect_set import read_effects
+    from mimic.dynamics.servo import read_standing
+
+    if effects.effects is None:
+        return None
+    if settings.suspended:
+        return read_effects(Path(effects.effects))
+    warn_of_stand_effects(effects, reporter)
+    return read_standing(Path(effects.effects))
+
+
+def _serve(
+    emulated: Any,
+    listen: Callable[[], tuple[Any, Sequence[str]]],
+    line: Callable[[Any], str],
+    options: ServeOptions,
+    faults: Sequence[Any],
+    reporter: Reporter,
+) -> Any:
+    """Serve a robot or board to the end; return the last statistics of its server.
+
+    Args:
+        emulated: What is served.
+        listen: Opens the server; returns it with its addresses.
+        line: Makes a status line of statistics.
+        options: How long, and what is shown.
+        faults: To be reported at the start.
+        reporter: Receives addresses, events and status lines.
+    """
+    shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
+    server, addresses = listen()
     for fault in faults:
         reporter.note(f"fault        {fault}")
     begin = reported = time.monotonic()
 
     def each() -> None:
         nonlocal reported
-        while board.events:
-            t, text = board.events.popleft()
+        while emulated.events:
+            t, text = emulated.events.popleft()
             reporter.note(f"{t:9.3f} s  {text}")
         if options.every and time.monotonic() - reported >= options.every:
             reported = time.monotonic()
-            status = server.status()
-            reporter.note(
-                f"{status.t:9.1f} s  {status.commands} commands, error flag {status.err_flag:#04x}, "
-                f"{status.late_ticks} cycles with a late command"
-            )
+            reporter.note(line(server.status()))
         if shown is not None:
             shown.show()
 
@@ -280,20 +297,14 @@ def serve_board(
                 over = options.seconds is not None and time.monotonic() - begin >= options.seconds
                 return signalled() or over or (shown is not None and not shown.open())
 
-            reporter.note("ready        cyberdog2 (on this computer: add --interface lo)")
+            for address in addresses:
+                reporter.note(f"ready        {address}")
             server.run(ended, each)
     finally:
+        server.close()
         if shown is not None:
             shown.close()
-    status = server.status()
-    return ServedBoard(
-        seconds=status.t,
-        commands=status.commands,
-        late_ticks=status.late_ticks,
-        err_flag=status.err_flag,
-        stood_still=status.stood_still,
-        driven=board.driven(),
-    )
+    return server.status()
 
 
 @contextmanager

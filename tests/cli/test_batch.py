@@ -155,8 +155,8 @@ def listening() -> None:
 @pytest.mark.slow
 def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     someone(tmp_path / "in" / "a.npz", 0.1)
-    for i in range(6):
-        someone(tmp_path / "in" / f"b{i}.npz", 0.1 + 0.01 * i, rows=6000)
+    for i in range(3):
+        someone(tmp_path / "in" / f"b{i}.npz", 0.1 + 0.01 * i, rows=3000)
     out = tmp_path / "out"
     command = [sys.executable, "-m", "mimic", "batch", str(tmp_path / "in"), "-o", str(out), "--workers", "1"]
     process = subprocess.Popen(
@@ -174,7 +174,7 @@ def test_ctrl_c_leaves_nothing_half_written_and_the_next_goes_on(tmp_path):
     assert process.returncode == 3, shown.decode()
     assert not list(out.rglob("*.part*"))
     done = list((out / "items").iterdir())
-    assert 1 <= len(done) < 7
+    assert 1 <= len(done) < 4
     assert all((item / "metrics.json").is_file() for item in done)
     assert len(rows(out)) == len(done)
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,8 +45,9 @@ def test_a_hand_that_hardly_pulls_moves_nobody(description):
 
 def test_an_evaluation_repeats_and_has_every_figure():
     settings = LeadSettings(episodes=2, seconds=9.0, hand=HandSettings(way=0.8, begin=3.0), workers=1)
-    one, other = (evaluate_leading(shipped("policies", "stand_track.onnx"), settings) for _ in range(2))
-    assert one == other
+    policy = shipped("policies", "stand_track.onnx")
+    one, other = evaluate_leading(policy, settings), evaluate_leading(policy, replace(settings, episodes=1))
+    assert other["episodes"] == one["episodes"][:1]
     assert one["summary"]["episodes"] == 2
     assert 0.0 <= one["summary"]["stopped"] <= one["summary"]["followed"] <= one["summary"]["stood"] <= 1.0
 

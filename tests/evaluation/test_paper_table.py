@@ -346,15 +346,18 @@ def test_a_statue_earns_all_but_what_walking_and_turning_are_worth(evaluated):
 
 @pytest.mark.slow
 def test_the_same_seeds_give_the_same_table(evaluated):
-    again = evaluate_table(shipped("policies", "stand_track.onnx"), FEW)
-    assert json.dumps(plain(again)) == json.dumps(plain(evaluated))
+    one = dataclasses.replace(FEW, seeds=1, senses=(NOISE,))
+    again = evaluate_table(shipped("policies", "stand_track.onnx"), one)["episodes"][NOISE]
+    first = {name: rows[: FEW.episodes] for name, rows in evaluated["episodes"][NOISE].items()}
+    assert json.dumps(plain(again)) == json.dumps(plain(first))
 
 
 @pytest.mark.slow
 def test_a_policy_that_only_lies_has_a_table_too(tmp_path, constant_onnx):
-    result = evaluate_table(constant_onnx(tmp_path / "useless.onnx"), FEW)
+    one = dataclasses.replace(FEW, episodes=1, seeds=1, senses=(NOISE,))
+    result = evaluate_table(constant_onnx(tmp_path / "useless.onnx"), one)
     assert result["table"][NOISE]["contacts"]["columns"]["toes"]["mean"] < 0.5
-    assert len(result["episodes"][NOISE]["contacts"]) == 4
+    assert len(result["episodes"][NOISE]["contacts"]) == 1
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path):

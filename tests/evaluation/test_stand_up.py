@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -36,8 +37,9 @@ def test_the_shipped_policy_stands_up_and_stays_inside_its_motors(evaluated):
 
 @pytest.mark.slow
 def test_the_same_seeds_give_the_same_figures(evaluated):
-    again = evaluate_stand_up(shipped("policies", "stand_track.onnx"), FEW)
-    assert json.dumps(plain(again)) == json.dumps(plain(evaluated))
+    one = replace(FEW, episodes=1)
+    again = evaluate_stand_up(shipped("policies", "stand_track.onnx"), one)["episodes"]
+    assert json.dumps(plain(again)) == json.dumps(plain([e for e in evaluated["episodes"] if e["seed"] == 1]))
 
 
 def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so():
@@ -53,7 +55,7 @@ def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so():
 
 @pytest.mark.slow
 def test_a_policy_that_only_falls_is_evaluated_too(tmp_path, constant_onnx):
-    s = evaluate_stand_up(constant_onnx(tmp_path / "useless.onnx"), FEW)["summary"]
+    s = evaluate_stand_up(constant_onnx(tmp_path / "useless.onnx"), replace(FEW, episodes=1))["summary"]
     assert s["upright_in_time_and_kept"] == 0.0
     assert s["still_drift_mean_m"] == float("inf")
 

@@ -151,21 +151,6 @@ def test_ctrl_c_sits_down_and_leaves_a_whole_log(moving_robot):
     assert PHASES[log.phase[-1]] == "damp"
 
 
-def test_a_process_that_is_killed_leaves_a_robot_that_is_damped_and_a_log_that_can_be_salvaged(moving_robot, tmp_path):
-    run, listener, folder = moving_robot()
-    run.kill()
-    run.communicate(timeout=PATIENCE)
-    listener.until(listener.braking)
-    listener.until(listener.off)
-    assert not (folder / "log.parquet").exists()
-    salvaged = mimic(tmp_path, "log", "salvage", str(folder))
-    told, _ = salvaged.communicate(timeout=PATIENCE)
-    assert salvaged.returncode == 0, told
-    log = store.load(folder / "log.parquet", RunLog)
-    assert len(log.t) > 10
-    assert not (folder / "log.rows").exists()
-
-
 def test_a_request_to_end_damps(moving_robot):
     run, listener, _ = moving_robot()
     run.terminate()
@@ -177,7 +162,7 @@ def test_a_request_to_end_damps(moving_robot):
     assert "Traceback" not in told
 
 
-def test_a_robot_without_zeros_is_not_moved(emulator, tmp_path):
+def test_a_robot_without_zeros_is_not_moved_and_scan_zero_and_check_agree_on_it(emulator, tmp_path):
     bus_url = emulator()
     run = mimic(tmp_path, "--robot", bus_url, "--yes", "-o", str(tmp_path / "run"))
     told, _ = run.communicate(timeout=PATIENCE)
@@ -185,10 +170,6 @@ def test_a_robot_without_zeros_is_not_moved(emulator, tmp_path):
     assert "nothing was moved" in told
     assert "mimic robot zero" in told
     assert not (tmp_path / "run").exists()
-
-
-def test_scan_zero_and_check_agree_on_a_robot(emulator, tmp_path):
-    bus_url = emulator()
     for verb, *options in (("scan",), ("zero", "--yes"), ("check",)):
         run = mimic(tmp_path, "robot", verb, bus_url, *options)
         told, _ = run.communicate(timeout=PATIENCE)

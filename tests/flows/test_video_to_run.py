@@ -154,17 +154,15 @@ def test_the_targets_of_a_run_can_be_played_again(played, workplace):
 
 
 @pytest.mark.slow
-def test_a_video_becomes_targets_and_then_a_run_and_its_pose_is_found_once(workplace, capsys):
-    if not WAVING.is_file():
-        pytest.skip("examples/videos/waving.mp4 is not here")
-    assert main(["retarget", str(WAVING), "-o", "waving.parquet", "--rate", "0.1"]) == 0
+def test_a_video_becomes_targets_and_then_a_run_and_its_pose_is_found_once(workplace, short_clip, capsys):
+    assert main(["retarget", str(short_clip), "-o", "waving.parquet", "--rate", "0.1"]) == 0
     assert "reused" not in capsys.readouterr().out
     targets = store.load(workplace / "waving.parquet", TargetTrack)
     assert np.ptp(targets.p_BE[..., 0], axis=0).max() > 0.03
     head = store.header(workplace / "waving.parquet")["provenance"]
-    assert head["inputs"] == {"source": store.sha256_of(WAVING)}
+    assert head["inputs"] == {"source": store.sha256_of(short_clip)}
 
-    status = main([str(WAVING), "--sim", "--no-view", "-o", "waving"])
+    status = main([str(short_clip), "--sim", "--no-view", "-o", "waving"])
     assert "reused" in capsys.readouterr().out
     assert status in (0, 3)
     names = {path.name for path in (workplace / "waving").iterdir()}

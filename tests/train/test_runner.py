@@ -52,44 +52,43 @@ def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
     return torch.cat([v.double().flatten() for name, v in state.items() if "count" not in name])
 
 
-def process(rank: int, ports: tuple[int, int], seeds: tuple[int, int], folder: str) -> None:
-    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank), "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}
+def process(folder: str, *ports: str) -> int:
+    """What each of two processes of torchrun does: learn from noise by this PPO and by rsl_rl's, then train."""
+    from mimic.cli import main
+
+    rank, torchrun = int(os.environ["RANK"]), dict(os.environ)
     torch.set_num_threads(1)
     env = StandTrackEnv(load_description(), MDP, "cpu", 0)
+    os.environ.pop("TORCHELASTIC_USE_AGENT_STORE")
     for plain, port in zip((False, True), ports, strict=True):
-        os.environ["MASTER_PORT"] = str(port)
-        found = learned(env, seeds[rank], plain)
-        torch.save(found, f"{folder}/{rank}-{plain}.pt")
+        os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+        torch.save(learned(env, 1 + rank, plain), f"{folder}/{rank}-{plain}.pt")
         torch.distributed.destroy_process_group()
+    os.environ |= torchrun
+    words = ["worlds=2", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
+    return main(["train", f"{folder}/out", "--set", *words])
 
 
-def free_ports() -> tuple[int, int]:
+def free_ports() -> tuple[str, str]:
     """Return two ports that nobody listens on."""
     with socket.socket() as one, socket.socket() as other:
         for free in (one, other):
             free.bind(("127.0.0.1", 0))
-        return one.getsockname()[1], other.getsockname()[1]
+        return str(one.getsockname()[1]), str(other.getsockname()[1])
 
 
 @pytest.mark.slow
 @together
-def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does(tmp_path):
-    torch.multiprocessing.spawn(process, args=(free_ports(), (1, 2), str(tmp_path)), nprocs=2)
-    first, second, plain = (torch.load(tmp_path / f"{name}.pt") for name in ("0-False", "1-False", "0-True"))
-    assert torch.equal(first, second)
-    assert (first - plain).abs().max() < 2e-5
-
-
-@pytest.mark.slow
-@together
-def test_torchrun_trains_one_policy_and_the_first_process_writes_it(tmp_path):
-    words = ["worlds=2", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
+def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does_and_the_first_writes_it(tmp_path):
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command = [*torchrun, "-m", "mimic", "train", str(tmp_path / "out"), "--set", *words]
+    command = [*torchrun, __file__, str(tmp_path), *free_ports()]
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=300, env=os.environ | {"MUJOCO_GL": "disable"}
     )
     assert done.returncode == 0, done.stderr
+    first, second, plain = (torch.load(tmp_path / f"{name}.pt") for name in ("0-False", "1-False", "0-True"))
+    assert torch.equal(first, second)
+    assert (first - plain).abs().max() < 2e-5
     assert done.stdout.count("wrote ") == 1
     assert {"policy.onnx", "last.pt", "settings.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
     assert len(list((tmp_path / "out").glob("events.*"))) == 1
@@ -109,3 +108,7 @@ def test_the_first_process_writes_and_each_has_a_gpu_of_its_own(monkeypatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     with pytest.raises(ConfigError, match="as many processes as there are GPUs"):
         ranks.device("auto")
+
+
+if __name__ == "__main__":
+    sys.exit(process(*sys.argv[1:]))

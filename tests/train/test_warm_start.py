@@ -70,7 +70,7 @@ def test_the_critic_changes_while_it_learns_alone(policy, tmp_path):
 
 
 def test_the_first_step_of_the_policy_is_as_small_as_the_smallest_learning_rate(policy, tmp_path):
-    train(tmp_path, MDP, dataclasses.replace(LEARN, iterations=31, critic_updates=30), resume=policy)
+    train(tmp_path, MDP, dataclasses.replace(LEARN, iterations=3, critic_updates=2), resume=policy)
     step = (first_layer(tmp_path) - first_layer(policy.parent)).abs().max().item()
     assert 0.5e-5 < step < 1.1e-5
 

@@ -184,8 +184,8 @@ def _misfit(error: UnexpectedInput, text: str) -> str:
         near = difflib.get_close_matches(unknown[0], sorted(vocabulary(expected) - {unknown[0]}), cutoff=0.7)
         named = f"{unknown[0]!r}" + (f" (near: {', '.join(near)})" if near else "")
         return (
-            f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}; "
-            "docs/manual/text.md has the phrasebook, or ask a language model: [text] planner in --config"
+            f"the phrasebook has no word {', '.join([named, *map(repr, unknown[1:6])])}; its verbs are {VERBS}, as in "
+            "'step forward, then wave the left hand'. Other words need a language model: llm_url, [text] in --config"
         )
     if not token:
         return f"'{text}' lacks something behind {text.split()[-1]!r}: a verb such as {VERBS}, a time, or a unit"
