@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.replay import Replay
-from mimic.sysid.log.noise import period
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
 
@@ -257,13 +255,6 @@ class Problem:
         """Number of readings of each fitted block (B_train,)."""
         there = self.blocks.index[self.blocks.index >= 0]
         return np.bincount(there, minlength=len(self.blocks.held_out))[self.blocks.train]
-
-    @cached_property
-    def period(self) -> float | None:
-        """Time after which the motion that was asked for repeats [s]; None where it does not."""
-        log = self.replay.log
-        asked = log.q_des if log.q_des is not None else log.force
-        return None if asked is None else period(log.t, asked)
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""

@@ -66,9 +66,6 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
     if name == "cogging":
         best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
-    if name == "periodic_force":
-        best = [_best_frequency(problem, incumbent, motion, j) for j in range(len(machine.joints))]
-        return [incumbent.point.with_effect(name, machine, {"frequency": np.array(best)})]
     joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
     axes = [
         [(p.name, np.array([v * p.step * problem.scale(p.unit, j) for j in joints])) for v in p.starts]
@@ -114,17 +111,6 @@ def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint
     aa, bb, ab, ar, br = (a * a) @ count, (b * b) @ count, (a * b) @ count, a @ total, b @ total
     power = (bb * ar**2 - 2 * ab * ar * br + aa * br**2) / np.maximum(aa * bb - ab**2, 1e-9)
     return float(orders[int(np.argmax(power))])
-
-
-def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
-    """Frequency at which the residual is strongest, of those that the motion itself does not have."""
-    r = _left(incumbent, joint)
-    dt = float(np.median(np.diff(motion.t)))
-    size = 8 * len(r)
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
-    frequency = np.fft.rfftfreq(size, dt)
-    inside = (frequency > 0.1) & (frequency < 20.0) & ~on_harmonic(problem, frequency)
-    return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
 
 
 def starting_points(
@@ -247,15 +233,3 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
 def least_order(q: FloatArray) -> float:
     """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
     return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
-
-
-def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
-    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
-
-    What depends on the state repeats with the motion, so that nothing external can be told from it there.
-    """
-    every = problem.period
-    if every is None:
-        return np.zeros(np.shape(frequency), dtype=bool)
-    turns = np.asarray(frequency) * every
-    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration

@@ -364,11 +364,6 @@ class Columns:
     def _waves(self, left: Sequence[FloatArray]) -> Iterable[Column]:
         order = np.array([self._strongest([m.q[:, j] for m in self.motions], left, j) for j in self._each])
         yield self._own("cogging", lambda m: np.cos(order * m.q), lambda m: np.sin(order * m.q))
-        when = [m.t for m in self.motions]
-        hertz = np.array([self._strongest(when, left, j) for j in self._each])
-        yield self._own(
-            "periodic_force", lambda m: np.cos(hertz * m.t[:, None]), lambda m: np.sin(hertz * m.t[:, None])
-        )
 
     # ------------------------------------------------------------------ how they are made
 

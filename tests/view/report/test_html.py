@@ -251,13 +251,6 @@ def test_a_number_on_its_bound_is_marked(calibration: Calibration) -> None:
     assert page.count("at its bound: do not") == 2
 
 
-def test_repeatability_is_shown_where_the_log_has_it(calibration: Calibration) -> None:
-    assert "repeats within" not in Page(html_report(calibration)).text
-    again = Page(html_report(replace(calibration, repeatability=np.full(len(JOINTS), 5.55e-4))))
-    assert "repeats within" in again.text
-    assert "0.555" in again.text
-
-
 def test_measured_torque_has_plots_of_its_own_where_it_was_explained(calibration: Calibration, page: Page) -> None:
     traces = replace(
         calibration.traces, torque_before=calibration.traces.tau, torque_after=0.1 * calibration.traces.tau
