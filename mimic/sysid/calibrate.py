@@ -45,7 +45,6 @@ from mimic.sysid.unexplained import (
     sentence,
     stopped_at,
     unexplained_residuals,
-    weak,
 )
 
 STEP_SHARE = 0.85
@@ -205,7 +204,6 @@ def _calibrated(
         log_matches_model=log_matches_model,
         experiments=(*experiments(stages), *next_logs(rest)) if log_matches_model else (),
         warnings=(*final.notes, *(stopped_at(*row, machine) for row in _at_bounds(final))),
-        not_identifiable=weak(final.fitted, problem),
         correlations=correlations(final.fitted, problem),
         traces=traces,
         logs=unseen,

@@ -222,8 +222,6 @@ class Calibration(ShownAsTable):
     experiments: tuple[str, ...] = ()
     """What to log next to tell apart what this log cannot."""
     warnings: tuple[str, ...] = ()
-    not_identifiable: tuple[str, ...] = ()
-    """Directions in the parameters that this log does not determine."""
     correlations: Correlations | None = None
     """Of the numbers that were fitted."""
     traces: Traces
@@ -276,7 +274,6 @@ class Calibration(ShownAsTable):
                 "unexplained": self.unexplained,
                 "logs": self.logs,
                 "experiments": self.experiments,
-                "not_identifiable": self.not_identifiable,
                 "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
                 "warnings": self.warnings,
                 "replays": self.replays,

@@ -14,8 +14,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.fit.least_squares import Fit, weak_directions
-from mimic.sysid.fit.problem import FreeParameter, Problem
+from mimic.sysid.fit.problem import FreeParameter
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.select.starts import PredictedMotion
 
@@ -310,16 +309,3 @@ def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
     """Return that a parameter is at a bound of its validity, and where."""
     end = "largest" if bound == free.bounds[1] else "smallest"
     return f"{free.called(machine.joints)} is at its {end}, {bound:g}: the log does not say more of it"
-
-
-def weak(final: Fit, problem: Problem) -> tuple[str, ...]:
-    """Return the parameters that the log determines only in combination."""
-    lines = []
-    for direction in weak_directions(final, problem):
-        parts = []
-        for (name, parameter), joints in direction.items():
-            where = "" if joints == [-1] else " of " + ", ".join(problem.machine.joints[j] for j in joints)
-            parts.append(f"{name}.{parameter}{where}")
-        if parts:
-            lines.append(" with ".join(parts))
-    return tuple(dict.fromkeys(lines))

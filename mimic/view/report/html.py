@@ -237,7 +237,6 @@ def _unexplained(c: Calibration) -> str:
     )
     lists = (
         ("What to log next", c.experiments),
-        ("Not determined by this log", c.not_identifiable),
         ("Warnings", c.warnings),
     )
     texts = "".join(
