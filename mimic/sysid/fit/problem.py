@@ -449,7 +449,8 @@ class Problem:
             for i, k in enumerate(index.tolist()):
                 stacked[i] = columns[k][:, mine]
             for b, rows in enumerate(rows_of):
-                a = np.nan_to_num(stacked[:, rows].reshape(len(index), -1).astype(np.float64))
+                a = stacked[:, rows].reshape(len(index), len(rows) * len(mine))
+                a = np.nan_to_num(a.astype(np.float64))
                 r = np.nan_to_num(residual[np.ix_(rows, mine)].reshape(-1).astype(np.float64), posinf=0.0, neginf=0.0)
                 outer, along = a @ a.T, a @ r
                 for (h, g), w in (((hessian, gradient), 1.0), (weighed, self.weight[c])):
