@@ -180,12 +180,14 @@ def fitting(
     if frozen is not None:
         columns = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
     stacked: list[FloatArray] = []
+    stale = frozen is not None
     for i in range(most):
         anew = bool(every and i and i % every == 0)
         if fresh := [k for k in free_parameters if anew or (k.key, k.joint) not in columns]:
             points, groups, sizes = problem.difference_points(point, fresh)
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
+            stale = stale and not anew
         stacked = [columns[k.key, k.joint] for k in free_parameters]
         sums = problem.sums(residual, stacked, free_parameters)
         _, gradient = sums.over(problem.blocks.train)
@@ -212,9 +214,10 @@ def fitting(
             stacked = _by_secant(problem, free_parameters, stacked, steps[winner], residual - replayed[winner])
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
+        stale = stale or winner > 0
         if not winner or (1 - best / before < CONVERGED).all():
             break
-    if every and free_parameters:
+    if every and free_parameters and stale:
         points, groups, sizes = problem.difference_points(point, free_parameters)
         stacked = problem.columns(residual, (yield points), groups, free_parameters, sizes)
     sums = problem.sums(residual, stacked, free_parameters)

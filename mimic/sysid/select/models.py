@@ -482,7 +482,7 @@ class Selection:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
             child = replace(child, joints={**model.joints, t.name: t.joints})
             problem = model.problem.weighed(t.fitted.residual)
-            fitted = fit(problem, point, child.names, child.joints, most=3, frozen=t.fitted, every=0)
+            fitted = fit(problem, point, child.names, child.joints, most=MOST_STEPS, frozen=t.fitted)
         problem, fitted = settled(problem, fitted, child.names, child.joints)
         return replace(child, problem=problem, fitted=fitted)
 
