@@ -122,9 +122,7 @@ def _arrived(fine: FloatArray, late: FloatArray, q_des: FloatArray, kept: BoolAr
 
     Arrivals are put on the nearest fine time: on the next one, all would be half a step late on the average.
     """
-    order = np.arange(len(late))[kept]
-    newest = np.full(len(fine), 0)
-    arrival = np.round((late[order] - fine[0]) / (fine[1] - fine[0])).astype(int)
-    for index, at in zip(order, arrival, strict=True):
-        newest[at:] = np.maximum(newest[at:], index)
-    return q_des[newest]
+    arrival = np.round((late - fine[0]) / (fine[1] - fine[0])).astype(int)
+    there, newest = np.flatnonzero(kept & (arrival < len(fine))), np.zeros(len(fine), dtype=int)
+    np.maximum.at(newest, arrival[there], there)
+    return q_des[np.maximum.accumulate(newest)]
