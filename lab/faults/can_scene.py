@@ -19,21 +19,11 @@ from mimic.errors import BusError, FrameError
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import (
-    Enable,
-    Fault,
-    Feedback,
-    GetDeviceId,
-    Mode,
-    Operation,
-    ReadParameter,
-    SetZero,
-    Stop,
-    WriteParameter,
-)
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import Feedback, MotorCommand, MotorMode
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand, Tick
 from mimic.robot.description import RobotDescription
 
@@ -102,13 +92,13 @@ class ProxyLink:
             message = self._codec.decode(frame)
         except FrameError:
             return received._replace(frame=CanFrame(frame.id, rng.bytes(len(frame.data)), frame.extended))
-        if not isinstance(message, Feedback):
+        if not isinstance(message, MotorMessage) or not isinstance(message.said, Feedback):
             return received
         q, dq, tau = (float(x) for x in rng.uniform(-1, 1, 3) * [3.0, 25.0, 12.0])
-        bits = Fault(int(rng.integers(64))) if self._trouble.hit() else Fault(0)
-        warm, mode = float(rng.uniform(20, 90)), Mode(int(rng.integers(3)))
-        forged = replace(message, q=q, dq=dq, tau=tau, temperature=warm, mode=mode, faults=bits)
-        return received._replace(frame=self._codec.encode(forged))
+        bits = int(rng.integers(64)) if self._trouble.hit() else 0
+        warm, mode = float(rng.uniform(20, 90)), MotorMode(int(rng.integers(3)))
+        forged = replace(message.said, q=q, dq=dq, tau=tau, temperature=warm, mode=mode, faults=bits)
+        return received._replace(frame=self._codec.encode(replace(message, said=forged)))
 
 
 class _Plant(Robot):
@@ -163,13 +153,17 @@ class CanScene:
         for motor in range(1, 13):
             q, dq, tau = (float(x) for x in rng.uniform(-1, 1, 3) * [2.0, 5.0, 6.0])
             message = {
-                "master_commands": Operation(motor=motor, q=q, dq=dq, kp=float(rng.uniform(0, 60)), kd=1.0, tau=tau),
-                "master_stops": Stop(motor=motor, host=0xFD),
-                "master_zeroes": SetZero(motor=motor, host=0xFD),
-                "master_enables": Enable(motor=motor, host=0x80),
-                "master_sets_torque": WriteParameter(motor=motor, host=0xFD, index=0x700B, value=abs(tau)),
-                "master_asks": ReadParameter(motor=motor, host=0xFD, index=0x7019),
-                "master_floods": GetDeviceId(motor=motor, host=0xFD),
+                "master_commands": HostMessage(
+                    Kind.OPERATION,
+                    motor,
+                    command=MotorCommand(q=q, dq=dq, kp=float(rng.uniform(0, 60)), kd=1.0, tau=tau),
+                ),
+                "master_stops": HostMessage(Kind.STOP, motor),
+                "master_zeroes": HostMessage(Kind.SET_ZERO, motor),
+                "master_enables": HostMessage(Kind.ENABLE, motor, host=0x80),
+                "master_sets_torque": HostMessage(Kind.WRITE, motor, index=0x700B, value=abs(tau)),
+                "master_asks": HostMessage(Kind.READ, motor, index=0x7019),
+                "master_floods": HostMessage(Kind.DEVICE_ID, motor),
             }[kind]
             if rng.random() < 0.5:
                 frames.append(codec.encode(message))

@@ -27,14 +27,14 @@ from mimic.control.priority import EMULATOR, real_time
 from mimic.emulator.board import EmulatedBoard
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
+from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.stock.wiring import load_board
-from mimic.hardware.wiring import load_wiring
 from mimic.robot.description import load_description
 
 WITHIN = {"killed": 0.15, "stopped": 0.35}
 """A robot is damped this long after a process ends or hangs [s]."""
 
-WATCHED = 9.0
+WATCHED = 5.0
 """For how long motors are watched afterwards [s]."""
 
 HANG = 60.0

@@ -28,8 +28,9 @@ from lab.faults.trouble import CASES, logged, stood
 from mimic.control.recorder import ROWS, salvage
 from mimic.emulator.faults import random_fault
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Operation, Stop
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import MotorCommand
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.io import store
 from mimic.policy.runtime import load_policy
@@ -182,7 +183,10 @@ def _master(scene: _Robot, kind: str, rng: np.random.Generator, seconds: float) 
     while time.monotonic() < end:
         for motor in range(1, 13):
             q = float(rng.uniform(-2.0, 2.0))
-            stop, go = Stop(motor=motor, host=0xFD), Operation(motor=motor, q=q, dq=0.0, kp=30.0, kd=1.0, tau=0.0)
+            stop, go = (
+                HostMessage(Kind.STOP, motor),
+                HostMessage(Kind.OPERATION, motor, command=MotorCommand(q=q, dq=0.0, kp=30.0, kd=1.0, tau=0.0)),
+            )
             link.send(0, codec.encode(stop if kind == "master_stops" else go))
         time.sleep(0.02)
     link.close()

@@ -43,7 +43,7 @@ def cut_one(folder: Path, work: Path, source: Path, what: str, after: float) -> 
             time.sleep(0.1)
         time.sleep(after)
         sender = children(process.pid)
-        before = len(bench.rows()["t"])
+        before = bench.count()
         began = time.time()
         if what in ("host", "both"):
             os.kill(process.pid, signal.SIGKILL)

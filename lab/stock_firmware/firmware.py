@@ -98,6 +98,10 @@ class Bench:
         lines = [line for line in self.text().splitlines() if line.startswith("t ")]
         return float(lines[-1].split(" z ")[1].split()[0])
 
+    def count(self) -> int:
+        """Return how many rows the record has; quick, unlike reading them."""
+        return self.csv.read_bytes().count(b"\n") - 1
+
     def rows(self) -> dict[str, np.ndarray]:
         """Return the columns of the bench's own record of the model, 100 rows a second."""
         with self.csv.open() as file:

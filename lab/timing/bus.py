@@ -20,17 +20,24 @@ import numpy as np
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
+from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.link import Link
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback, Operation
-from mimic.hardware.wiring import Wiring, load_wiring
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import Feedback, MotorCommand
 from mimic.robot.description import load_description
 
 COMMAND, ANSWER, ORIENTATION, TURN = 141.9, 137.5, 114.8, 102.1
 """Mean bits on the bus."""
 
 CODEC = Codec()
+
+
+def _is_feedback(frame: CanFrame) -> bool:
+    message = CODEC.decode(frame) if frame.extended else None
+    return isinstance(message, MotorMessage) and isinstance(message.said, Feedback)
 
 
 def with_imu(wiring: Wiring, rate: float) -> Wiring:
@@ -48,7 +55,7 @@ def cycles(
     """
     middle = load_description().poses["four"]
     for bus, motor in zip(wiring.bus, wiring.motor, strict=True):
-        link.send(int(bus), CODEC.encode(Enable(motor=int(motor), host=wiring.host)))
+        link.send(int(bus), CODEC.encode(HostMessage(Kind.ENABLE, int(motor), host=wiring.host)))
     link.sleep(0.1)
     while link.receive(0.0) is not None:
         pass
@@ -58,11 +65,15 @@ def cycles(
         target = wiring.p_of(middle + 0.3 * np.sin(6.0 * tick / rate + np.arange(12)))
         started = link.now()
         for i in range(12):
-            said = Operation(motor=int(wiring.motor[i]), q=float(target[i]), dq=0.0, kp=30.0, kd=3.0, tau=0.0)
+            said = HostMessage(
+                Kind.OPERATION,
+                int(wiring.motor[i]),
+                command=MotorCommand(q=float(target[i]), dq=0.0, kp=30.0, kd=3.0, tau=0.0),
+            )
             link.send(int(wiring.bus[i]), CODEC.encode(said))
         answers, last = 0, started
         while (heard := link.receive(begin + (tick + 1) / rate - link.now())) is not None:
-            if heard.frame.extended and isinstance(CODEC.decode(heard.frame), Feedback):
+            if _is_feedback(heard.frame):
                 answers, last = answers + 1, heard.t
         missed += answers < 12
         total += answers
@@ -70,7 +81,7 @@ def cycles(
     mark()
     end = link.now() + 5.0
     while total < 12 * round(seconds * rate) and (heard := link.receive(end - link.now())) is not None:
-        total += heard.frame.extended and isinstance(CODEC.decode(heard.frame), Feedback)
+        total += _is_feedback(heard.frame)
     assert total >= 12 * round(seconds * rate), f"only {total} answers came in all"
     return np.array(took), missed
 

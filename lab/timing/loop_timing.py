@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from mimic.hardware.can.load import expected_load
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
 from mimic.io import store
 from mimic.records import PHASES, HealthLog, RunLog
 

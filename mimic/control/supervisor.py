@@ -12,9 +12,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from mimic.control.alert import Alert
 from mimic.control.safety_limits import Limits, limits_for
-from mimic.control.safety_rules import FALLS, RULES, Rule
+from mimic.control.safety_rules import FALLS, RULES, Alert, Rule
 from mimic.control.step_history import STANDING, StepHistory, StepReport
 from mimic.metrics import uprightness
 from mimic.records import PHASES

@@ -8,7 +8,7 @@ import numpy as np
 
 from mimic.emulator.body import EmulatedBody
 from mimic.emulator.motor import Drive
-from mimic.hardware.wiring import Wiring
+from mimic.hardware.can.wiring import Wiring
 
 KINDS = ("motor_weak", "motor_runaway", "joint_jammed", "encoder_frozen")
 """Faults of drives; see `mimic.emulator.faults`."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from mimic.geometry import multiply_quats, rotation_from_quat
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.wiring import ImuWiring
-from mimic.hardware.xsens_mti import ORIENTATION_VALID, MtiSample, encode_mti
+from mimic.hardware.can.wiring import ImuWiring
+from mimic.hardware.motors.imu import ORIENTATION_VALID, MtiSample, encode_mti
 from mimic.records import FloatArray
 
 SELF_TEST_PASSED = 1

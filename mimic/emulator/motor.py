@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
-from mimic.hardware.cybergear.codec import TORQUE, Codec
-from mimic.hardware.cybergear.messages import (
+from mimic.hardware.motors.cybergear.codec import TORQUE, Codec, HostMessage, MotorMessage, ParameterValue
+from mimic.hardware.motors.cybergear.parameters import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_CUR,
@@ -28,26 +28,11 @@ from mimic.hardware.cybergear.messages import (
     SPD_REF,
     VBUS,
     DetailedFault,
-    DeviceId,
-    Enable,
     Fault,
-    FaultReport,
-    Feedback,
-    GetDeviceId,
-    HostMessage,
-    Mode,
-    MotorMessage,
-    Operation,
-    OtherParameter,
-    ParameterValue,
-    ReadParameter,
+    Kind,
     RunMode,
-    SetBaudRate,
-    SetId,
-    SetZero,
-    Stop,
-    WriteParameter,
 )
+from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorMode
 
 LEAST_TORQUE = 0.1
 """A motor that is told less than this and has no stiffness is not driven [N m]; zero on the wire is not quite zero."""
@@ -115,13 +100,11 @@ class EmulatedMotor:
     """Angle of the encoder where the motor's own angle is zero; never changes [rad]."""
     timeout_honoured: bool = False
     """Whether this firmware stops the motor after CAN_TIMEOUT; otherwise writing it has no effect."""
-    mode: Mode = Mode.RESET
+    mode: MotorMode = MotorMode.OFF
     drive: Drive = FREE
     faults: Fault = Fault(0)
     zero: float = 0.0
     """Own angle at which it reads zero [rad]."""
-    last_command_at: float = -math.inf
-    """Time of the last operation command [s]."""
     heard_at: float = -math.inf
     """Time of the last frame [s]."""
     host: int = 0xFD
@@ -135,10 +118,10 @@ class EmulatedMotor:
         Args:
             q: Own angle [rad].
         """
-        self.mode, self.drive, self.faults, self._reported = Mode.RESET, FREE, Fault(0), (Fault(0), False)
+        self.mode, self.drive, self.faults, self._reported = MotorMode.OFF, FREE, Fault(0), (Fault(0), False)
         self.values = {index: p.default for index, p in PARAMETERS.items()}
         self.zero = q - ((q + self.encoder + ROTOR_TURN / 2) % ROTOR_TURN - ROTOR_TURN / 2)
-        return DeviceId(motor=self.id, uid=self.uid)
+        return self._identity()
 
     # ------------------------------------------------------------------ commands
 
@@ -156,66 +139,67 @@ class EmulatedMotor:
             message = self.codec.decode(frame)
         except FrameError:
             return None
-        if isinstance(message, DeviceId | Feedback | ParameterValue | FaultReport | OtherParameter):
+        if isinstance(message, MotorMessage) or (
+            message.kind in (Kind.READ, Kind.WRITE) and message.index not in PARAMETERS
+        ):
             return None
         self.heard_at = t
-        return self._execute(message, t, measured)
+        return self._execute(message, measured)
 
-    def _execute(self, message: HostMessage, t: float, measured: Measured) -> MotorMessage | None:
-        if not isinstance(message, Operation):
+    def _identity(self) -> MotorMessage:
+        return MotorMessage(Identity(motor=self.id, uid=self.uid))
+
+    def _execute(self, message: HostMessage, measured: Measured) -> MotorMessage | None:
+        if message.kind is not Kind.OPERATION:
             self.host = message.host
-        match message:
-            case Operation():
-                self.last_command_at = t
-                if self.mode is Mode.RUN and self.values[RUN_MODE] == RunMode.OPERATION:
-                    self.drive = Drive(
-                        message.kp,
-                        message.kd,
-                        message.q + self.zero,
-                        message.dq,
-                        message.tau,
-                        self.values[LIMIT_TORQUE],
-                    )
-            case GetDeviceId():
-                return DeviceId(motor=self.id, uid=self.uid)
-            case Enable():
+        match message.kind:
+            case Kind.OPERATION:
+                if self.mode is MotorMode.RUNNING and self.values[RUN_MODE] == RunMode.OPERATION:
+                    assert message.command is not None
+                    q, dq, kp, kd, tau = message.command
+                    self.drive = Drive(kp, kd, q + self.zero, dq, tau, self.values[LIMIT_TORQUE])
+            case Kind.DEVICE_ID:
+                return self._identity()
+            case Kind.ENABLE:
                 if not self.faults:
-                    self.mode = Mode.RUN
+                    self.mode = MotorMode.RUNNING
                     self.drive = self._drive_of_run_mode(measured)
-            case Stop():
+            case Kind.STOP:
                 self.stop()
-                if message.clear_faults:
+                if message.value:
                     self.faults = Fault(0)
-            case SetZero():
+            case Kind.SET_ZERO:
                 self.zero = measured.q
-            case SetId():
-                self.id = message.new
-                return DeviceId(motor=self.id, uid=self.uid)
-            case ReadParameter():
+            case Kind.SET_ID:
+                self.id = int(message.value)
+                return self._identity()
+            case Kind.READ:
                 value = self._read(message.index, measured)
-                return ParameterValue(motor=self.id, host=message.host, index=message.index, value=value)
-            case WriteParameter():
+                return MotorMessage(
+                    said=ParameterValue(motor=self.id, index=message.index, value=value), host=self.host
+                )
+            case Kind.WRITE:
                 self._write(message.index, message.value, measured)
-            case SetBaudRate():
-                return None  # this emulation stays at the speed of its bus
+            case _:
+                return None  # a bit rate: this emulation stays at the speed of its bus
         return self.feedback(measured)
 
     def stop(self) -> None:
         """Switch off."""
-        self.mode, self.drive = Mode.RESET, FREE
+        self.mode, self.drive = MotorMode.OFF, FREE
 
-    def feedback(self, measured: Measured) -> Feedback:
-        """Return the feedback message of these measurements."""
-        return Feedback(
+    def feedback(self, measured: Measured) -> MotorMessage:
+        """Return the feedback of these measurements."""
+        said = Feedback(
             motor=self.id,
-            host=self.host,
             q=measured.q - self.zero,
             dq=measured.dq,
             tau=measured.tau,
             temperature=measured.temperature,
             mode=self.mode,
-            faults=self.faults,
+            faults=int(self.faults),
         )
+        return MotorMessage(said, self.host)
 
     def _read(self, index: int, measured: Measured) -> float:
         own = {
@@ -228,7 +212,7 @@ class EmulatedMotor:
         return own.get(index, self.values[index])
 
     def _write(self, index: int, value: float, measured: Measured) -> None:
-        running = self.mode is Mode.RUN
+        running = self.mode is MotorMode.RUNNING
         if not PARAMETERS[index].writable or (index == RUN_MODE and running):
             return
         if index == CAN_TIMEOUT and not self.timeout_honoured:
@@ -273,7 +257,7 @@ class EmulatedMotor:
         if self.faults:
             self.stop()
         silence = self.values[CAN_TIMEOUT] * TIMEOUT_TICK
-        if self.mode is Mode.RUN and 0 < silence < t - self.heard_at:
+        if self.mode is MotorMode.RUNNING and 0 < silence < t - self.heard_at:
             self.stop()
         now = (self.faults, temperature >= WARM)
         if now == self._reported:
@@ -284,4 +268,5 @@ class EmulatedMotor:
             detail |= named if fault in self.faults else DetailedFault(0)
         if self.faults and not detail:
             return None  # such as an encoder's, which only the feedback reports
-        return FaultReport(motor=self.id, host=self.host, faults=detail, warnings=int(now[1]))
+        said = FaultReport(motor=self.id, faults=int(detail), warnings=int(now[1]))
+        return MotorMessage(said, self.host)

@@ -25,9 +25,10 @@ from mimic.emulator.motor import FREE, LEAST_TORQUE, ROTOR_TURN, Drive, Emulated
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import EXTENDED_IDS, STANDARD_IDS, CanFrame
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Fault, Mode, MotorMessage
-from mimic.hardware.wiring import Wiring
+from mimic.hardware.can.wiring import Wiring
+from mimic.hardware.motors.cybergear.codec import Codec, MotorMessage
+from mimic.hardware.motors.cybergear.parameters import Fault
+from mimic.hardware.motors.interface import MotorMode
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 
@@ -199,7 +200,7 @@ class EmulatedRobot:
 
     def switched_on(self) -> tuple[str, ...]:
         """Return the joints whose motors are on."""
-        return tuple(name for name, motor in zip(JOINTS, self.motors, strict=True) if motor.mode is Mode.RUN)
+        return tuple(name for name, motor in zip(JOINTS, self.motors, strict=True) if motor.mode is MotorMode.RUNNING)
 
     def driven(self) -> tuple[str, ...]:
         """Return the joints whose motors are on with stiffness or torque, rather than damped."""
@@ -291,7 +292,7 @@ class EmulatedRobot:
         motor = self.motors[i]
         answer = motor.hear(sent.frame, sent.t, self._measured(i))
         self._apply(i)
-        if motor.mode is Mode.RUN and self.body.held:
+        if motor.mode is MotorMode.RUNNING and self.body.held:
             self.body.release()
             self.events.append((self.now, "first motor switched on; the robot is no longer held"))
             self._faults = [fault.released(self.now) for fault in self._faults]
@@ -308,7 +309,7 @@ class EmulatedRobot:
         if drive is self._driven[i]:
             return
         self._driven[i] = drive
-        drive = self._broken.drive(i, drive, running=self.motors[i].mode is Mode.RUN)
+        drive = self._broken.drive(i, drive, running=self.motors[i].mode is MotorMode.RUNNING)
         sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
         joint = Drive(
             drive.kp, drive.kd, sign * drive.q + offset, sign * drive.dq, sign * drive.tau, drive.limit, drive.pace

@@ -6,13 +6,13 @@ from typing import Any
 
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.link import Link
+from mimic.hardware.can.wiring import Wiring
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import CheckOptions, Driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.sender import Order, Sender, State, why_lost
 from mimic.hardware.stock.driver import Bus, StockDriver
 from mimic.hardware.stock.wiring import BoardWiring
-from mimic.hardware.wiring import Wiring
 from mimic.robot.description import RobotDescription
 
 LONGEST_ENDING = 60.0

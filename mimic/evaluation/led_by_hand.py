@@ -11,9 +11,9 @@ import numpy as np
 from mimic.config.evaluation import LeadSettings
 from mimic.config.leading import HandSettings
 from mimic.config.play import Randomisation
-from mimic.control.leading import lead_robot
 from mimic.control.loop import RunResult
 from mimic.evaluation.episode import play_all
+from mimic.evaluation.leading import lead_robot
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import cached_policy

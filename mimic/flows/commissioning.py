@@ -16,10 +16,10 @@ from mimic.io import store
 from mimic.records import FloatArray, RunLog
 
 if TYPE_CHECKING:
-    from mimic.hardware.excite import ProbeResult
+    from mimic.commissioning.probe import ProbeResult
+    from mimic.commissioning.scan import BusScan
+    from mimic.hardware.can.wiring import Wiring
     from mimic.hardware.robot.checks import Check
-    from mimic.hardware.scan import BusScan
-    from mimic.hardware.wiring import Wiring
 
 
 def _only_on_can(bus_url: str, command: str, instead: str) -> None:
@@ -40,8 +40,8 @@ def scan_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[list[Bu
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "scan", "its motors have one fixed place each; to look at it: mimic robot check")
-    from mimic.hardware.listening import others
-    from mimic.hardware.scan import scan, wiring_problems
+    from mimic.commissioning.scan import scan, wiring_problems
+    from mimic.hardware.can.other_programs import others
     from mimic.hardware.session import open_session
 
     with open_session(bus_url, bus or WiringSettings(), zeros=False) as robot:
@@ -82,10 +82,11 @@ def zero_robot(
         ConfigError, AssetError, BusError: If the buses cannot be opened.
     """
     _only_on_can(bus_url, "zero", "it keeps its zeros itself; to look at its joints: mimic robot check")
+    from mimic.commissioning.homing import home
     from mimic.hardware.can.driver import homing_file
-    from mimic.hardware.homing import home, uneven
-    from mimic.hardware.listening import look_first
-    from mimic.hardware.preflight import at_rest
+    from mimic.hardware.can.other_programs import look_first
+    from mimic.hardware.can.preflight import at_rest
+    from mimic.hardware.can.zeros import uneven
     from mimic.hardware.robot.checks import refuse
     from mimic.hardware.session import open_session
     from mimic.robot.description import load_description
@@ -166,9 +167,9 @@ def probe_robot(
     Raises:
         PlantError, BusError, ConfigError, AssetError: If something stands against it.
     """
+    from mimic.commissioning.probe import probe
+    from mimic.commissioning.probe_motion import asked_rates, probe_motion, recorded_motion
     from mimic.control.signals import Signals
-    from mimic.hardware.excite import probe
-    from mimic.hardware.excite_motion import asked_rates, probe_motion, recorded_motion
     from mimic.hardware.session import robot_session, wiring_of
     from mimic.hardware.stock.wiring import BOARDS
     from mimic.io.joint_log import write_log

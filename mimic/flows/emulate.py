@@ -103,7 +103,7 @@ def serve_robot(
     from mimic.emulator.faults import BOARD_ONLY, parse_fault, random_fault
     from mimic.emulator.robot import EmulatedRobot
     from mimic.emulator.server import EmulatorServer
-    from mimic.hardware.wiring import load_wiring
+    from mimic.hardware.can.wiring import load_wiring
     from mimic.robot.description import load_description
 
     options, settings = options or ServeOptions(), settings or EmulateSettings()

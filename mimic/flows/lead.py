@@ -65,7 +65,7 @@ def lead(
         NoViewer: If there is no display for the viewer.
         NoOffscreenGL: If there is no off-screen rendering for the film.
     """
-    from mimic.control.leading import lead_robot
+    from mimic.evaluation.leading import lead_robot
     from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description
@@ -111,7 +111,7 @@ def _by_mouse(plant: Any, policy: Any, leading: LeadingSettings) -> Any:
     import mujoco
     import mujoco.viewer
 
-    from mimic.control.leading import lead_robot
+    from mimic.evaluation.leading import lead_robot
     from mimic.robot.model import BASE
     from mimic.view.scene.viewer import display_available
 

@@ -125,9 +125,9 @@ def play_on_robot(
     from mimic.control.supervisor import Supervisor
     from mimic.control.tick import Safety, observation_width
     from mimic.hardware.can.load import expected_load
+    from mimic.hardware.can.step_budget import PARTS
     from mimic.hardware.hold_to_run import hold_to_run
     from mimic.hardware.session import robot_session, wiring_of
-    from mimic.hardware.step_budget import PARTS
     from mimic.hardware.stock.wiring import BOARDS
     from mimic.policy.runtime import load_policy
     from mimic.robot.description import load_description

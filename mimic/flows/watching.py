@@ -16,8 +16,8 @@ from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
 
 if TYPE_CHECKING:
+    from mimic.commissioning.watching import Watcher
     from mimic.hardware.session import BusSession
-    from mimic.hardware.watching import Watcher
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -128,9 +128,9 @@ def open_for_watching(bus_url: str, bus: LookSettings) -> Iterator[tuple[BusSess
 
 def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what motors and IMU on CAN say."""
-    from mimic.hardware.homing import zero_problems
-    from mimic.hardware.motor_bus import MotorBus
-    from mimic.hardware.watching import Watcher
+    from mimic.commissioning.watching import Watcher
+    from mimic.hardware.can.zeros import zero_problems
+    from mimic.hardware.motors.bus import MotorBus
 
     with open_for_watching(bus_url, bus) as (robot, alone):
         motor_bus = MotorBus(robot.link, robot.wiring, overhear=True)

@@ -15,7 +15,7 @@ from mimic.io import store
 from mimic.records import JOINTS
 
 if TYPE_CHECKING:
-    from mimic.hardware.wiring import Wiring
+    from mimic.hardware.can.wiring import Wiring
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,12 +48,12 @@ def wire_robot(
         PlantError: If a motion contradicts another one, or another program commands the motors.
         AssetError, BusError: If the buses cannot be opened, or the file cannot be written.
     """
-    from mimic.hardware.listening import look_first
-    from mimic.hardware.scan import scan
+    from mimic.commissioning.scan import scan
+    from mimic.commissioning.wire_check import WireCheck
+    from mimic.hardware.can.other_programs import look_first
+    from mimic.hardware.can.wiring import load_wiring
     from mimic.hardware.session import open_session, wiring_of
     from mimic.hardware.stock.wiring import BOARDS
-    from mimic.hardware.wire_check import WireCheck
-    from mimic.hardware.wiring import load_wiring
 
     if bus_url in BOARDS:
         raise ConfigError(f"{bus_url} is a stock robot, whose wiring is known; to look at it: mimic robot watch")

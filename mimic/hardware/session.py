@@ -15,14 +15,14 @@ from mimic.errors import ConfigError, PlantError
 from mimic.hardware.bus_lock import bus_lock
 from mimic.hardware.can.driver import homing_file, open_buses
 from mimic.hardware.can.link import Link
-from mimic.hardware.homing import Homing, read_homing, with_homing
-from mimic.hardware.motor_bus import MotorBus
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.can.zeros import Homing, read_homing, with_homing
+from mimic.hardware.motors.bus import MotorBus
 from mimic.hardware.robot.checks import Check, before_moving, refuse
 from mimic.hardware.robot.driver import CheckOptions, Driver, DriverSettings, open_driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.process import SenderProcess
 from mimic.hardware.stock.wiring import BOARDS
-from mimic.hardware.wiring import Wiring, load_wiring
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 

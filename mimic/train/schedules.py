@@ -151,7 +151,7 @@ class MoveSchedule(Chance):
         self.wanted.copy_(self.velocity)
 
     def lead(self, led: torch.Tensor, pull: torch.Tensor, hand: torch.Tensor, heading: torch.Tensor) -> None:
-        """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.control.leading).
+        """Let a pull say what is asked, as it does when the robot is led by the hand (mimic.evaluation.leading).
 
         Args:
             led: True where it does, until the end of the episode (N,).

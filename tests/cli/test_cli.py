@@ -296,7 +296,8 @@ def test_training_without_its_libraries_names_the_extra(here):
     )
     *said, status = in_a_process(code)
     assert "in a checkout of mimic: pip install '.[train]'" in " ".join(said)
-    assert status == "2" and not (here / "new").exists()
+    assert status == "2"
+    assert not (here / "new").exists()
 
 
 @pytest.mark.parametrize("line", ["film.mp4 --sim --video film.mp4", "retarget film.mp4 -o film.mp4"])

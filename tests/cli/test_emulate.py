@@ -16,8 +16,9 @@ import pytest
 
 from mimic.cli import main
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import Feedback
 
 PATIENCE = 60.0
 """Limit on hanging only [s]."""
@@ -70,13 +71,13 @@ def test_it_serves_motors_to_another_process_until_it_is_asked_to_stop(number, t
     served = emulator("--slcan", "--every", "0.2", "--fault", "motor_hot:FL_knee=90@+0")
     address = served.until(transport).split()[-1]
     link, codec = open_link(address), Codec()
-    link.send(0, codec.encode(Enable(motor=1, host=0xFD)))
+    link.send(0, codec.encode(HostMessage(Kind.ENABLE, 1)))
     end, answer = time.monotonic() + PATIENCE, None
     while answer is None and time.monotonic() < end:
         received = link.receive(0.1)
         if received is not None and received.frame.extended:
             message = codec.decode(received.frame)
-            answer = message if isinstance(message, Feedback) else None
+            answer = message.said if isinstance(message, MotorMessage) and isinstance(message.said, Feedback) else None
     assert answer is not None
     assert answer.motor == 1
     served.until("first motor switched on")

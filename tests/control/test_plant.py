@@ -11,7 +11,7 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import robot_on_can
 from mimic.geometry import up_cosine
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
 from mimic.records import JointCommand
 from mimic.simulation.plant import SimulatedPlant
 

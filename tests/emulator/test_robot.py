@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame, frame_bits
 from mimic.hardware.can.link import Received
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import (
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage, MotorMessage, ParameterValue
+from mimic.hardware.motors.cybergear.parameters import (
     CAN_TIMEOUT,
     IQ_REF,
     LIMIT_SPD,
@@ -26,24 +28,11 @@ from mimic.hardware.cybergear.messages import (
     SPD_REF,
     VBUS,
     DetailedFault,
-    DeviceId,
-    Enable,
     Fault,
-    FaultReport,
-    Feedback,
-    GetDeviceId,
-    Message,
-    Mode,
-    Operation,
-    ParameterValue,
-    ReadParameter,
-    SetId,
-    SetZero,
-    Stop,
-    WriteParameter,
+    Kind,
 )
-from mimic.hardware.wiring import Wiring, load_wiring
-from mimic.hardware.xsens_mti import ImuReading, make_imu
+from mimic.hardware.motors.imu import ImuReading, make_imu
+from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
 from mimic.records import JOINTS
 
 HOST = 0xFD
@@ -63,7 +52,7 @@ class Bench:
     def id(self, joint: int) -> int:
         return int(self.wiring.motor[joint])
 
-    def say(self, message: Message, bus: int = 0) -> None:
+    def say(self, message: HostMessage, bus: int = 0) -> None:
         self.link.send(bus, self.codec.encode(message))
 
     def listen(self, seconds: float) -> list[Received]:
@@ -72,10 +61,12 @@ class Bench:
             heard.append(received)
         return heard
 
-    def messages(self, seconds: float = 0.003) -> list[Message]:
-        return [self.codec.decode(r.frame) for r in self.listen(seconds) if r.frame.extended]
+    def messages(self, seconds: float = 0.003) -> list[Any]:
+        """Return what motors say meanwhile."""
+        heard = [self.codec.decode(r.frame) for r in self.listen(seconds) if r.frame.extended]
+        return [m.said for m in heard if isinstance(m, MotorMessage)]
 
-    def ask(self, message: Message, seconds: float = 0.003, *, bus: int = 0) -> Message | None:
+    def ask(self, message: HostMessage, seconds: float = 0.003, *, bus: int = 0) -> Any:
         """Return the answer to a message."""
         self.listen(0.0)
         self.say(message, bus)
@@ -84,22 +75,24 @@ class Bench:
         return answers[0] if answers else None
 
     def read(self, joint: int, index: int) -> float:
-        answer = self.ask(ReadParameter(motor=self.id(joint), host=HOST, index=index))
+        answer = self.ask(HostMessage(Kind.READ, self.id(joint), index=index))
         assert isinstance(answer, ParameterValue)
         return answer.value
 
     def write(self, joint: int, index: int, value: float) -> Feedback:
-        answer = self.ask(WriteParameter(motor=self.id(joint), host=HOST, index=index, value=value))
+        answer = self.ask(HostMessage(Kind.WRITE, self.id(joint), index=index, value=value))
         assert isinstance(answer, Feedback)
         return answer
 
     def operate(self, joint: int, q: float = 0.0, *, kp: float = 0.0, kd: float = 0.0, tau: float = 0.0) -> Feedback:
-        answer = self.ask(Operation(motor=self.id(joint), q=q, dq=0.0, kp=kp, kd=kd, tau=tau))
+        answer = self.ask(
+            HostMessage(Kind.OPERATION, self.id(joint), command=MotorCommand(q=q, dq=0.0, kp=kp, kd=kd, tau=tau))
+        )
         assert isinstance(answer, Feedback)
         return answer
 
     def enable(self, joint: int) -> Feedback:
-        answer = self.ask(Enable(motor=self.id(joint), host=HOST), bus=int(self.wiring.bus[joint]))
+        answer = self.ask(HostMessage(Kind.ENABLE, self.id(joint)), bus=int(self.wiring.bus[joint]))
         assert isinstance(answer, Feedback)
         return answer
 
@@ -120,7 +113,7 @@ def bench(description) -> Callable[..., Bench]:
 
 
 def test_at_power_up_every_motor_sends_its_id_once(description):
-    told = [m for m in Bench(description).messages(0.1) if isinstance(m, DeviceId)]
+    told = [m for m in Bench(description).messages(0.1) if isinstance(m, Identity)]
     assert sorted(m.motor for m in told) == list(range(1, 13))
     assert len({m.uid for m in told}) == 12
 
@@ -129,25 +122,25 @@ def test_at_power_up_every_motor_sends_its_id_once(description):
 def test_after_power_up_angles_are_known_within_a_turn_of_the_rotor_only(seed, bench):
     made = bench(zeroed=False, seed=seed)
     for joint in range(12):
-        answer = made.ask(Stop(motor=made.id(joint), host=HOST))
+        answer = made.ask(HostMessage(Kind.STOP, made.id(joint)))
         assert abs(answer.q) <= ROTOR_TURN / 2 + 1e-3
-        assert answer.mode is Mode.RESET
+        assert answer.mode is MotorMode.OFF
 
 
 def test_the_encoder_stays_where_it_is_mounted(bench):
     """Off and on again, wherever the zero was set meanwhile, the same place reads the same."""
     made = bench("power_cycle:FL_knee@0.5", zeroed=False)
-    first = made.ask(Stop(motor=made.id(KNEE), host=HOST)).q
-    assert made.ask(SetZero(motor=made.id(KNEE), host=HOST)).q == pytest.approx(0.0, abs=1e-3)
+    first = made.ask(HostMessage(Kind.STOP, made.id(KNEE))).q
+    assert made.ask(HostMessage(Kind.SET_ZERO, made.id(KNEE))).q == pytest.approx(0.0, abs=1e-3)
     made.write(KNEE, LIMIT_SPD, 7.0)
     told = made.messages(0.6)
-    assert [m.motor for m in told if isinstance(m, DeviceId)] == [made.id(KNEE)]
-    assert made.ask(Stop(motor=made.id(KNEE), host=HOST)).q == pytest.approx(first, abs=1e-3)
+    assert [m.motor for m in told if isinstance(m, Identity)] == [made.id(KNEE)]
+    assert made.ask(HostMessage(Kind.STOP, made.id(KNEE))).q == pytest.approx(first, abs=1e-3)
     assert made.read(KNEE, LIMIT_SPD) == 0.0, "written parameters are forgotten"
 
 
 def test_different_seeds_mount_encoders_differently(bench):
-    readings = [bench(zeroed=False, seed=s).ask(Stop(motor=3, host=HOST)).q for s in (1, 2)]
+    readings = [bench(zeroed=False, seed=s).ask(HostMessage(Kind.STOP, 3)).q for s in (1, 2)]
     assert readings[0] != readings[1]
 
 
@@ -155,7 +148,7 @@ def test_a_zeroed_robot_reads_its_joint_angles(bench, description):
     made = bench(placement=0.1, seed=5)
     truth = made.wiring.p_of(np.array(made.robot.body.data.qpos[-12:]))
     for joint in range(12):
-        assert made.ask(Stop(motor=made.id(joint), host=HOST)).q == pytest.approx(truth[joint], abs=1e-3)
+        assert made.ask(HostMessage(Kind.STOP, made.id(joint))).q == pytest.approx(truth[joint], abs=1e-3)
 
 
 # ---------------------------------------------------------------------- answers
@@ -164,7 +157,7 @@ def test_a_zeroed_robot_reads_its_joint_angles(bench, description):
 def test_an_answer_comes_after_the_command_the_pause_and_itself(bench):
     made = bench()
     made.listen(0.003)  # between two samples of the IMU
-    command = made.codec.encode(Stop(motor=3, host=HOST))
+    command = made.codec.encode(HostMessage(Kind.STOP, 3))
     begin = made.link.now()
     made.link.send(0, command)
     (answer,) = [r for r in made.listen(0.002) if r.frame.extended]
@@ -186,17 +179,17 @@ def test_a_frame_that_is_no_command_to_it_leaves_a_motor_alone(frame, bench):
     made = bench()
     made.link.send(0, frame)
     assert made.messages() == []
-    assert {motor.mode for motor in made.robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in made.robot.motors} == {MotorMode.OFF}
 
 
 def test_ids_can_be_asked_for_and_changed(bench):
     made = bench()
-    old = made.ask(GetDeviceId(motor=3, host=HOST))
-    assert isinstance(old, DeviceId)
-    new = made.ask(SetId(motor=3, host=HOST, new=40))
+    old = made.ask(HostMessage(Kind.DEVICE_ID, 3))
+    assert isinstance(old, Identity)
+    new = made.ask(HostMessage(Kind.SET_ID, 3, value=40))
     assert (new.motor, new.uid) == (40, old.uid)
-    assert made.ask(GetDeviceId(motor=3, host=HOST)) is None
-    assert made.ask(GetDeviceId(motor=40, host=HOST)).uid == old.uid
+    assert made.ask(HostMessage(Kind.DEVICE_ID, 3)) is None
+    assert made.ask(HostMessage(Kind.DEVICE_ID, 40)).uid == old.uid
 
 
 def test_parameters_are_kept_and_some_are_measured(bench):
@@ -206,7 +199,7 @@ def test_parameters_are_kept_and_some_are_measured(bench):
     assert made.read(KNEE, VBUS) == 24.0
     made.write(KNEE, VBUS, 48.0)
     assert made.read(KNEE, VBUS) == 24.0
-    assert made.read(KNEE, MECH_POS) == pytest.approx(made.ask(Stop(motor=3, host=HOST)).q, abs=1e-3)
+    assert made.read(KNEE, MECH_POS) == pytest.approx(made.ask(HostMessage(Kind.STOP, 3)).q, abs=1e-3)
 
 
 def test_motors_of_the_other_position_range_can_be_found_out(description):
@@ -214,7 +207,7 @@ def test_motors_of_the_other_position_range_can_be_found_out(description):
     far = wiring.offset - 10.0 * wiring.sign * (np.arange(12) == KNEE)
     made = Bench(description, dataclasses.replace(wiring, offset=far), position_range=12.5)
     made.listen(0.1)
-    q = made.ask(Stop(motor=3, host=HOST)).q
+    q = made.ask(HostMessage(Kind.STOP, 3)).q
     assert abs(q) > 9.0
     assert made.codec.check_range(q, made.read(KNEE, MECH_POS)) == 12.5
 
@@ -228,14 +221,14 @@ def test_only_a_motor_that_is_switched_on_moves(bench):
     made.operate(KNEE, tau=-3.0)
     made.listen(0.02)
     assert made.operate(KNEE, tau=-3.0).tau == pytest.approx(0.0, abs=1e-3)
-    assert made.enable(KNEE).mode is Mode.RUN
+    assert made.enable(KNEE).mode is MotorMode.RUNNING
     made.operate(KNEE, tau=-3.0)
     made.listen(0.02)
     assert made.operate(KNEE, tau=-3.0).tau == pytest.approx(-3.0, abs=1e-2)
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     made.listen(0.02)
-    stopped = made.ask(Stop(motor=3, host=HOST))
-    assert (stopped.mode, round(stopped.tau, 2)) == (Mode.RESET, 0.0)
+    stopped = made.ask(HostMessage(Kind.STOP, 3))
+    assert (stopped.mode, round(stopped.tau, 2)) == (MotorMode.OFF, 0.0)
 
 
 def test_the_last_command_goes_on_when_the_host_falls_silent(bench):
@@ -255,9 +248,9 @@ def test_firmware_that_honours_the_timeout_lets_go_and_other_firmware_forgets_it
     for _ in range(10):
         made.operate(KNEE, tau=-1.0)
         made.listen(0.05)
-    assert made.robot.motors[KNEE].mode is Mode.RUN
+    assert made.robot.motors[KNEE].mode is MotorMode.RUNNING
     made.listen(0.3)
-    assert made.robot.motors[KNEE].mode is (Mode.RESET if honoured else Mode.RUN)
+    assert made.robot.motors[KNEE].mode is (MotorMode.OFF if honoured else MotorMode.RUNNING)
 
 
 def test_the_torque_limit_holds_from_when_it_is_written(bench):
@@ -378,7 +371,7 @@ def test_a_dead_motor_is_silent_and_limp(bench):
     made.enable(KNEE)
     made.operate(KNEE, tau=-3.0)
     made.listen(1.0)
-    made.say(Operation(motor=3, q=0, dq=0, kp=0, kd=0, tau=-3.0))
+    made.say(HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0, dq=0, kp=0, kd=0, tau=-3.0)))
     assert made.messages() == []
     assert made.robot.body.joint(KNEE, made.robot.now)[2] == 0.0
 
@@ -387,7 +380,7 @@ def test_a_mute_motor_obeys(bench):
     made = bench("motor_mute:FL_knee@1", suspended=True)
     made.enable(KNEE)
     made.listen(1.0)
-    made.say(Operation(motor=3, q=0, dq=0, kp=0, kd=0, tau=-3.0))
+    made.say(HostMessage(Kind.OPERATION, 3, command=MotorCommand(q=0, dq=0, kp=0, kd=0, tau=-3.0)))
     assert made.messages(0.02) == []
     assert abs(made.robot.body.joint(KNEE, made.robot.now)[2]) == pytest.approx(3.0, abs=1e-2)
 
@@ -397,7 +390,7 @@ def test_a_deaf_motor_goes_on(bench):
     made.enable(KNEE)
     made.operate(KNEE, tau=-3.0)
     made.listen(1.0)
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     assert made.messages(0.02) == []
     assert abs(made.robot.body.joint(KNEE, made.robot.now)[2]) == pytest.approx(3.0, abs=1e-2)
 
@@ -416,21 +409,21 @@ def test_a_fault_switches_the_motor_off_until_it_is_cleared(fault, bit, detail, 
     reports = [m for m in made.messages(0.48) if isinstance(m, FaultReport) and m.motor == 3]
     assert [report.faults for report in reports] == [detail]
     state = made.operate(KNEE, tau=-3.0)
-    assert (state.mode, state.faults) == (Mode.RESET, bit)
+    assert (state.mode, state.faults) == (MotorMode.OFF, bit)
     made.listen(0.2)
-    assert made.enable(KNEE).mode is Mode.RESET, "the cause is gone, the fault is not cleared yet"
-    assert made.ask(Stop(motor=3, host=HOST, clear_faults=True)).faults == Fault(0)
-    assert made.enable(KNEE).mode is Mode.RUN
+    assert made.enable(KNEE).mode is MotorMode.OFF, "the cause is gone, the fault is not cleared yet"
+    assert made.ask(HostMessage(Kind.STOP, 3, value=1)).faults == Fault(0)
+    assert made.enable(KNEE).mode is MotorMode.RUNNING
 
 
 def test_a_hot_motor_says_how_hot_and_a_low_supply_how_low(bench):
     made = bench("motor_hot:FL_knee=78@0", "under_voltage=14@0")
-    assert made.ask(Stop(motor=3, host=HOST)).temperature == pytest.approx(78.0)
+    assert made.ask(HostMessage(Kind.STOP, 3)).temperature == pytest.approx(78.0)
     assert made.read(KNEE, VBUS) == 14.0
 
 
-def answered(made: Bench, count: int = 200) -> list[Message | None]:
-    return [made.ask(Stop(motor=1 + i % 12, host=HOST), 0.004) for i in range(count)]
+def answered(made: Bench, count: int = 200) -> list[Any]:
+    return [made.ask(HostMessage(Kind.STOP, 1 + i % 12), 0.004) for i in range(count)]
 
 
 def test_frames_are_lost_in_both_directions(bench):
@@ -442,14 +435,14 @@ def test_frames_are_lost_in_both_directions(bench):
 def test_late_frames_come_later_by_so_much(bench):
     made = bench("frames_late=0.02@0.1")
     begin = made.link.now()
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     (answer,) = [r for r in made.listen(0.1) if r.frame.extended]
     assert answer.t - begin == pytest.approx(0.0405, abs=0.0005), "late to the motor, and late back"
 
 
 def test_doubled_frames_come_twice(bench):
     made = bench("frames_doubled=1@0.1")
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     assert len([r for r in made.listen(0.01) if r.frame.extended]) == 4, "twice heard, each answer twice"
 
 
@@ -468,7 +461,7 @@ def test_corrupted_frames_have_one_wrong_bit(description):
 def test_a_stalled_adapter_lets_everything_go_at_its_end(bench):
     made = bench("stalled@0.2-0.5")
     made.listen(0.15)
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     assert made.listen(0.2) == []
     late = [r.t for r in made.listen(0.2)]
     assert sum(abs(t - 0.5) < 0.02 for t in late) > 20
@@ -478,11 +471,11 @@ def test_on_a_bus_that_is_off_nobody_hears_anything(bench):
     made = bench("bus_off@0.2-0.5")
     made.enable(KNEE)
     made.listen(0.15)
-    made.say(Stop(motor=3, host=HOST))
+    made.say(HostMessage(Kind.STOP, 3))
     assert made.listen(0.2) == []
     made.listen(0.2)
-    assert made.ask(GetDeviceId(motor=3, host=HOST)) is not None
-    assert made.robot.motors[KNEE].mode is Mode.RUN
+    assert made.ask(HostMessage(Kind.DEVICE_ID, 3)) is not None
+    assert made.robot.motors[KNEE].mode is MotorMode.RUNNING
 
 
 def test_an_unplugged_adapter_is_an_error(bench):
@@ -490,7 +483,7 @@ def test_an_unplugged_adapter_is_an_error(bench):
     with pytest.raises(BusError, match="unplugged"):
         made.listen(1.0)
     with pytest.raises(BusError, match="unplugged"):
-        made.say(Stop(motor=3, host=HOST))
+        made.say(HostMessage(Kind.STOP, 3))
     made.link.close()
     made.link.close()
 
@@ -516,27 +509,30 @@ def test_a_fault_on_a_bus_that_is_not_there_is_refused(description):
 def test_hosts_hear_each_other_but_not_themselves(bench):
     made = bench()
     other = EmulatedLink(made.robot)
-    made.say(Enable(motor=3, host=HOST))
+    made.say(HostMessage(Kind.ENABLE, 3))
     own = made.messages()
     heard = [made.codec.decode(r.frame) for r in iter(lambda: other.receive(0.0), None) if r.frame.extended]
     assert [type(m) for m in own] == [Feedback]
-    assert [type(m) for m in heard] == [Enable, Feedback]
+    command, answer = heard
+    assert isinstance(command, HostMessage)
+    assert command.kind is Kind.ENABLE
+    assert isinstance(answer.said, Feedback)
 
 
 def test_each_motor_is_on_its_own_bus(description):
     made = Bench(description, load_wiring(buses=2))
     told = [r for r in made.listen(0.1) if r.frame.extended]
-    assert {(r.bus, made.codec.decode(r.frame).motor) for r in told} == {
+    assert {(r.bus, made.codec.decode(r.frame).said.motor) for r in told} == {
         (int(made.wiring.bus[i]), made.id(i)) for i in range(12)
     }
     right = JOINTS.index("FR_knee")
-    made.say(Stop(motor=made.id(right), host=HOST), bus=0)
+    made.say(HostMessage(Kind.STOP, made.id(right)), bus=0)
     assert made.messages() == []
-    made.say(Stop(motor=made.id(right), host=HOST), bus=1)
+    made.say(HostMessage(Kind.STOP, made.id(right)), bus=1)
     assert len(made.messages()) == 1
 
 
-def moving(made: Bench, rate: float, seconds: float) -> Iterator[list[Message]]:
+def moving(made: Bench, rate: float, seconds: float) -> Iterator[list[Any]]:
     """Command all motors at a rate, in motion, and yield what is heard in each period."""
     for joint in range(12):
         made.enable(joint)
@@ -547,7 +543,10 @@ def moving(made: Bench, rate: float, seconds: float) -> Iterator[list[Message]]:
         target = made.wiring.p_of(lie + 0.3 * np.sin(6.0 * tick / rate + np.arange(12)))
         for joint in range(12):
             values = {"q": float(target[joint]), "dq": 0.0, "kp": 30.0, "kd": 3.0, "tau": 0.0}
-            made.say(Operation(motor=made.id(joint), **values), bus=int(made.wiring.bus[joint]))
+            made.say(
+                HostMessage(Kind.OPERATION, made.id(joint), command=MotorCommand(**values)),
+                bus=int(made.wiring.bus[joint]),
+            )
         yield made.messages(begin + (tick + 1) / rate - made.link.now())
 
 
@@ -594,11 +593,11 @@ def test_everything_is_the_same_again_with_the_same_seed(description):
 def moving_on(made: Bench) -> Iterator[list[str]]:
     """Like moving, for links that lose and change frames."""
     for joint in range(12):
-        made.say(Enable(motor=made.id(joint), host=HOST))
+        made.say(HostMessage(Kind.ENABLE, made.id(joint)))
     for tick in range(20):
         for joint in range(12):
             values = {"q": 0.01 * tick, "dq": 0.0, "kp": 30.0, "kd": 3.0, "tau": 0.0}
-            made.say(Operation(motor=made.id(joint), **values))
+            made.say(HostMessage(Kind.OPERATION, made.id(joint), command=MotorCommand(**values)))
         yield [f"{r.t} {r.frame}" for r in made.listen(0.02)]
 
 

@@ -14,7 +14,7 @@ from mimic.emulator.faults import parse_fault
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import CATCH_UP, EmulatorServer
 from mimic.errors import BusError
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
 
 PATIENCE = 30.0
 """Limit on hanging only [s]."""

@@ -5,8 +5,8 @@ import pytest
 
 from mimic.config.evaluation import LeadSettings
 from mimic.config.leading import HandSettings, LeadingSettings
-from mimic.control.leading import lead_robot
 from mimic.errors import ConfigError
+from mimic.evaluation.leading import lead_robot
 from mimic.evaluation.led_by_hand import evaluate_leading, lead_figures
 from mimic.io.assets import shipped
 from mimic.policy.runtime import load_policy

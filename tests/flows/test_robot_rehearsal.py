@@ -18,8 +18,8 @@ import pytest
 
 from mimic.errors import FrameError
 from mimic.hardware.can.python_can import open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Feedback, Mode, Operation
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
+from mimic.hardware.motors.interface import Feedback, MotorMode
 from mimic.io import store
 from mimic.records import PHASES, HealthLog, RunLog
 
@@ -64,7 +64,7 @@ class Listener:
 
     def __init__(self, bus_url: str) -> None:
         self.link, self.codec = open_link(bus_url), Codec()
-        self.modes: dict[int, Mode] = {}
+        self.modes: dict[int, MotorMode] = {}
         self.gains: dict[int, tuple[float, float]] = {}
 
     def until(self, what: Callable[[], bool]) -> None:
@@ -78,10 +78,11 @@ class Listener:
                 message = self.codec.decode(received.frame)
             except FrameError:
                 continue
-            if isinstance(message, Feedback):
-                self.modes[message.motor] = message.mode
-            elif isinstance(message, Operation):
-                self.gains[message.motor] = message.kp, message.kd
+            if isinstance(message, HostMessage):
+                if message.command is not None:
+                    self.gains[message.motor] = message.command.kp, message.command.kd
+            elif isinstance(message.said, Feedback):
+                self.modes[message.said.motor] = message.said.mode
 
     def moving(self) -> bool:
         return len(self.gains) == 12 and all(kp > 29.0 for kp, _ in self.gains.values())
@@ -90,7 +91,7 @@ class Listener:
         return len(self.gains) == 12 and all(kp == 0.0 and kd > 4.99 for kp, kd in self.gains.values())
 
     def off(self) -> bool:
-        return len(self.modes) == 12 and set(self.modes.values()) == {Mode.RESET}
+        return len(self.modes) == 12 and set(self.modes.values()) == {MotorMode.OFF}
 
 
 @pytest.fixture

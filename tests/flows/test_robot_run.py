@@ -20,7 +20,7 @@ from mimic.flows.operator import Operator
 from mimic.flows.reporter import SilentReporter
 from mimic.hardware import session
 from mimic.hardware.can import driver
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
 from mimic.io import store
 from mimic.policy.runtime import load_policy
 from mimic.records import TargetTrack

@@ -21,9 +21,10 @@ from mimic.errors import ConfigError, PlantError
 from mimic.evaluation.policy import command_script
 from mimic.hardware import session
 from mimic.hardware.can import driver
-from mimic.hardware.cybergear.messages import LIMIT_TORQUE, Mode
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.parameters import LIMIT_TORQUE
+from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import idle_command
-from mimic.hardware.wiring import load_wiring
 from mimic.policy.runtime import load_policy
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
@@ -63,7 +64,7 @@ def test_a_dry_run_goes_through_every_phase_and_switches_no_motor_on(robot, desc
         step = plant.step
         plant.step = lambda command: (modes.update(motor.mode for motor in robot.motors), step(command))[1]
         result = rehearse(plant, description)
-    assert modes == {Mode.RESET}
+    assert modes == {MotorMode.OFF}
     assert [dict(motor.values) for motor in robot.motors] == parameters
     assert [event.rule for event in result.events] == ["finished", "at_rest"]
     assert len(set(result.log.phase)) == 7
@@ -81,7 +82,7 @@ def test_a_dry_run_finds_what_is_broken(fault, rule, robot, description):
         robot.inject(parse_fault(f"{fault}@{robot.now + 0.6}"))
         result = rehearse(plant, description)
     assert next(event.rule for event in result.events if event.mode > SafetyMode.RUN) == rule
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
 def test_a_dry_run_refuses_a_command_that_is_no_number(robot, description):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from mimic.commissioning.homing import home
 from mimic.config.emulator import EmulateSettings
 from mimic.config.hardware import BusSettings
 from mimic.emulator.faults import parse_fault
@@ -15,10 +16,9 @@ from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import BusError, PlantError
 from mimic.hardware import session
 from mimic.hardware.can import driver
-from mimic.hardware.cybergear.messages import Mode
-from mimic.hardware.homing import home
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import Robot
-from mimic.hardware.wiring import load_wiring
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_what_fails_while_motors_are_on_is_reported_with_how_they_were_left(kind
 
     with pytest.raises(PlantError, match="it broke; the robot was damped and all motors are off"):
         get_ready(description, break_later)
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
 def test_a_motor_that_does_not_switch_on_is_reported_with_how_the_others_were_left(robot, description):
@@ -68,7 +68,7 @@ def test_a_motor_that_does_not_switch_on_is_reported_with_how_the_others_were_le
 
     with pytest.raises(PlantError, match=r"no answer from FL_knee.*nothing was switched on"):
         get_ready(description, begin)
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}
 
 
 def test_what_fails_before_motors_are_on_says_so(robot, description):
@@ -104,4 +104,4 @@ def test_what_happens_while_the_person_is_asked_is_found_before_anything_moves(
     ):
         plant.start()
     assert not [check for check in reports[0] if check.verdict == "stop"]
-    assert {motor.mode for motor in robot.motors} == {Mode.RESET}
+    assert {motor.mode for motor in robot.motors} == {MotorMode.OFF}

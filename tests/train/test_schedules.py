@@ -8,8 +8,8 @@ import pytest
 
 from mimic.config.leading import LeadingSettings
 from mimic.config.training import MdpSettings
-from mimic.control.leading import HandLeading, PullEstimator
 from mimic.dynamics.robot_model import load_model
+from mimic.evaluation.leading import HandLeading, PullEstimator
 from mimic.records import RobotState, Tick
 from mimic.robot.model import TOES
 

@@ -14,14 +14,14 @@ import numpy as np
 from mimic.control.damping import damping_command
 from mimic.errors import BusError, PlantError
 from mimic.hardware.can.link import Link
-from mimic.hardware.homing import Homing, read_homing, with_homing
-from mimic.hardware.motor import MotorMode, Register
-from mimic.hardware.motor_bus import MotorBus
-from mimic.hardware.preflight import preflight, set_host_timeout
+from mimic.hardware.can.preflight import preflight, set_host_timeout
+from mimic.hardware.can.step_budget import PARTS, step_budget
+from mimic.hardware.can.wiring import Wiring, load_wiring
+from mimic.hardware.can.zeros import Homing, read_homing, with_homing
+from mimic.hardware.motors.bus import MotorBus
+from mimic.hardware.motors.interface import MotorMode, Register
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings, no_report
-from mimic.hardware.step_budget import PARTS, step_budget
-from mimic.hardware.wiring import Wiring, load_wiring
 from mimic.records import JOINTS, IntArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 

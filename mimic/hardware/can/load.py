@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimic.hardware.wiring import Wiring
+from mimic.hardware.can.wiring import Wiring
 from mimic.records import FloatArray
 
 IMU_MESSAGE = {

@@ -7,6 +7,7 @@ its own: `mimic.hardware.robot.sender` says when to send what.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -191,6 +192,8 @@ def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
     if settings.bus_url in BOARDS:
         from mimic.hardware.stock.driver import open_stock_driver
 
+        with suppress(ImportError):
+            import lcm  # noqa: F401
         return open_stock_driver
     import mimic.hardware.can.python_can  # noqa: F401
     from mimic.hardware.can.driver import open_can_driver

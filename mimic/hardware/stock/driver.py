@@ -11,6 +11,7 @@ The torque is that of the policy's law, up to the limit of qd_des.
 
 from __future__ import annotations
 
+import random
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -138,7 +139,8 @@ class StockDriver:
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
         self._foreign = NEVER
-        self._tag = np.random.default_rng().uniform(-0.05, 0.05, len(JOINTS))  # tells own zero messages from others'
+        # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
+        self._tag = np.array([random.uniform(-0.05, 0.05) for _ in JOINTS])
 
     @property
     def report(self) -> Any:

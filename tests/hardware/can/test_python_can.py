@@ -22,9 +22,10 @@ from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.can.python_can import CanLink, open_link
-from mimic.hardware.cybergear.codec import Codec
-from mimic.hardware.cybergear.messages import Enable, Feedback, Mode
-from mimic.hardware.wiring import load_wiring
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.codec import Codec, HostMessage
+from mimic.hardware.motors.cybergear.parameters import Kind
+from mimic.hardware.motors.interface import Feedback, MotorMode
 
 HOST, PATIENCE = 0xFD, 30.0
 CODEC = Codec()
@@ -64,14 +65,14 @@ def served(description) -> Iterator[Callable[..., Served]]:
 
 
 def until(link: CanLink, wanted: Callable[[object], bool]) -> object:
-    """Return the first message that is wanted."""
+    """Return the first thing that a motor says and that is wanted."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         received = link.receive(0.1)
         if received is not None and received.frame.extended:
-            message = CODEC.decode(received.frame)
-            if wanted(message):
-                return message
+            said = getattr(CODEC.decode(received.frame), "said", None)
+            if wanted(said):
+                return said
     raise AssertionError("it never came")
 
 
@@ -84,9 +85,9 @@ def test_commands_get_their_answers(kind, served):
     robot = served()
     link = open_link(robot.address(kind))
     for motor in range(1, 13):
-        link.send(0, CODEC.encode(Enable(motor=motor, host=HOST)))
+        link.send(0, CODEC.encode(HostMessage(Kind.ENABLE, motor)))
         answer = until(link, lambda m, motor=motor: isinstance(m, Feedback) and m.motor == motor)
-        assert answer.mode is Mode.RUN
+        assert answer.mode is MotorMode.RUNNING
     link.close()
     link.close()
 
@@ -128,14 +129,14 @@ def test_several_buses_are_one_link(served):
     link = open_link(names)
     assert len(link.names) == 2
     for bus, motor in ((0, 1), (1, 4)):
-        link.send(bus, CODEC.encode(Enable(motor=motor, host=HOST)))
+        link.send(bus, CODEC.encode(HostMessage(Kind.ENABLE, motor)))
         end = time.monotonic() + PATIENCE
         heard = None
         while heard is None and time.monotonic() < end:
             received = link.receive(0.1)
             if received is not None and received.frame.extended:
-                message = CODEC.decode(received.frame)
-                heard = (received.bus, message.motor) if isinstance(message, Feedback) else None
+                said = getattr(CODEC.decode(received.frame), "said", None)
+                heard = (received.bus, said.motor) if isinstance(said, Feedback) else None
         assert heard == (bus, motor)
     link.close()
 

@@ -13,9 +13,10 @@ from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.sender_link import robot_on_can
 from mimic.errors import BusError, PlantError, SenderError
-from mimic.hardware.cybergear.messages import CAN_TIMEOUT, LIMIT_TORQUE, Mode
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.motors.cybergear.parameters import CAN_TIMEOUT, LIMIT_TORQUE
+from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import idle_command
-from mimic.hardware.wiring import load_wiring
 from mimic.records import JOINTS, JointCommand
 
 
@@ -47,14 +48,14 @@ def steps(plant, description, count: int = 10) -> None:
         plant.step(hold(description))
 
 
-def modes(robot) -> set[Mode]:
+def modes(robot) -> set[MotorMode]:
     return {motor.mode for motor in robot.motors}
 
 
 def test_it_starts_switched_on_without_gains_where_it_lies(made, description):
     robot, plant = made()
     state = plant.start()
-    assert modes(robot) == {Mode.RUN}
+    assert modes(robot) == {MotorMode.RUNNING}
     assert {motor.drive.kp for motor in robot.motors} == {0.0}
     assert np.abs(state.q - robot.body.data.qpos[7:]).max() < 2e-3
     assert np.abs(state.quat_WB - robot.body.data.qpos[3:7]).max() < 1e-3
@@ -180,7 +181,7 @@ def test_closing_damps_until_it_rests_and_switches_off(made, description):
     for _ in range(25):
         plant.step(hold(description, description.poses["four"]))  # pushes itself up a little
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
     assert plant.ending == "the robot was damped and all motors are off"
     assert np.abs(robot.body.data.qvel[6:]).max() < 0.3
     before = robot.now
@@ -198,7 +199,7 @@ def test_it_brakes_with_all_that_the_motors_have(made, description):
     receive = link.receive
 
     def look(timeout: float):
-        seen.extend((motor.drive.kp, motor.drive.kd) for motor in robot.motors if motor.mode is Mode.RUN)
+        seen.extend((motor.drive.kp, motor.drive.kd) for motor in robot.motors if motor.mode is MotorMode.RUNNING)
         return receive(timeout)
 
     link.receive = look
@@ -213,7 +214,7 @@ def test_a_plant_that_was_never_started_sends_nothing(made):
     before = robot.buses[0].frames
     plant.close()
     assert robot.buses[0].frames == before
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 @pytest.mark.parametrize("fault", ["motor_dead:FL_knee@0", "motor_deaf:RR_hip@0", "motor_mute:FL_abad@0"])
@@ -222,7 +223,7 @@ def test_a_motor_that_is_silent_at_the_start_is_named_and_nothing_is_switched_on
     with pytest.raises(PlantError, match=fault.split(":")[1].split("@")[0]):
         plant.start()
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 def test_a_motor_with_a_fault_does_not_switch_on_and_the_others_are_switched_off_again(made):
@@ -230,7 +231,7 @@ def test_a_motor_with_a_fault_does_not_switch_on_and_the_others_are_switched_off
     with pytest.raises(PlantError, match="FL_knee did not switch on"):
         plant.start()
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 def test_a_motor_that_dies_is_named_at_the_end_and_the_others_are_off(made, description):
@@ -240,7 +241,7 @@ def test_a_motor_that_dies_is_named_at_the_end_and_the_others_are_off(made, desc
     plant.step(hold(description))
     plant.close()
     assert "FL_hip did not confirm" in plant.ending
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 def until_silent(plant, description, count: int = 10) -> list:
@@ -268,7 +269,7 @@ def test_an_adapter_that_comes_back_is_used_to_stop(made, description):
     robot.inject(parse_fault(f"unplugged@{robot.now}-{robot.now + 2.0}"))
     until_silent(plant, description)
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(description):
@@ -282,7 +283,7 @@ def test_one_bus_that_fails_does_not_keep_the_other_from_being_stopped(descripti
     steps(plant, description)
     plant.close()
     off = {wiring.bus[j]: motor.mode for j, motor in enumerate(robot.motors)}
-    assert off[0] is Mode.RESET
+    assert off[0] is MotorMode.OFF
     assert "did not confirm" in plant.ending
 
 
@@ -327,7 +328,7 @@ def test_a_bus_that_takes_no_frames_but_still_hears_is_opened_again_to_damp(desc
     plant.close()
     assert opened[0] - begin < 0.7
     assert len(opened) == 3
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
     assert plant.ending == "the robot was damped and all motors are off"
 
 
@@ -438,7 +439,7 @@ def test_a_sender_that_hangs_ends_the_run_within_a_fifth_of_a_second(made, descr
     assert robot.now - begin <= 0.22 + 1e-6
     plant.link.halted = False
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}
 
 
 def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
@@ -451,4 +452,4 @@ def test_a_loop_that_hangs_loses_the_robot_to_the_sender(made, description):
     with pytest.raises(SenderError, match=r"damped the robot: no order for 0\.10 s"):
         plant.step(hold(description))
     plant.close()
-    assert modes(robot) == {Mode.RESET}
+    assert modes(robot) == {MotorMode.OFF}

@@ -20,6 +20,7 @@ from mimic.emulator.robot import EmulatedRobot
 from mimic.emulator.server import EmulatorServer
 from mimic.errors import BusError, ConfigError, MimicError, SenderError
 from mimic.flows.watching import watch_robot
+from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.robot import process
 from mimic.hardware.robot.driver import CheckOptions, DriverSettings, open_driver
 from mimic.hardware.robot.plant import Robot
@@ -28,7 +29,6 @@ from mimic.hardware.robot.sender import Sender
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.wiring import load_board
-from mimic.hardware.wiring import load_wiring
 from mimic.io.assets import shipped
 from mimic.records import JointCommand
 

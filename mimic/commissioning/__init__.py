@@ -1,0 +1,1 @@
+"""Before a robot on CAN runs: finding its motors, its wiring and its zeros, watching it, and logging it suspended."""

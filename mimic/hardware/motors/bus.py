@@ -1,0 +1,354 @@
+"""Twelve motors and an IMU on a link: sends commands, matches answers to motors, reads and writes registers.
+
+Motor protocols have no sequence numbers. An answer belongs to the last command that was sent before it arrived. An
+answer that is delayed by a whole control step is taken from the link before the next commands go out, and so keeps
+its own time.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mimic.errors import BusError, FrameError, PlantError, UnknownFrame
+from mimic.hardware.can.frame import CanFrame, frame_bits
+from mimic.hardware.can.link import Link, Received
+from mimic.hardware.can.wiring import Wiring
+from mimic.hardware.motors.imu import Imu, make_imu
+from mimic.hardware.motors.interface import (
+    FaultReport,
+    Feedback,
+    Identity,
+    MotorCommand,
+    OtherHost,
+    Register,
+    RegisterValue,
+)
+from mimic.records import DOUBLED, JOINTS, FloatArray, JointCommand
+
+ALL = tuple(range(len(JOINTS)))
+
+ANSWER_TIMEOUT = 0.05
+"""A motor answers within a millisecond on a quiet bus; adapters and a busy computer take the rest [s]."""
+
+ASK_TIMEOUT = 0.5
+"""A question whose time is measured is given up after this [s]."""
+
+TRIES = 4
+"""How often a motor is asked before it counts as silent."""
+
+REPORTED = 64
+"""Fault bit that stands for a fault report; the bits of a feedback are below it."""
+
+_TWICE = 10
+"""So many answers that nothing asked for show that two motors have one id; a network may repeat a few."""
+
+_OWED = 32
+"""Answers that may still come; more are lost."""
+
+ECHO_WITHIN = 0.05
+"""An own frame that comes back within this is an echo of the adapter [s]."""
+
+_REMEMBERED = 64
+"""Own frames that are remembered: those of a control step and some more."""
+
+_COUNT_EVERY = 16
+"""One frame in so many has its bits counted exactly; frames of one kind hardly differ."""
+
+_MOST_UNKNOWN = 1000
+"""Identifiers of unknown senders that are remembered."""
+
+READ_BACK_TOLERANCE = 1e-3
+"""A register that reads back further away than this was not accepted."""
+
+
+class MotorBus:
+    """The motors of a robot and its IMU, by joint."""
+
+    def __init__(self, link: Link, wiring: Wiring, *, overhear: bool = False) -> None:
+        """Take the buses; nothing is sent.
+
+        Args:
+            link: The buses.
+            wiring: Which motor moves which joint.
+            overhear: Also keep what motors answer to other computers.
+        """
+        self.link, self.wiring, self._overhear = link, wiring, overhear
+        self.motors = wiring.motors()
+        """The language of these motors."""
+        self.imu: Imu = make_imu(wiring.imu)
+        self.feedback: list[Feedback | None] = [None] * len(JOINTS)
+        """Newest feedback of each motor."""
+        self.came: FloatArray = np.full(len(JOINTS), -np.inf)
+        """When each motor's newest feedback arrived [s]."""
+        self.faults = np.zeros(len(JOINTS), dtype=int)
+        """REPORTED where a fault report is in force, DOUBLED where two motors answer as one."""
+        self.malformed = 0
+        """Frames of motors and IMU so far that made no sense."""
+        self.foreign = 0
+        """Frames so far that show that another computer drives the motors."""
+        self.foreign_text = ""
+        """What the newest of them was."""
+        self.echoes = 0
+        """Own frames so far that came back: some adapters echo what they send."""
+        self._sent: deque[tuple[float, int, CanFrame]] = deque(maxlen=_REMEMBERED)
+        self.unknown: Counter[tuple[int, str]] = Counter()
+        """Frames of unknown senders so far: bus and identifier -> count."""
+        self._values: dict[tuple[int, Register], float] = {}
+        self._asked: tuple[int, Register, float] | None = None
+        self.round_trip = float("nan")
+        """From the newest question by `ask_round_trip` with an answer to that answer [s]."""
+        self._uids: dict[int, int] = {}
+        self._owed = np.zeros(len(JOINTS), dtype=int)
+        self._unasked = np.zeros(len(JOINTS), dtype=int)
+        self.bits: FloatArray = np.zeros(wiring.buses)
+        """Bits on each bus so far, as this computer saw the frames (buses,)."""
+        self._frames = 0
+        self._bits_of_kind: dict[tuple[int, int], int] = {}
+
+    # ------------------------------------------------------------------ frames
+
+    def send(self, joint: int, frame: CanFrame) -> None:
+        """Send a frame on the bus of a joint's motor.
+
+        Raises:
+            BusError: If the bus does not take it.
+        """
+        bus = int(self.wiring.bus[joint])
+        self.link.send(bus, frame)
+        self._count_bits(bus, frame)
+        self._sent.append((self.link.now(), bus, frame))
+        self._owed[joint] = min(self._owed[joint] + 1, _OWED)
+
+    def id(self, joint: int) -> int:
+        """Return the id of a joint's motor."""
+        return int(self.wiring.motor[joint])
+
+    def _count_bits(self, bus: int, frame: CanFrame) -> None:
+        kind = (len(frame.data), frame.id >> 24 if frame.extended else frame.id)
+        if kind not in self._bits_of_kind or self._frames % _COUNT_EVERY == 0:
+            self._bits_of_kind[kind] = frame_bits(frame)
+        self._frames += 1
+        self.bits[bus] += self._bits_of_kind[kind]
+
+    @property
+    def errors(self) -> int:
+        """Malformed frames so far, those that the adapter garbled among them."""
+        return self.malformed + int(getattr(self.link, "garbled", 0))
+
+    def _take(self, received: Received) -> None:
+        """Keep what a frame says."""
+        bus, frame, t = received
+        self._count_bits(bus, frame)
+        try:
+            if bus == self.wiring.imu.bus and self.imu.feed(frame, t):
+                return
+            answer = self.motors.decode(frame)
+        except UnknownFrame:
+            self._note_unknown(bus, frame)
+            return
+        except FrameError:
+            self.malformed += 1
+            return
+        if answer is None:
+            return
+        joint = self.wiring.joint_of(bus, answer.motor)
+        if joint is None:
+            self._note_unknown(bus, frame)
+            return
+        match answer:
+            case OtherHost() if any(
+                (own, same) == (bus, frame) for sent, own, same in self._sent if t - sent < ECHO_WITHIN
+            ):
+                self.echoes += 1
+            case OtherHost():
+                if answer.commands:
+                    self.foreign, self.foreign_text = self.foreign + 1, answer.text
+                if answer.feedback is not None and self._overhear:
+                    self.feedback[joint], self.came[joint] = answer.feedback, t
+            case Feedback():
+                self.feedback[joint], self.came[joint] = answer, t
+                self._answered(joint)
+            case RegisterValue():
+                self._answered(joint)
+                self._values[joint, answer.register] = answer.value
+                if self._asked is not None and self._asked[:2] == (joint, answer.register):
+                    self.round_trip, self._asked = t - self._asked[2], None
+            case Identity():
+                self._uids[joint] = answer.uid
+                self._answered(joint)
+            case FaultReport():
+                self.faults[joint] = (self.faults[joint] & DOUBLED) | (REPORTED if answer.faults else 0)
+
+    def _answered(self, joint: int) -> None:
+        """Count an answer; where more come than were asked for, two motors have one id."""
+        self._unasked[joint] += self._owed[joint] == 0
+        self._owed[joint] = max(self._owed[joint] - 1, 0)
+        if self._unasked[joint] >= _TWICE:
+            self.faults[joint] |= DOUBLED
+
+    def _note_unknown(self, bus: int, frame: CanFrame) -> None:
+        name = f"0x{frame.id:08X}" if frame.extended else f"0x{frame.id:03X}"
+        if len(self.unknown) < _MOST_UNKNOWN or (bus, name) in self.unknown:
+            self.unknown[bus, name] += 1
+
+    def drain(self) -> None:
+        """Take what has arrived already."""
+        while (received := self.link.receive(0.0)) is not None:
+            self._take(received)
+
+    def listen(self, until: float, enough: Callable[[], bool] | None = None) -> None:
+        """Take what arrives up to a time [s], or until it is enough. What is left then is for the next call.
+
+        Raises:
+            BusError: If a bus has failed.
+        """
+        while not (enough is not None and enough()):
+            left = until - self.link.now()
+            if left <= 0:
+                return
+            received = self.link.receive(left)
+            if received is not None:
+                self._take(received)
+
+    # ------------------------------------------------------------------ motors
+
+    def command(self, command: JointCommand, joints: Sequence[int] = ALL) -> JointCommand:
+        """Send a command to all motors at once and return what was sent, rounded as the frames round it.
+
+        Joints that are left out keep their numbers in what is returned. Where a bus does not take a command, the motors
+        on the other buses still get theirs.
+
+        Raises:
+            BusError: If a bus does not take it.
+            FrameError: If it is not finite.
+        """
+        w = self.wiring
+        p, dp, tau = w.p_of(command.q_des), w.sign * command.dq_des, w.sign * command.tau_ff
+        kp, kd, dq_des, tau_ff = (np.array(v) for v in (command.kp, command.kd, command.dq_des, command.tau_ff))
+        failed: dict[int, BusError] = {}
+        for j in joints:
+            wanted = MotorCommand(float(p[j]), float(dp[j]), float(kp[j]), float(kd[j]), float(tau[j]))
+            frame, sent = self.motors.command(self.id(j), wanted)
+            bus = int(w.bus[j])
+            if bus in failed:
+                continue
+            try:
+                self.send(j, frame)
+            except BusError as reason:
+                failed[bus] = reason
+                continue
+            p[j], dq_des[j], tau_ff[j] = sent.q, w.sign[j] * sent.dq, w.sign[j] * sent.tau
+            kp[j], kd[j] = sent.kp, sent.kd
+        for reason in failed.values():
+            raise reason
+        return JointCommand(q_des=w.q_of(p), dq_des=dq_des, kp=kp, kd=kd, tau_ff=tau_ff)
+
+    def ask(self, question: Callable[[int], CanFrame], answered: Callable[[int], bool]) -> list[int]:
+        """Send a frame to every motor, again where no answer comes, and return the joints that stayed silent.
+
+        Args:
+            question: Frame to a motor's id.
+            answered: Whether the motor of a joint has answered.
+        """
+        silent = list(ALL)
+        for _ in range(TRIES):
+            for joint in silent:
+                self.send(joint, question(self.id(joint)))
+            waiting = tuple(silent)
+            self.listen(self.link.now() + ANSWER_TIMEOUT, lambda waiting=waiting: all(map(answered, waiting)))
+            silent = [joint for joint in silent if not answered(joint)]
+            if not silent:
+                break
+        return silent
+
+    def ask_feedback(self, question: Callable[[int], CanFrame]) -> list[int]:
+        """Send a frame that every motor answers with a feedback; return the joints that stayed silent."""
+        self.drain()
+        since = self.link.now()
+        return self.ask(question, lambda joint: self.came[joint] > since)
+
+    def stop(self) -> list[int]:
+        """Switch every motor off; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.stop)
+
+    def enable(self) -> list[int]:
+        """Switch every motor on; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.enable)
+
+    def set_zero(self) -> list[int]:
+        """Make the present position of every motor zero; return the joints whose motors did not answer."""
+        return self.ask_feedback(self.motors.set_zero)
+
+    def uids(self) -> dict[int, int]:
+        """Return the unique number of the motor of each joint that answers."""
+        self._uids.clear()
+        self.ask(self.motors.ask_identity, lambda joint: joint in self._uids)
+        return dict(self._uids)
+
+    # ------------------------------------------------------------------ registers
+
+    def read(self, register: Register) -> FloatArray:
+        """Return a register of every motor (12,); NaN where none answered, or the motors do not have it."""
+        for joint in ALL:
+            self._values.pop((joint, register), None)
+        if register in self.motors.facts.registers:
+            self.ask(lambda motor: self.motors.read(motor, register), lambda joint: (joint, register) in self._values)
+        return np.array([self._values.get((joint, register), np.nan) for joint in ALL])
+
+    def request(self, joint: int, register: Register) -> None:
+        """Ask one motor for a register without waiting for the answer; `value` has it later."""
+        if register in self.motors.facts.registers:
+            self.send(joint, self.motors.read(self.id(joint), register))
+
+    def ask_round_trip(self, joint: int, register: Register) -> None:
+        """Ask one motor for a register, and measure how long its answer takes, unless one is waited for already."""
+        waits = self._asked is not None and self.link.now() - self._asked[2] < ASK_TIMEOUT
+        if register in self.motors.facts.registers and not waits:
+            self._asked = joint, register, self.link.now()
+            self.request(joint, register)
+
+    def voltage(self) -> float:
+        """Return the median of the supply voltages that the motors told last [V]; NaN where none did."""
+        known = [v for joint in ALL if np.isfinite(v := self.value(joint, Register.SUPPLY_VOLTAGE))]
+        return float(np.median(known)) if known else float("nan")
+
+    def value(self, joint: int, register: Register) -> float:
+        """Return the newest value of a register that arrived; NaN where none did."""
+        return self._values.get((joint, register), float("nan"))
+
+    def write(self, register: Register, value: float) -> FloatArray:
+        """Write a register of every motor and return what each reads back (12,); NaN if there is no such register."""
+        if register in self.motors.facts.registers:
+            self.ask_feedback(lambda motor: self.motors.write(motor, register, value))
+        return self.read(register)
+
+    def set(self, register: Register, value: float) -> None:
+        """Write a register of every motor and check that it was accepted.
+
+        Raises:
+            PlantError: If a motor does not read back what was written.
+        """
+        got = self.write(register, value)
+        wrong = np.flatnonzero(~(np.abs(got - value) <= READ_BACK_TOLERANCE))
+        if len(wrong):
+            name = self.motors.facts.registers.get(register, f"{register}, which these motors do not have,")
+            readings = ", ".join(f"{JOINTS[j]} reads {got[j]:g}" for j in wrong)
+            raise PlantError(f"{name} was set to {value:g}, but {readings}; expected all twelve motors to accept it")
+
+    # ------------------------------------------------------------------ readings
+
+    def readings(self, since: float | FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return q, dq and tau (12,) of feedback after a time, or after one time each (12,); NaN without any."""
+        rows, newer = np.full((3, len(JOINTS)), np.nan), self.came > since
+        for joint, feedback in enumerate(self.feedback):
+            if feedback is not None and newer[joint]:
+                rows[:, joint] = feedback.q, feedback.dq, feedback.tau
+        w = self.wiring
+        return w.q_of(rows[0]), w.sign * rows[1], w.sign * rows[2]
+
+    def temperature(self) -> FloatArray:
+        """Return the newest temperature of each motor (12,) [degC]."""
+        return np.array([np.nan if f is None else f.temperature for f in self.feedback])

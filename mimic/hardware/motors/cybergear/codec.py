@@ -1,0 +1,331 @@
+"""Codec of the CyberGear protocol: messages to frames and back, pure. What motors say has the types of mimic's motor
+interface, `mimic.hardware.motors.interface`.
+
+A frame has an identifier of 29 bits: communication type (5), data area (16), destination (8). Motors have ids of 7
+bits. Hosts may have those of the manual, 0 to 127, or from 0x80 on, as most libraries have it (0xFD). The type shows
+the direction of a frame; of type 17, which is both asked and answered, the destination does.
+
+A quantity of an operation command or a feedback is an unsigned word w that spans its range evenly. Encoding saturates
+to the range and truncates, as the maker's code does; decoding gives low + w (high - low) / 65535.
+
+Sources: CyberGear manual 4.1; libraries that were read beside it are named where they disagree.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from mimic.errors import ConfigError, FrameError, UnknownFrame
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.motors.cybergear.parameters import PARAMETERS, Kind, parameter
+from mimic.hardware.motors.interface import FaultReport, Feedback, Identity, MotorCommand, MotorMode
+
+BROADCAST = 0xFE
+"""Destination of a device-id answer; manual 4.1.1."""
+
+MOTOR_IDS = 0x80
+"""Motors have ids below this."""
+
+DEFAULT_HOST = 0xFD
+"""Id of a host in most libraries."""
+
+VELOCITY, TORQUE, KP, KD = (-30.0, 30.0), (-12.0, 12.0), (0.0, 500.0), (0.0, 5.0)
+"""Ranges in rad/s, N m, N m/rad and N m s/rad; manual 4.1.2 and 4.1.3."""
+
+TEMPERATURE = (0.0, 6553.5)
+"""Range in degC, tenths; manual 4.1.3."""
+
+POSITION_RANGES = (4 * math.pi, 12.5)
+"""The two ends of the position range that are in circulation [rad]: the manual's tables and ten libraries split between
+them. The scale differs by 0.53 %; ``Codec.check_range`` finds which one a motor uses."""
+
+BAUD_RATES = {1: 1_000_000, 2: 500_000, 3: 250_000, 4: 125_000}
+"""Code -> [bit/s]; manual 4.1.15."""
+
+WORDS = 65535
+"""Steps in the range of a quantity."""
+_ROUNDING = 1e-6
+"""Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
+_PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
+
+
+def to_word(value: float, low: float, high: float) -> int:
+    """Return the word of a quantity, saturated and truncated.
+
+    Raises:
+        FrameError: If it is not finite.
+    """
+    if not math.isfinite(value):
+        raise FrameError(f"{value} cannot be sent; expected a finite number")
+    return int((min(max(value, low), high) - low) * WORDS / (high - low) + _ROUNDING)
+
+
+def from_word(word: int, low: float, high: float) -> float:
+    """Return the quantity of a word."""
+    return low + word * (high - low) / WORDS
+
+
+@dataclass(frozen=True, slots=True)
+class HostMessage:
+    """What a host says to a motor. Every kind but DEVICE_ID and READ is answered by a feedback."""
+
+    kind: Kind
+    motor: int
+    host: int = DEFAULT_HOST
+    """Id of the host; OPERATION does not carry it."""
+    command: MotorCommand | None = None
+    """Of OPERATION."""
+    index: int = 0
+    """Of the parameter of READ and WRITE."""
+    value: float = 0.0
+    """Number to WRITE, id to SET_ID, BAUD_RATE [bit/s]; 1 where a STOP clears faults."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterValue:
+    """Answers READ.
+
+    A motor that lacks a parameter echoes the question with bits 23 to 16 set. Source: manual of the successor family,
+    RobStride, type 17.
+    """
+
+    motor: int
+    index: int
+    value: float | None
+    """None for a parameter that the motor lacks, or that is not in the table."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorMessage:
+    """What a motor says; an Identity is for everybody."""
+
+    said: Feedback | ParameterValue | Identity | FaultReport
+    host: int = DEFAULT_HOST
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Codec:
+    """Messages to frames and back."""
+
+    position_range: float = POSITION_RANGES[0]
+    """Positions reach from minus this to plus this [rad]."""
+    host: int = DEFAULT_HOST
+    """Id of this computer; shows which frames of type 17 are answers."""
+    fault_order: Literal["little", "big"] = "little"
+    """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
+
+    def __post_init__(self) -> None:
+        if not 1.0 < self.position_range < 100.0:
+            raise ConfigError(f"position_range is {self.position_range:g} rad; expected 4 pi = 12.566 or 12.5")
+
+    @property
+    def _position(self) -> tuple[float, float]:
+        return -self.position_range, self.position_range
+
+    def encode(self, message: HostMessage | MotorMessage) -> CanFrame:
+        """Return the frame of a message.
+
+        Raises:
+            FrameError: If a number is not finite, or an id or index does not exist.
+        """
+        motor = message.motor if isinstance(message, HostMessage) else message.said.motor
+        for name, value, high in (("motor", motor, MOTOR_IDS), ("host", message.host, 256)):
+            if not 0 <= value < high:
+                raise FrameError(f"the id of the {name} is {value}; expected from 0 to {high - 1}")
+        return self._to_motor(message) if isinstance(message, HostMessage) else self._to_host(message)
+
+    def _to_motor(self, m: HostMessage) -> CanFrame:
+        area, data = m.host, bytes(8)
+        match m.kind:
+            case Kind.OPERATION:
+                assert m.command is not None
+                q, dq, kp, kd, tau = m.command
+                words = (to_word(q, *self._position), to_word(dq, *VELOCITY), to_word(kp, *KP), to_word(kd, *KD))
+                area, data = to_word(tau, *TORQUE), struct.pack(">4H", *words)
+            case Kind.STOP:
+                data = bytes([m.value == 1]) + bytes(7)
+            case Kind.SET_ZERO:
+                data = b"\x01" + bytes(7)
+            case Kind.SET_ID:
+                if not 0 <= m.value < MOTOR_IDS:
+                    raise FrameError(f"the new id is {m.value:g}; expected from 0 to {MOTOR_IDS - 1}")
+                area, data = int(m.value) << 8 | m.host, b"\x01" + bytes(7)
+            case Kind.READ:
+                parameter(m.index)
+                data = struct.pack("<H6x", m.index)
+            case Kind.WRITE:
+                data = _parameter_bytes(m.index, m.value)
+            case Kind.BAUD_RATE:
+                codes = {rate: code for code, rate in BAUD_RATES.items()}
+                if m.value not in codes:
+                    raise FrameError(f"the bit rate is {m.value:g}; a motor knows {', '.join(map(str, codes))}")
+                data = bytes([codes[int(m.value)]]) + bytes(7)
+            case _:
+                pass
+        return _frame(m.kind, area, m.motor, data)
+
+    def _to_host(self, message: MotorMessage) -> CanFrame:
+        said, host = message.said, message.host
+        match said:
+            case Feedback():
+                words = (to_word(said.q, *self._position), to_word(said.dq, *VELOCITY), to_word(said.tau, *TORQUE))
+                data = struct.pack(">4H", *words, to_word(said.temperature, *TEMPERATURE))
+                return _frame(Kind.FEEDBACK, said.mode << 14 | said.faults << 8 | said.motor, host, data)
+            case Identity():
+                return _frame(Kind.DEVICE_ID, said.motor, BROADCAST, said.uid.to_bytes(8, "little"))
+            case ParameterValue():
+                assert said.value is not None
+                return _frame(Kind.READ, said.motor, host, _parameter_bytes(said.index, said.value))
+            case FaultReport():
+                words = (said.faults, said.warnings)
+                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, self.fault_order) for w in words))
+
+    def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:
+        """Return the message of a frame, of either direction.
+
+        Raises:
+            UnknownFrame: If the frame is not of this protocol: an identifier of 11 bits, not eight bytes, an unknown
+                type, ids that cannot be, bits set that must be zero.
+            FrameError: If it is, but with a mode, a code or a value that cannot be.
+        """
+        if not frame.extended:
+            raise UnknownFrame(f"{frame} has an identifier of 11 bits; CyberGear's have 29")
+        if len(frame.data) != 8:
+            raise UnknownFrame(f"{frame} has {len(frame.data)} bytes; CyberGear's frames have 8")
+        number, area, destination = frame.id >> 24, frame.id >> 8 & 0xFFFF, frame.id & 0xFF
+        try:
+            kind = Kind(number)
+        except ValueError:
+            raise UnknownFrame(f"{frame} has the communication type {number}, which is not public") from None
+        if kind is Kind.FAULT and (area == self.host or (destination < MOTOR_IDS <= area <= 0xFF)):
+            # The manual has the host in bits 15 to 8 and the motor in 7 to 0; libraries have it the other way.
+            return self._of_motor(frame, kind, destination, area)
+        if kind in (Kind.FEEDBACK, Kind.FAULT) or destination >= MOTOR_IDS or destination == self.host:
+            return self._of_motor(frame, kind, area, destination)
+        return self._of_host(frame, kind, area, destination)
+
+    def _of_motor(self, frame: CanFrame, kind: Kind, area: int, host: int) -> MotorMessage:
+        motor, data = area & 0xFF, frame.data
+        if motor >= MOTOR_IDS:
+            raise UnknownFrame(f"{frame} comes from the id {motor}; motors have ids below {MOTOR_IDS}")
+        said: Feedback | ParameterValue | Identity | FaultReport
+        if kind is Kind.FEEDBACK:
+            q, dq, tau, heat = struct.unpack(">4H", data)
+            if area >> 14 == 3:
+                raise FrameError(f"{frame} has mode 3; a motor has modes 0 to 2")
+            said = Feedback(
+                motor=motor,
+                q=from_word(q, *self._position),
+                dq=from_word(dq, *VELOCITY),
+                tau=from_word(tau, *TORQUE),
+                temperature=from_word(heat, *TEMPERATURE),
+                mode=MotorMode(area >> 14),
+                faults=area >> 8 & 0x3F,
+            )
+        elif kind is Kind.READ:
+            index = _index_of(frame)
+            lacks = area >> 8 or index not in PARAMETERS
+            said = ParameterValue(motor=motor, index=index, value=None if lacks else _value_of(frame))
+        elif area >> 8:
+            raise UnknownFrame(f"{frame} has bits set where a motor leaves zeros")
+        elif kind is Kind.DEVICE_ID and host == BROADCAST:
+            said = Identity(motor=motor, uid=int.from_bytes(data, "little"))
+        elif kind is Kind.FAULT:
+            faults, warnings = (int.from_bytes(part, self.fault_order) for part in (data[:4], data[4:]))
+            said = FaultReport(motor=motor, faults=faults, warnings=warnings)
+        else:
+            raise UnknownFrame(
+                f"{frame} has the communication type {kind.value} ({kind.name}), which no motor sends to a host"
+            )
+        return MotorMessage(said, host)
+
+    def _of_host(self, frame: CanFrame, kind: Kind, area: int, motor: int) -> HostMessage:
+        host, data = area & 0xFF, frame.data
+        if kind is Kind.OPERATION:
+            q, dq, kp, kd = struct.unpack(">4H", data)
+            command = MotorCommand(
+                from_word(q, *self._position),
+                from_word(dq, *VELOCITY),
+                from_word(kp, *KP),
+                from_word(kd, *KD),
+                from_word(area, *TORQUE),
+            )
+            return HostMessage(kind, motor, command=command)
+        if kind is Kind.SET_ID:
+            if area >> 8 >= MOTOR_IDS:
+                raise UnknownFrame(f"{frame} sets the id {area >> 8}; motors have ids below {MOTOR_IDS}")
+            return HostMessage(kind, motor, host, value=area >> 8)
+        index, value = 0, 0.0
+        if kind in (Kind.READ, Kind.WRITE):
+            index = _index_of(frame)
+            if index not in PARAMETERS:
+                return HostMessage(kind, motor, host, index=index)
+        if area >> 8:
+            raise UnknownFrame(f"{frame} has bits set where a host leaves zeros")
+        if kind is Kind.WRITE:
+            value = _value_of(frame)
+        elif kind is Kind.STOP:
+            value = float(data[0] == 1)
+        elif kind is Kind.BAUD_RATE:
+            if data[0] not in BAUD_RATES:
+                known = ", ".join(map(str, BAUD_RATES))
+                raise FrameError(f"{frame} has the bit-rate code {data[0]}; expected {known}")
+            value = BAUD_RATES[data[0]]
+        return HostMessage(kind, motor, host, index=index, value=value)
+
+    def check_range(self, q: float, mech_pos: float) -> float | None:
+        """Return the end of the position range that a motor uses [rad], or None if two readings cannot decide it.
+
+        Args:
+            q: Position of a feedback as this codec decoded it [rad].
+            mech_pos: Parameter MECH_POS read at the same place, a float in radians whatever the range [rad].
+
+        Raises:
+            FrameError: If neither range explains both readings.
+        """
+        share = q / self.position_range
+        wrong = {end: abs(share * end - mech_pos) for end in POSITION_RANGES}
+        tolerance = 0.02  # [rad] two words and what a held joint moves between the two readings
+        best, other = sorted(POSITION_RANGES, key=wrong.__getitem__)
+        if wrong[best] > tolerance:
+            raise FrameError(
+                f"the position is {q:.3f} rad in the feedback and {mech_pos:.3f} rad in parameter 0x7019; no known "
+                "position range explains that. Was the joint moving, or the position beyond the range?"
+            )
+        return best if wrong[other] > 2 * tolerance else None
+
+
+def _frame(kind: Kind, area: int, destination: int, data: bytes) -> CanFrame:
+    return CanFrame(kind << 24 | area << 8 | destination, data)
+
+
+def _parameter_bytes(index: int, value: float) -> bytes:
+    p = parameter(index)
+    if not math.isfinite(value):
+        raise FrameError(f"parameter {p.name} cannot be {value}; expected a finite number")
+    number: Any = min(max(value, p.low), p.high)
+    if p.kind != "f32":
+        low, high = {"u8": (0, 0xFF), "i16": (-0x8000, 0x7FFF), "u32": (0, 0xFFFFFFFF)}[p.kind]
+        number = min(max(int(number), low), high)
+    try:
+        return struct.pack("<H2x", index) + struct.pack(_PACK[p.kind], number)
+    except OverflowError:
+        raise FrameError(f"parameter {p.name} cannot be {value:g}; expected a number of single precision") from None
+
+
+def _index_of(frame: CanFrame) -> int:
+    index, zero = struct.unpack("<HH", frame.data[:4])
+    if zero:
+        raise UnknownFrame(f"{frame} has bits set beside the parameter's index")
+    return index
+
+
+def _value_of(frame: CanFrame) -> float:
+    p = parameter(_index_of(frame))
+    value = struct.unpack(_PACK[p.kind], frame.data[4:])[0]
+    if not math.isfinite(value):
+        raise FrameError(f"{frame} gives parameter {p.name} a value that is not finite")
+    return value

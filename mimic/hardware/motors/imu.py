@@ -1,0 +1,228 @@
+"""IMUs on the bus: the interface of an IMU, and the Xsens MTi-600 series.
+
+To support another IMU, add a file with a class that has the methods of `Imu`, and a line in `make_imu`.
+
+Source of ids and scales: xsens.dbc and xsens_parser.cpp of jiminghe/Xsens_MTi_CAN_ROS_Driver, commit e305ce3 (tested
+on an MTi-680-DK by its author), the maker's xscandataidentifier.h and its document MT1604P.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from mimic.errors import ConfigError, FrameError
+from mimic.geometry import multiply_quats, rotation_from_quat
+from mimic.hardware.can.frame import CanFrame
+from mimic.hardware.can.wiring import ImuWiring
+from mimic.records import FloatArray
+
+STALE_AFTER = 0.03
+"""A reading older than this is not used [s]: three missing samples at 100 Hz; a 50 Hz loop sees it within 50 ms."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ImuReading:
+    """The latest data of an IMU at one moment."""
+
+    quat_WB: FloatArray
+    """Orientation of the base, wxyz (4,); NaN if missing or stale."""
+    omega_B: FloatArray
+    """Angular velocity, base axes (3,) [rad/s]; NaN if missing or stale."""
+    age: float
+    """Age of the older of the two [s]; infinite before the first."""
+    unchanged: float
+    """Time since any content of the frames changed, the counter included [s]; infinite before the first frame."""
+    still: float
+    """Time since orientation or angular velocity changed by a single bit [s]; also grows while a robot is at rest."""
+    count: int
+    """Number of samples (orientation and angular velocity) received so far."""
+    valid: bool | None
+    """Whether the IMU marks its orientation as valid; None before its first status word."""
+    problem: str | None
+    """Why the reading must not be used, or None."""
+
+
+class Imu(Protocol):
+    """Collects the frames of an IMU and returns its latest reading."""
+
+    def feed(self, frame: CanFrame, t: float) -> bool:
+        """Take a frame received at time t [s]; return whether it belongs to the IMU.
+
+        Raises:
+            FrameError: If it has an identifier of the IMU but is malformed.
+        """
+        ...
+
+    def reading(self, now: float) -> ImuReading:
+        """Return the latest reading as of time ``now`` [s]."""
+        ...
+
+
+QUATERNION, RATE_OF_TURN, STATUS_WORD, SAMPLE_TIME, GROUP_COUNTER = 0x021, 0x032, 0x011, 0x005, 0x006
+"""Identifiers of 11 bits, as the device ships."""
+
+_LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
+
+_QUATERNION_SCALE, _RATE_SCALE = 32767.0, 512.0
+"""Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both
+are one."""
+
+OTHER_OUTPUTS = frozenset(
+    (0x001, 0x002, 0x007, 0x022, 0x031, 0x033, 0x034, 0x035, 0x041, 0x051, 0x052, 0x061, 0x062)
+    + (0x071, 0x072, 0x073, 0x074, 0x075, 0x076, 0x079, 0x07A)
+)
+"""Identifiers of what else an MTi may send: errors, UTC, Euler angles, increments, accelerations, magnetic field,
+temperature, pressure, position. Source: the DBC named above."""
+
+ORIENTATION_VALID = 1 << 1
+"""Bit of the status word."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MtiSample:
+    """Content of one MTi frame; fields that it does not carry are None."""
+
+    quat_WI: FloatArray | None = None
+    """Orientation of the IMU, wxyz (4,), normalised."""
+    omega_I: FloatArray | None = None
+    """Angular velocity, IMU axes (3,) [rad/s]."""
+    status: int | None = None
+    counter: int | None = None
+    """Of the sample; goes on from 65535 to 0."""
+    time: int | None = None
+    """In the device's ticks, whose unit its documents disagree on (10 kHz or 1 MHz)."""
+
+
+def decode_mti(frame: CanFrame) -> MtiSample | None:
+    """Return the content of a frame, or None if mimic does not read that message.
+
+    Raises:
+        FrameError: If its length is wrong, or its quaternion has no direction.
+    """
+    if frame.extended or frame.id not in _LENGTH:
+        return None
+    if len(frame.data) != _LENGTH[frame.id]:
+        raise FrameError(f"{frame} has {len(frame.data)} bytes; message 0x{frame.id:03X} has {_LENGTH[frame.id]}")
+    match frame.id:
+        case 0x021:
+            quat = np.array(struct.unpack(">4h", frame.data)) / _QUATERNION_SCALE
+            length = float(np.linalg.norm(quat))
+            if not 0.98 < length < 1.02:
+                raise FrameError(f"{frame} is a quaternion of length {length:.3f}; expected 1")
+            return MtiSample(quat_WI=quat / length)
+        case 0x032:
+            return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / _RATE_SCALE)
+        case 0x011:
+            return MtiSample(status=int.from_bytes(frame.data, "big"))
+        case 0x006:
+            return MtiSample(counter=int.from_bytes(frame.data, "big"))
+        case _:
+            return MtiSample(time=int.from_bytes(frame.data, "big"))
+
+
+def _words(values: FloatArray, scale: float) -> list[int]:
+    if not np.all(np.isfinite(values)):
+        raise FrameError(f"{values} cannot be sent; expected finite numbers")
+    return [int(w) for w in np.clip(np.rint(np.asarray(values) * scale), -32768, 32767)]
+
+
+def encode_mti(sample: MtiSample) -> list[CanFrame]:
+    """Return the frames of a sample in the order in which an MTi sends them; words saturate and are rounded.
+
+    Raises:
+        FrameError: If a number is not finite.
+    """
+    frames: list[tuple[int, bytes]] = []
+    if sample.time is not None:
+        frames.append((SAMPLE_TIME, (sample.time & 0xFFFFFFFF).to_bytes(4, "big")))
+    if sample.counter is not None:
+        frames.append((GROUP_COUNTER, (sample.counter & 0xFFFF).to_bytes(2, "big")))
+    if sample.status is not None:
+        frames.append((STATUS_WORD, (sample.status & 0xFFFFFFFF).to_bytes(4, "big")))
+    if sample.quat_WI is not None:
+        frames.append((QUATERNION, struct.pack(">4h", *_words(sample.quat_WI, _QUATERNION_SCALE))))
+    if sample.omega_I is not None:
+        frames.append((RATE_OF_TURN, struct.pack(">3h", *_words(sample.omega_I, _RATE_SCALE))))
+    return [CanFrame(id, data, extended=False) for id, data in frames]
+
+
+class XsensMti:
+    """An Xsens MTi of the 600 series: orientation and rate of turn; counter and status word if it sends them."""
+
+    def __init__(self, quat_BI: FloatArray, *, stale_after: float = STALE_AFTER) -> None:
+        """Make a listener.
+
+        Args:
+            quat_BI: How the IMU sits on the base: turns IMU axes into base axes, wxyz (4,).
+            stale_after: A reading older than this is no reading [s].
+        """
+        self._quat_IB = np.asarray(quat_BI) * np.array([1.0, -1.0, -1.0, -1.0])
+        self._R_BI = rotation_from_quat(quat_BI)
+        self._stale_after = stale_after
+        self._newest = MtiSample()
+        self._came = {QUATERNION: -np.inf, RATE_OF_TURN: -np.inf}
+        self._content: dict[int, bytes] = {}
+        self._changed = self._moved = -np.inf
+        self._samples = dict.fromkeys(self._came, 0)
+
+    def feed(self, frame: CanFrame, t: float) -> bool:
+        """Take a frame received at time t [s]; return whether it belongs to the IMU.
+
+        Raises:
+            FrameError: If it has an identifier of the IMU but is malformed.
+        """
+        sample = decode_mti(frame)
+        if sample is None:
+            return not frame.extended and frame.id in OTHER_OUTPUTS
+        present = {n: v for n in MtiSample.__dataclass_fields__ if (v := getattr(sample, n)) is not None}
+        self._newest = replace(self._newest, **present)
+        if frame.id in self._came:
+            self._came[frame.id] = t
+            self._samples[frame.id] += 1
+        if self._content.get(frame.id) != frame.data:
+            self._content[frame.id], self._changed = frame.data, t
+            self._moved = t if frame.id in self._came else self._moved
+        return True
+
+    def reading(self, now: float) -> ImuReading:
+        """Return the latest reading as of time ``now`` [s]."""
+        newest, age = self._newest, now - min(self._came.values())
+        valid = None if newest.status is None else bool(newest.status & ORIENTATION_VALID)
+        counted = newest.counter is not None or newest.time is not None  # without, a robot at rest repeats itself
+        problem = None
+        if np.isinf(age):
+            problem = "the IMU has not sent orientation and rate of turn yet"
+        elif age > self._stale_after:
+            problem = f"the IMU has been silent for {1e3 * age:.0f} ms"
+        elif counted and now - self._changed > self._stale_after:
+            problem = f"the IMU has repeated itself for {1e3 * (now - self._changed):.0f} ms"
+        elif valid is False:
+            problem = "the IMU calls its orientation invalid"
+        quat_WB, omega_B = np.full(4, np.nan), np.full(3, np.nan)
+        if newest.quat_WI is not None and newest.omega_I is not None and age <= self._stale_after:
+            quat_WB, omega_B = multiply_quats(newest.quat_WI, self._quat_IB), self._R_BI @ newest.omega_I
+        return ImuReading(
+            quat_WB=quat_WB,
+            omega_B=omega_B,
+            age=age,
+            unchanged=now - self._changed,
+            still=now - self._moved,
+            count=min(self._samples.values()),
+            valid=valid,
+            problem=problem,
+        )
+
+
+def make_imu(wiring: ImuWiring) -> Imu:
+    """Return the listener of an IMU.
+
+    Raises:
+        ConfigError: If mimic does not know its kind.
+    """
+    if wiring.kind == "xsens_mti":
+        return XsensMti(wiring.quat_BI)
+    raise ConfigError(f"the IMU is of kind {wiring.kind!r}; mimic knows xsens_mti")
