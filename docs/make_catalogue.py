@@ -1,4 +1,4 @@
-"""Write the catalogue of effects into docs/reference/effects.md, between its two marks.
+"""Write the table of effects into docs/reference/effects.md, between its two marks.
 
 python docs/make_catalogue.py
 """
@@ -14,40 +14,14 @@ BEGIN, END = "<!-- catalogue -->", "<!-- end of catalogue -->"
 
 
 def catalogue_text() -> str:
-    """Return the catalogue as Markdown: a table of all effects, then a section for each."""
+    """Return the catalogue as a Markdown table."""
     lines = ["| effect | what | parameters | scope |", "|---|---|---|---|"]
-    lines += [_row(effect) for effect in CATALOGUE.values()]
-    return "\n".join([*lines, "", *(_section(effect) for effect in CATALOGUE.values())]).rstrip()
+    return "\n".join([*lines, *(_row(effect) for effect in CATALOGUE.values())])
 
 
 def _row(effect: Effect) -> str:
-    name = f"[`{effect.name}`](#{effect.name})"
-    return f"| {name} | {effect.title} | {_parameters(effect)} | {effect.scope} |"
-
-
-def _parameters(effect: Effect) -> str:
-    return ", ".join(f"`{p.name}`{'' if p.unit == '1' else f' [{p.unit}]'}" for p in effect.parameters)
-
-
-def _section(effect: Effect) -> str:
-    """Return what there is to know about one effect."""
-    marks = {
-        "Baseline: fitted before anything else is looked for.": effect.baseline,
-        "Always refitted: a derivative at its neutral value is blind to it.": effect.structural,
-        "Read from the log, one command at a time.": effect.random,
-        "Read from the positions.": effect.read_off and not effect.random,
-    }
-    items = {
-        "Equation": f"`{effect.equation}`",
-        "Residual": effect.signature,
-        "Best excitation": effect.experiment,
-        "In MuJoCo": effect.enters,
-        "Source": effect.source,
-        "Fit": " ".join(text for text, applies in marks.items() if applies),
-    }
-    return "\n".join(
-        [f"### {effect.name}", "", *(f"* {key}: {text.rstrip('.')}." for key, text in items.items() if text), ""]
-    )
+    parameters = ", ".join(f"`{p.name}`{'' if p.unit == '1' else f' [{p.unit}]'}" for p in effect.parameters)
+    return f"| `{effect.name}` | {effect.title} | {parameters} | {effect.scope} |"
 
 
 def with_catalogue(page: str) -> str:

@@ -1,4 +1,4 @@
-"""Hook of mkdocs: pages from outside docs/, links that leave docs/, and the command reference.
+"""Hook of mkdocs: pages from outside docs/, links that leave docs/, and the reference of commands and effects.
 
 The pages in docs/ link to each other and to files of the repository by relative path, so that they can be read on their
 own. For the site this hook adds the linked Markdown files from outside docs/, and prints a link to any other file as
@@ -36,6 +36,9 @@ ADDED = {
 COMMANDS = "<!-- commands -->"
 """Mark in docs/reference/commands.md that the help of every command replaces."""
 
+EFFECTS = "<!-- effects -->"
+"""Mark in docs/reference/effects.md that a section for each effect replaces."""
+
 _LINK = re.compile(r"(!?)\[(?P<text>[^\]]*)\]\((?P<path>[^)\s#]*)(?P<anchor>#[^)\s]*)?\)")
 
 _PLAIN_BRACKET = re.compile(r"\[(?!`[^`]*`\]\(#)")
@@ -58,6 +61,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     path = page.file.src_uri
     if COMMANDS in markdown:
         markdown = markdown.replace(COMMANDS, command_reference())
+    if EFFECTS in markdown:
+        markdown = markdown.replace(EFFECTS, effect_reference())
     return site_links(markdown, path)
 
 
@@ -105,3 +110,28 @@ def command_reference() -> str:
     ]
     text = "\n".join(lines)
     return re.sub(r"\n {4,}(?=\S)", "\n    ", text)
+
+
+def effect_reference() -> str:
+    """Return a section in Markdown for each effect of the catalogue."""
+    from mimic.dynamics.catalogue import CATALOGUE
+
+    sections = []
+    for effect in CATALOGUE.values():
+        marks = {
+            "baseline": effect.baseline,
+            "always refitted": effect.structural,
+            "read from the log": effect.random,
+            "read from the positions": effect.read_off and not effect.random,
+        }
+        items = {
+            "Equation": f"`{effect.equation}`",
+            "Residual": effect.signature,
+            "Best excitation": effect.experiment,
+            "In MuJoCo": effect.enters,
+            "Source": effect.source,
+            "Fit": ", ".join(text for text, applies in marks.items() if applies),
+        }
+        lines = [f"* {key}: {text.rstrip('.')}." for key, text in items.items() if text]
+        sections.append("\n".join([f"### {effect.name}", "", *lines]))
+    return "\n\n".join(sections)

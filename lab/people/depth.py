@@ -6,7 +6,8 @@ Beside each VIDEO.mp4 lies VIDEO.npz with `t`, `names` and `joints` in camera ax
 lab/people/depth_clips.py --video wrote). VIEWS is a folder of views of one real person by calibrated cameras: videos,
 Calib.qca.txt and triangulated_blazepose.npz. Toe targets are compared with those of the truth, and what is declared of
 the wrists' depth with its error, in fifths of the frames from the surest. What was detected is kept: another method
-of estimating depth is judged without the detector.
+of estimating depth is judged without the detector. Each pair of VIEWS is also judged as two videos of one person
+(``mimic VIDEO --also OTHER``).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import torso_heading, wrist_track
 from mimic.robot.reach import Reach
 from mimic.sources.video.depth import with_depth
+from mimic.sources.video.two_views import merge_views
 
 STILL = RetargetSettings(keep_peaks=False)
 SIDES = {"L": "left", "R": "right"}
@@ -104,6 +106,29 @@ def fifths(rows: list[tuple[np.ndarray, np.ndarray]]) -> str:
     return " | ".join(f"{said:.1f}, {true:.1f}" for said, true in rms)
 
 
+def two_views(views: dict[str, tuple[PoseTrack, PoseTrack]], reach: Reach) -> None:
+    """Print how far the toe targets of each view are off by itself and with each other view, and what is declared.
+
+    Args:
+        views: What was seen and the truth, by name.
+        reach: Of the robot.
+    """
+    print("\n| view | alone |", *(f"and {name} |" for name in views))
+    print("|---" * (len(views) + 2) + "|")
+    errors = []
+    for name, (seen, true) in views.items():
+        cells = [f"{targets_apart(seen, true, reach):.1f} cm"]
+        for other, (second, _) in views.items():
+            if other == name:
+                cells.append("")
+                continue
+            merged, fit = merge_views(seen, second, (name, other))
+            cells.append(f"{targets_apart(merged, true, reach):.1f} cm, {fit.angle_deg:.0f}°")
+            errors.append(depth_errors(merged, true))
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    print(f"\ndeclared, true depth error [cm] | {fifths(errors)} |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("clips", nargs="+", type=Path)
@@ -112,7 +137,7 @@ def main() -> None:
     settings = PoseSettings(depth=False, pose_model=options.pose_model)
     reach = Reach()
     print("| clip | true heading, off | detector alone: r, gain, RMSE, targets apart | with depth |\n|---|---|---|---|")
-    figures, errors = {"people": [], "rendered": []}, {"people": [], "rendered": []}
+    figures, errors, views = {"people": [], "rendered": []}, {"people": [], "rendered": []}, {}
     for path in [clip for given in options.clips for clip in (sorted(given.glob("*.mp4")) or [given])]:
         kind = "people" if path.parent.joinpath("Calib.qca.txt").is_file() else "rendered"
         detected = track_video(path, settings)
@@ -120,6 +145,8 @@ def main() -> None:
         seen = estimated(detected)
         figures[kind].append([(*forward(track, true), targets_apart(track, true, reach)) for track in (detected, seen)])
         errors[kind].append(depth_errors(seen, true))
+        if kind == "people":
+            views[path.stem] = (seen, true)
         own, off = (np.degrees(np.median(torso_heading(track))) for track in (true, seen))
         print(
             f"| {path.stem} | {own:.0f}°, {(off - own + 180) % 360 - 180:.0f}° {_cells(figures[kind][-1])}", flush=True
@@ -131,6 +158,8 @@ def main() -> None:
     for kind, rows in errors.items():
         if rows:
             print(f"| {kind} | {fifths(rows)} |")
+    if len(views) > 1:
+        two_views(views, reach)
 
 
 def _cells(rows: np.ndarray | list[tuple[float, ...]]) -> str:

@@ -47,26 +47,19 @@ def paper_table(result: dict[str, Any]) -> str:
     rules = list(next(iter(result["table"].values())))
     first = next(iter(result["table"].values()))
     body += [(name, *cells(found[rules[-1]]["columns"])) for name, found in result["table"].items()]
-    by_rule = [(name, *cells(found["columns"])) for name, found in first.items()]
     ends = [
         (name, ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in found["ended_by"].items()))
         for name, found in first.items()
     ]
-    loose = first["contacts"]
-    near = sorted(loose["near_limit_share"].items(), key=lambda pair: -pair[1])[:4]
-    error = loose["unweighted"]
+    error = first["contacts"]["unweighted"]
     spread = {name: f"{value['mean']:.3f} ± {value['std']:.3f}" for name, value in error.items()}
     return "\n\n".join(
         [
             rows(head, body),
-            "The first row, by what ends an episode:",
-            rows(head, by_rule),
-            rows(("ended by", "how the episodes ended"), ends),
+            f"How the episodes of the row *{next(iter(result['table']))}* end:",
+            rows(("rules", "ended by"), ends),
             f"Unweighted, after the 50th step, ended by contacts: toes {spread['toe_error_cm']} cm, velocity "
             f"{spread['velocity_error_m_s']} m/s, heading {spread['heading_error_rad']} rad.",
-            "Nearest to their limits (share of steps within 5°): "
-            + ", ".join(f"{name} {100 * share:.0f} %" for name, share in near)
-            + ".",
         ]
     )
 

@@ -116,7 +116,7 @@ COMMANDS = {
     ),
     "calibrate": (
         "mimic.cli.calibrate:calibrate",
-        "Find what a model lacks, from logs of the machine.",
+        "Find the effects that a model lacks, from logs of the machine.",
         "mimic calibrate log.parquet",
         "mimic calibrate log.csv --model arm.xml -o out",
         "mimic calibrate a.parquet b.csv --note b.csv:kp=10 --held-out c.parquet",
@@ -132,7 +132,7 @@ COMMANDS = {
     ),
     "doctor": (
         "mimic.cli.doctor:doctor",
-        "Say what this computer has for mimic, and how to fix what is missing.",
+        "Check this computer's installation, and say how to fix what is missing.",
         "mimic doctor",
     ),
     "config": (
@@ -150,7 +150,7 @@ GROUPS = {
         {
             "simulate": (
                 "mimic.cli.log:simulate",
-                "Log a simulated machine with hidden effects.",
+                "Write the log of a simulated machine with hidden effects.",
                 "mimic log simulate --effects hidden.toml -o log.parquet",
                 "mimic log simulate --model arm.xml --seconds 20 -o log.csv",
                 "mimic log simulate --motion random --seed 5 -o second.parquet",
@@ -163,7 +163,7 @@ GROUPS = {
             ),
             "salvage": (
                 "mimic.cli.log:salvage",
-                "Recover the log of a run on the robot that was killed.",
+                "Recover the log of a robot run that was killed.",
                 "mimic log salvage runs/robot",
             ),
         },
@@ -185,7 +185,7 @@ GROUPS = {
             ),
             "watch": (
                 "mimic.cli.robot:watch",
-                "Show what a robot says while it is moved by hand.",
+                "Show live readings while you move the robot by hand.",
                 "mimic robot watch can0",
                 "mimic robot watch cyberdog2 --interface eth0",
             ),

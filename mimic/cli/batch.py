@@ -31,11 +31,11 @@ def batch(
     Parameters
     ----------
     folder
-        Searched with all folders in it.
+        Folder to search, with its subfolders.
     out
         Folder for summary.html, summary.parquet and a folder for each file.
     workers
-        Processes; 0 takes one for each core.
+        Processes; 0: one per core.
     ray
         Play on a Ray cluster at this address, such as auto or 10.0.0.5:6379; its nodes need the same paths.
     export

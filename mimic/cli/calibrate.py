@@ -28,16 +28,16 @@ def calibrate(
     Parameters
     ----------
     logs
-        Parquet or CSV files of one machine with a row for each reading: t, q.JOINT and q_des.JOINT; the
-        manual's page on the log format has the others.
+        Parquet or CSV logs of one machine, one row per reading: t, q.JOINT, q_des.JOINT. More columns: see
+        Log format in the manual.
     model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+        MJCF of the machine, base fixed; default: the suspended CyberDog 2.
     held_out
-        Further logs of the machine, which are only predicted.
+        Logs of the same machine that are predicted, not fitted.
     note
         Extra metadata: KEY=VALUE for all logs, FILE:KEY=VALUE for one, such as kp=20 or b.csv:payload=0.5.
     out
-        Folder for report.html, calibration.json and effects.toml; by default calibration/NAME.
+        Folder for report.html, calibration.json and effects.toml; default: calibration/NAME.
     """
     from mimic.cli.console import ConsoleReporter
     from mimic.flows.calibrate import EFFECTS, REPORT, RESULT

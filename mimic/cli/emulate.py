@@ -29,22 +29,22 @@ def emulate(
     Parameters
     ----------
     board
-        Serve a stock CyberDog 2 over LCM on this computer; play on it with --robot cyberdog2 --interface lo.
+        Serve a stock CyberDog 2 over LCM on this computer; connect with --robot cyberdog2 --interface lo.
     listen
         Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot.
     slcan
-        Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, as an adapter on USB would be.
+        Also offer each bus as a serial adapter (slcan) on a pseudo-terminal, like a USB adapter.
     buses
         Number of buses that the motors are on.
     wiring
-        Wiring file; by default the one that ships with the robot.
+        Wiring file; default: the shipped one.
     fault
         Faults to inject: KIND[:PLACE][=VALUE][@[+]FROM[-UNTIL]], such as motor_dead:FL_knee@12.5, in seconds of the
-        emulation, or with + since the first motor was switched on. The message on an unknown kind lists all.
+        emulation, or with + since the first motor was switched on. An unknown kind prints the list.
     fault_seed
         Also inject a random fault, drawn with this seed.
     seconds
-        End after this [s]; by default at Ctrl-C.
+        End after this time [s]; default: at Ctrl-C.
     every
         Interval of the status lines [s]; 0 for none.
     view

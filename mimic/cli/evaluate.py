@@ -42,13 +42,13 @@ def evaluate(
     policy
         ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
     kind
-        What else to measure. table: the columns of the paper's Table III, beside the paper's. stand-up: 500 lying
+        Another evaluation. table: the columns of the paper's Table III, next to the paper's. stand-up: 500 lying
         starts, and standing still for 20 s. calm: standing for 60 s, with and without noise; pushes, pulls. lead: led
         by a front toe, 5 m at 0.2 m/s in any direction. robustness: survived share along each disturbance, with a heat
         map.
     out
-        JSON file for all figures; by default KIND-NAME.json or evaluation-NAME.json in the current folder. The heat
-        map goes beside it.
+        JSON file for all figures; default: KIND-NAME.json or evaluation-NAME.json in the current folder. The heat
+        map is written next to it.
     episodes
         Randomised episodes: 200; table 50 for each of three seeds; stand-up 500 starts; calm 20; lead 40; robustness
         40 at each point; 500 switches to a policy that sits down.
@@ -56,9 +56,9 @@ def evaluate(
         Length of a randomised episode: 20 s; stand-up 3 s; calm 60 s; lead 32 s; robustness 10 s; latest policy
         switch: 10 s.
     seed
-        Seed of the first episode: 1; table, calm and lead take one that no policy was chosen with.
+        Seed of the first episode: 1; table, calm and lead use seeds that no policy was selected on.
     workers
-        Processes; 0 takes one for each core.
+        Processes; 0: one per core.
     """
     from mimic.cli.console import ConsoleReporter
     from mimic.flows.evaluate import KINDS, policy_path, task_of

@@ -27,13 +27,13 @@ def lead(
     Parameters
     ----------
     video
-        Also write a film in which the pull is drawn (.mp4).
+        Also write a video that shows the pull (.mp4).
     interactive
         Open MuJoCo's viewer: double-click a front leg, then drag it with Ctrl and the right mouse button.
     policy
-        ONNX file that stands and walks; by default the shipped one.
+        ONNX file of a policy that stands and walks; default: the shipped one.
     seed
-        Seed of the start.
+        Seed of the initial state.
     """
     from mimic.cli.console import ConsoleReporter, note, table
     from mimic.config.play import AS_DESCRIBED

@@ -24,16 +24,16 @@ def simulate(
     kd: float | None = None,
     settings: o.SimulatedLog = None,
 ) -> int:
-    """Log a simulated machine with hidden effects, as a real one would be logged.
+    """Write the log of a simulated machine with hidden effects, as a real one would be logged.
 
     Parameters
     ----------
     out
         Parquet or CSV file to write.
     effects
-        effects.toml with what the machine has; without it, the machine is as its model says.
+        effects.toml of the machine; default: no effects.
     model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+        MJCF of the machine, base fixed; default: the suspended CyberDog 2.
     motion
         probe shows every effect; random is for a second log.
     seconds
@@ -41,9 +41,9 @@ def simulate(
     amplitude
         Share of the joints' ranges that the motion uses.
     kp
-        Position gain of the drives [N m/rad]; by default the model's.
+        Position gain of the drives [N m/rad]; default: the model's.
     kd
-        Velocity gain of the drives [N m s/rad]; by default the model's.
+        Velocity gain of the drives [N m s/rad]; default: the model's.
     """
     from mimic.cli.console import ConsoleReporter, note
     from mimic.flows.machine_log import LogMotion, simulate_log
@@ -73,11 +73,11 @@ def replay(
     effects
         effects.toml files of calibrations, to compare them.
     model
-        MJCF of the machine with its base held; by default the CyberDog 2 hung up.
+        MJCF of the machine, base fixed; default: the suspended CyberDog 2.
     whole
-        Replay it in one piece from its first reading; without, in pieces of 6 s that begin with measured positions.
+        Replay the log in one piece; default: in pieces of 6 s, each from the measured positions.
     threads
-        Threads; 0 takes one for each core.
+        Threads; 0: one per core.
     out
         JSON file for the errors.
     """

@@ -31,7 +31,7 @@ def play(
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
     model: Annotated[o.Effects, o.only("model", "effects")] = None,
-    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
+    pose: Annotated[o.Pose, o.only("pose", "person", "pose_model", "also")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
     language: Annotated[o.Language, o.only("language")] = None,
     live: Annotated[o.Live, o.only("live")] = None,
@@ -42,23 +42,23 @@ def play(
     Parameters
     ----------
     source
-        A video of one person; recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt); key frames (.yaml); or a track that
-        mimic wrote (.parquet).
+        A video of one person; recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt); key frames (.yaml); or a track
+        written by mimic (.parquet).
     sim
-        Play it on the simulated robot.
+        Play it on a simulated robot.
     robot
-        Play it on the real robot on these buses: can0, several with commas, slcan:/dev/ttyACM0,
-        socketcand://HOST:PORT/can0; or on a stock one: cyberdog2. Without a source it stands until Ctrl-C.
+        Play it on a real robot. CAN buses: can0, can0,can1, slcan:/dev/ttyACM0, socketcand://HOST:PORT/can0; or
+        cyberdog2 for a stock one. Without a source it stands until Ctrl-C.
     text
         Play a sentence, such as "step forward, then wave the left hand".
     camera
-        Follow a camera live: its number or device, or a video that is played in its place.
+        Follow a camera live: its number or device, or a video file in its place.
     out
-        Run folder; by default runs/NAME, with a number if that is taken.
+        Run folder; default: runs/NAME, with a number appended if it exists.
     video
-        Also write a film of person and robot side by side (.mp4).
+        Also write a video of person and robot side by side (.mp4).
     view
-        Open the Rerun viewer at the end; by default where there is a display.
+        Open the Rerun viewer at the end; default: if there is a display.
     """
     if sim == (robot is not None):
         raise ConfigError(
@@ -125,6 +125,8 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
+    if pose is not None and pose.also is not None:
+        raise ConfigError("--also gives the second of two videos; a camera is followed by itself: leave it out")
     if retarget is not None and retarget.slow_down != 1.0:
         raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 
@@ -170,11 +172,11 @@ def demo(
     Parameters
     ----------
     out
-        Run folder; by default runs/NAME, with a number if that is taken.
+        Run folder; default: runs/NAME, with a number appended if it exists.
     video
-        Also write a film of person and robot side by side (.mp4).
+        Also write a video of person and robot side by side (.mp4).
     view
-        Open the Rerun viewer at the end; by default where there is a display.
+        Open the Rerun viewer at the end; default: if there is a display.
     """
     from mimic.io.assets import DEMO_CLIP, shipped
 

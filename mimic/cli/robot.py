@@ -186,7 +186,7 @@ def zero(
     bus_url
         Buses, such as can0; see mimic --help.
     again
-        Forget what was known of this robot: the pose it lies in now is exactly the lying pose.
+        Forget the stored zeros; the robot now lies exactly in the lying pose.
     yes
         Start without waiting for Enter; for rehearsals.
     """
@@ -261,7 +261,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     bus_url
         Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
     suspended
-        The robot hangs instead of lying.
+        The robot is suspended, not lying.
     """
     from mimic.flows.commissioning import check_robot
 
@@ -292,7 +292,7 @@ def watch(
     bus_url
         Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
     seconds
-        End after this [s]; by default at Ctrl-C.
+        End after this time [s]; default: at Ctrl-C.
     every
         Time between two tables [s].
     view
@@ -361,7 +361,7 @@ def probe(
     out
         Parquet or CSV file to write.
     motion
-        Play the targets of this run folder or log.parquet, scaled into the ranges in which nothing can touch.
+        Play the targets of this run folder or log.parquet, scaled into the collision-free joint ranges.
     """
     from mimic.flows.commissioning import probe_robot
 

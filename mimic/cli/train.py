@@ -29,11 +29,11 @@ def train(
     out
         Folder for checkpoints, TensorBoard files, settings.json and policy.onnx.
     recipe
-        Settings: stand_track, sit_down, or a TOML file; what it leaves out has the default, as in stand_track.
+        Settings: stand_track, sit_down, or a TOML file; missing settings are those of stand_track.
     set
         NAME=VALUE for single settings, such as minutes=9 worlds=4096 rewards.slip=-0.4 effects=effects.toml.
     resume
-        Checkpoint (.pt) to go on from, or a policy (.onnx), whose critic is then learned anew.
+        Checkpoint (.pt) to continue from, or a policy (.onnx), with a new critic.
     """
     from mimic.cli.console import ConsoleReporter, console, note
     from mimic.config.training import ENDLESS

@@ -14,19 +14,19 @@ class EmulateSettings:
     suspended: bool = False
     """Hang the robot by its trunk, feet free; otherwise it lies on the floor."""
     zeroed: bool = False
-    """Start with zeros set; otherwise they are lost, as at every power-up."""
+    """Start with the zeros set; otherwise they are lost, as after every power-up."""
     placement: float = 0.05
     """Largest distance of the joints from the lying pose at the start [rad]."""
     seed: int = 0
     """Seed of the encoders' mounting, the placement, noise and losses."""
     position_range: float = 12.566370614359172
-    """Position range of the motors [rad]; 12.5 is the other one in circulation."""
+    """Position range of the motors [rad]: 4 pi, or 12.5 as in the maker's sample code."""
     can_timeout: bool = False
-    """The firmware supports CAN_TIMEOUT; otherwise writing it does nothing."""
+    """The firmware supports CAN_TIMEOUT; otherwise writing it has no effect."""
     reply: float = 250e-6
     """Delay of the answer to a command [s]. Source: cybergear_m5, its response time."""
     imu_noise: float = 0.003
-    """Standard deviation of the IMU's rates of turn [rad/s]."""
+    """Standard deviation of the gyro noise [rad/s]."""
 
     def __post_init__(self) -> None:
         check_range("placement", self.placement, 0.0, 0.4, "rad")

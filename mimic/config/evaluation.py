@@ -23,7 +23,7 @@ class EpisodeSettings:
     seed: int = 1
     """Seed of the first episode; episode i uses seed + i."""
     workers: int = 0
-    """Processes; 0 takes one for each core."""
+    """Processes; 0: one per core."""
     robot: EffectsSettings = AS_DESCRIBED
     """Which robot is simulated."""
     randomisation: Randomisation = field(default_factory=Randomisation)

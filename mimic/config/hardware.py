@@ -16,7 +16,7 @@ class WiringSettings:
     """What any command needs to know of a robot."""
 
     wiring: str | None = None
-    """Your copy of bus.toml (CAN) or board.toml (stock robot); by default the one that ships with the robot."""
+    """Your copy of bus.toml (CAN) or board.toml (stock robot); default: the shipped one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,9 +24,9 @@ class LookSettings(WiringSettings):
     """How a robot is looked at."""
 
     interface: str | None = None
-    """Network interface to a stock robot, such as eth0, or lo for an emulated one; by default the multicast route's."""
+    """Network interface to a stock robot, such as eth0, or lo for an emulated one; default: by multicast route."""
     zeroed: bool = False
-    """CAN: use the zeros as the wiring has them, without checking that mimic set them since power-up."""
+    """CAN: use the zeros of the wiring file, without checking that mimic set them since power-up."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,7 +36,7 @@ class DriveSettings(LookSettings):
     yes: bool = False
     """Start without waiting for Enter; for rehearsals."""
     torque_limit: float | None = None
-    """CAN: largest torque of each motor [N m]; written to the motors and read back. By default their peak torque."""
+    """CAN: largest torque of each motor [N m]; written to the motors and read back. Default: their peak torque."""
 
     @property
     def torque(self) -> float | None:
@@ -49,14 +49,14 @@ class BusSettings(DriveSettings):
     """How a robot is driven by a policy."""
 
     ramp: float = 2.0
-    """Time in which the gains rise and the joints move into the lying pose [s]."""
+    """Time to raise the gains and move into the lying pose [s]."""
     dry_run: bool = False
-    """CAN: do everything but switch the motors on: pre-flight, policy, timing and log."""
+    """CAN: run pre-flight, policy, timing and log, with the motors off."""
     tether: bool = False
-    """First steps on a rope: at most 9 N m, 6 s for the start, and sitting down at whatever would only be announced.
-    Standing up stays a push of 0.4 s: the policy has no slow one."""
+    """First runs on a rope: at most 9 N m, a start of 6 s, and warnings sit the robot down. Standing up still takes
+    0.4 s."""
     hold: str | None = None
-    """Run only while this is held: key (any key of this terminal), or a gamepad's device such as /dev/input/js0."""
+    """Run only while this is held: key (any key in this terminal), or a gamepad such as /dev/input/js0."""
 
     def __post_init__(self) -> None:
         check_range("ramp", self.ramp, 0.5, 30.0, "s")
@@ -79,20 +79,20 @@ class ProbeSettings:
     seconds: float = 120.0
     """Length of the motion [s]."""
     rate_hz: float = 200.0
-    """Readings a second [Hz]; at 200 Hz twelve motors take 70 % of one bus."""
+    """Readings per second [Hz]; at 200 Hz twelve motors use 70 % of one bus."""
     joints: Literal["all", "sides", "legs", "each"] = "all"
-    """Joints that move at the same time: all, the six of one side, those of one leg, or one. Legs that are held are
-    read less often, which reduces the bus load."""
+    """Joints that move at the same time: all, the six of one side, those of one leg, or one. Resting legs are read
+    less often, which reduces the bus load."""
     amplitude: float = 0.5
-    """Share of the joints' ranges that is used."""
+    """Share of the joint ranges to use."""
     kind: Literal["probe", "random"] = "probe"
     """probe excites every effect; random is for a second log."""
     kp: float = 30.0
-    """[N m/rad]"""
+    """Position gain [N m/rad]."""
     kd: float = 1.0
-    """[N m s/rad]"""
+    """Velocity gain [N m s/rad]."""
     approach: float = 3.0
-    """Time in which the gains rise, and again in which the joints move to the start of the motion [s]."""
+    """Time to raise the gains, and again to move to the start of the motion [s]."""
     seed: int = 0
     """Seed of the motion."""
 

@@ -16,13 +16,13 @@ class LeadingSettings:
     """How a robot answers a pull on a front toe."""
 
     threshold: float = 1.5
-    """A weaker pull does not move it [N]. A standing robot that nobody touches feels up to 1 N."""
+    """Smaller pulls are ignored [N]. A standing robot that nobody touches feels up to 1 N."""
     full: float = 4.0
-    """Pull at which it walks as fast as it may [N]."""
+    """Pull at which the robot walks at full speed [N]."""
     speed: float = 0.3
     """Fastest velocity command [m/s]."""
     turn_rate: float = 0.6
-    """Fastest turn towards a pull from the side [rad/s]."""
+    """Fastest turn toward a sideways pull [rad/s]."""
     smoothing: float = 0.4
     """Time constant of the low pass on the pull [s]."""
 
@@ -39,21 +39,21 @@ class HandSettings:
     """A simulated hand that takes a front toe, walks off with it on a straight line, and lets go."""
 
     toe: Literal["left", "right"] = "left"
-    """The toe that it takes."""
+    """Toe that the hand takes."""
     direction: float = 0.0
-    """Where it goes, from where the belly faces, to the left [deg]."""
+    """Direction of the hand, relative to where the belly faces; positive to the left [deg]."""
     way: float = 5.0
-    """How far it goes [m]."""
+    """Distance that the hand moves [m]."""
     speed: float = 0.2
-    """How fast [m/s]."""
+    """Speed of the hand [m/s]."""
     most: float = 8.0
-    """Strongest pull [N]; what would take more slips through the fingers."""
+    """Maximum pull [N]; beyond it the toe slips through the fingers."""
     stiffness: float = 60.0
-    """Pull for each metre that the toe is behind the hand [N/m]."""
+    """Stiffness of the spring between hand and toe [N/m]."""
     begin: float = 4.0
-    """When it takes the toe [s]."""
+    """Time at which the hand takes the toe [s]."""
     after: float = 3.0
-    """How long the robot is watched when it has let go [s]."""
+    """Time after the hand lets go [s]."""
 
     def __post_init__(self) -> None:
         check_range("direction", self.direction, -360.0, 360.0, "deg")

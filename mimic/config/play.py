@@ -21,20 +21,19 @@ class RunSettings:
     """Timing of a run, and its policy."""
 
     policy: str | None = None
-    """ONNX file; by default the shipped one."""
+    """ONNX file; default: the shipped policy."""
     seed: int = 0
     """Seed of the simulated start."""
     stand_up: float = 2.0
-    """Time from lying to the first target [s]; the policy stands up in about one."""
+    """Time from lying to the first target [s]; the policy stands up in about 1 s."""
     blend: float = 0.5
-    """Time in which the desired toes move from the measured toes to the first target [s]."""
+    """Time to move from the measured toes to the first target [s]."""
     hold_last: float = 1.0
-    """Time the last target is held before the end [s]."""
+    """Time to hold the last target [s]."""
     sit_down: float = 2.5
-    """Time to sit down at the end [s]; the policy needs about half of it."""
+    """Time to sit down at the end [s]; the policy needs about half."""
     early: float | None = None
-    """Lead of the commands over the person, against the lag of the toes [s]; by default their known lag, 0.06 s, and 0
-    for a camera."""
+    """Lead of the commands, to make up for the lag of the toes [s]; default: 0.06, and 0 for a camera."""
 
     def __post_init__(self) -> None:
         check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
@@ -50,9 +49,9 @@ class EffectsSettings:
     """Calibrated effects of the simulated robot."""
 
     effects: str | None = None
-    """effects.toml of a calibration; by default the robot as described."""
+    """effects.toml of a calibration; default: no effects."""
     timestep: float = 0.0025
-    """Physics step with effects [s]; by default the step without effects."""
+    """Physics step with effects [s]."""
 
     def __post_init__(self) -> None:
         check_range("timestep", self.timestep, 2.5e-4, 0.01, "s")

@@ -25,14 +25,18 @@ class PoseSettings:
     max_jump_share: float = 0.05
     """Largest share of frames with such a jump, before a warning."""
     person: Literal["left", "right", "largest"] | int | None = None
-    """Who is followed where a video shows several people: by place in its first picture, or a number from the left."""
+    """Person to follow if a video shows several: position in the first frame, or number from the left."""
     cutoff_hz: float = 6.0
     """Cut-off of the zero-phase Butterworth filter over the landmarks [Hz]."""
     depth: bool = True
-    """Estimate the depth of the arms from their motion in the picture; otherwise it is as the detector says."""
+    """Estimate the depth of the arms with a network; otherwise use the detector's."""
     pose_model: Literal["heavy"] | Path | None = None
-    """heavy: four times as slow, and nearer to the truth on real people. Or another BlazePose model (.task), or the
-    wheel of mediapipe 0.10.14, which carries the default one; by default it is downloaded at the first use."""
+    """heavy: four times slower, more accurate on real people. Or a BlazePose model (.task), or the wheel of
+    mediapipe 0.10.14, which contains the default model. Default: downloaded on first use."""
+
+    also: Path | None = None
+    """A second video of the same person at the same time, from another side: its picture shows the depth that the first
+    one hardly sees. Both start within 2 s."""
 
     def __post_init__(self) -> None:
         check_range("min-visibility", self.min_visibility, 0.0, 1.0)
@@ -44,17 +48,16 @@ class PoseSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MocapSettings:
-    """What a file with recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt) does not say itself."""
+    """What a file of recorded motion (.npz, .trc, .bvh, .c3d, .pkl, .pt) does not state."""
 
     names: tuple[str, ...] = ()
-    """OURS=THEIRS for each point with a name that mimic does not know, such as left_wrist=LWRA+LWRB (the mean of
-    two)."""
+    """OURS=THEIRS for each point whose name mimic does not know, such as left_wrist=LWRA+LWRB (the mean of two)."""
     layout: str | None = None
-    """Layout of points without names, such as coco17 or smpl24; by default found from their number."""
+    """Layout of points without names, such as coco17 or smpl24; default: from their number."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
     """Axis that points up; auto: from the file header, else the torso direction."""
     fps: float = 0.0
-    """Frame rate [Hz]; 0 takes the times in the file."""
+    """Frame rate [Hz]; 0 uses the times in the file."""
 
     def __post_init__(self) -> None:
         check_range("fps", self.fps, 0.0, 10_000.0)

@@ -20,18 +20,18 @@ class RetargetSettings:
     mirror: bool = False
     """The person's left arm drives the right front leg, as in a mirror."""
     turns: bool = False
-    """Follow slow turns of the person; otherwise the heading is constant over the clip."""
+    """Follow slow turns of the person; otherwise the heading is constant."""
     heading: float | None = None
-    """Where the person faces, if you know better than shoulders and hips tell: 0 faces the camera, positive is turned
-    to the person's left [deg]. With turns, the middle of them."""
+    """Heading of the person, instead of the estimate from shoulders and hips: 0 faces the camera, positive is turned
+    to the person's left [deg]. With turns, the mean heading."""
     keep_peaks: bool = True
-    """Move each target to the nearest turning point within half a step, so that slow rates keep the peak of a punch."""
+    """Move each target to the nearest reversal within half a step, so that slow rates keep the peak of a punch."""
     reach_quantile: float = 0.98
-    """Quantile of the shoulder-wrist distance that is taken as the arm length."""
+    """Quantile of the shoulder-wrist distance used as the arm length."""
     scale: float = 1.0
     """Scale of the motion in the robot's workspace."""
     slow_down: float | Literal["auto"] = 1.0
-    """Play the motion this many times slower; auto: as little as keeps 95 % of the targets within the speed limit."""
+    """Play the motion this many times slower; auto: just enough to keep 95 % of the targets within the speed limit."""
 
     def __post_init__(self) -> None:
         check_range("rate", self.rate, 0.05, 1.0, "s")

@@ -14,20 +14,20 @@ class CalibrateSettings:
     """How a log is explained."""
 
     baseline: tuple[str, ...] = ("coulomb", "viscous", "link_mass", "delay")
-    """Effects fitted before anything is looked for. Source: Li et al. 2024, section IV."""
+    """Effects that are always fitted, before the search. Source: Li et al. 2024, section IV."""
     effects: tuple[str, ...] = ()
-    """Effects that may be reported; by default all but those that must be named here."""
+    """Effects to search for; default: all but the experimental ones."""
     drive: Literal["log", "torque", "voltage"] = "log"
-    """What the drives control: as the notes of the log say, torque, or voltage (hobby servos; the notes then have gain,
-    voltage, kt and resistance)."""
+    """What the drives control: log takes it from the log's metadata; voltage, as in hobby servos, needs gain, voltage,
+    kt and resistance there."""
     most_effects: int = 5
-    """Most effects that are added."""
+    """Maximum number of effects to report."""
     torque: bool = True
-    """Explain measured torque too, where the log has it."""
+    """Also fit measured torque, if the log has it."""
     timestep: float = 0.0
-    """Physics step of a replay [s]; 0 takes the longest up to 2.5 ms that divides the time between readings."""
+    """Physics step of a replay [s]; 0: the longest step up to 2.5 ms that divides the time between readings."""
     threads: int = 0
-    """Threads; 0 takes one for each core."""
+    """Threads; 0: one per core."""
 
     def __post_init__(self) -> None:
         for option, names in (("baseline", self.baseline), ("effects", self.effects)):
@@ -47,17 +47,17 @@ class LogSettings:
     resolution: float = 2 * 12.5 / 65535
     """Step of a position reading [rad]; 16 bits over +-12.5 rad as in a CyberGear frame."""
     torque_noise: float = 0.02
-    """Standard deviation of a torque reading [N m]; a reading is the mean since the one before."""
+    """Standard deviation of a torque reading [N m], which is the mean since the previous one."""
     rate_hz: float = 200.0
-    """Readings a second [Hz]."""
+    """Readings per second [Hz]."""
     lost_samples: float = 0.0
-    """Share of readings that are missing from the log."""
+    """Share of missing readings."""
     jitter: float = 0.0
     """Standard deviation of the times of the readings [s]."""
     timestep: float = 0.0002
     """Physics step [s], 0.0001 to 0.005.
 
-    A calibration finds what steps without length would leave: with long ones the log is off.
+    Keep it short: calibration would report the error of long steps as an effect.
     """
     seed: int = 0
     """Seed of noise and losses."""

@@ -77,7 +77,7 @@ def _failed(joint: int, text: str) -> Alert:
 
 
 @_rule(
-    lambda L: "Ctrl-C, the terminal is closed, or what `--hold` names is let go; Ctrl-C again, or SIGTERM",
+    lambda L: "Ctrl-C, the terminal is closed, or `--hold` is released; Ctrl-C again, or SIGTERM",
     "1 tick; a key 0.3 s",
     "sit down; damp",
 )
@@ -159,7 +159,7 @@ def too_hot(report: StepReport, history: StepHistory, limits: Limits) -> Iterato
 
 
 @_rule(
-    lambda L: f"half a second of answers that take {1e3 * L.slow_answers:g} ms; {1e3 * L.slowest_answers:g} ms",
+    lambda L: f"answers take {1e3 * L.slow_answers:g} ms for half a second; {1e3 * L.slowest_answers:g} ms",
     "0.5 s",
     "announce; sit down",
 )
@@ -261,7 +261,7 @@ def imu_silent(report: StepReport, history: StepHistory, limits: Limits) -> Iter
         f"{100 * L.front_above:g} cm above them while standing"
     ),
     "60 ms",
-    "taken out, left out; damp",
+    "jump removed, or reading ignored; damp",
 )
 def imu_contradiction(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:
     """Orientations that do not turn as the rate of turn says, or that the legs contradict."""
@@ -363,7 +363,7 @@ def bus_errors(report: StepReport, history: StepHistory, limits: Limits) -> Iter
 
 
 @_rule(
-    lambda L: f"it says nothing for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
+    lambda L: f"silent for {L.sender_age:g} s; for 0.2 s, has ended, or has damped the robot",
     "1 tick",
     "sit down; damp",
 )
@@ -376,7 +376,7 @@ def sender(report: StepReport, history: StepHistory, limits: Limits) -> Iterator
 
 
 @_rule(
-    lambda L: f"a command that is not ours, or an answer to one; {L.foreign_storm} within 0.1 s",
+    lambda L: f"a command of another program, or an answer to one; {L.foreign_storm} within 0.1 s",
     "1 tick",
     "sit down; damp",
 )
@@ -395,7 +395,7 @@ SUSPENDED_RULES = tuple(rule for rule in RULES if rule.check not in (imu_silent,
 FAILURE = "failure"
 """The rule that the control loop applies itself."""
 
-FAILURES = "a target or an answer is no number, or anything is raised; the log cannot be written, as on a full disk"
+FAILURES = "a target or an answer is not a number, or any exception; the log cannot be written, as on a full disk"
 """What it finds, in words."""
 
 FAILURE_OUTCOMES = "damp; sit down, the rows stay in memory"

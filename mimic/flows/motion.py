@@ -149,6 +149,8 @@ def load_motion(
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
     if reader is None and ending in NOT_READ:
         raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
+    if loading.settings.pose.also is not None and (reader or VIDEO) is not VIDEO:
+        raise ConfigError(f"--also gives the second of two videos; {path.name} is no video: leave it out")
     return (reader or VIDEO).read(path, loading)
 
 
@@ -204,7 +206,7 @@ def track_video(
 
     Args:
         video: A video file of one person.
-        settings: How frames become landmarks.
+        settings: How frames become landmarks; may name a second video of the same moment.
         cache: Reuse the track of an earlier call with the same video (by content) and settings.
         reporter: Receives progress.
 
@@ -221,6 +223,8 @@ def track_video(
     from mimic.sources.video.video import track_video as track
 
     path, settings, reporter = existing(video), settings or PoseSettings(), reporter or SilentReporter()
+    if settings.also is not None:
+        return _track_two(path, existing(settings.also), replace(settings, also=None), cache, reporter)
     if path.is_dir():
         raise SourceError(f"{path} is a folder; expected a video")
     cached = user_cache("pose") / f"{pose_cache_key(path, settings)}.parquet" if cache else None
@@ -233,6 +237,20 @@ def track_video(
     if cached is not None:
         store.save(found, cached, made_by=provenance(settings, {"video": path}))
     return found
+
+
+def _track_two(path: Path, other: Path, settings: PoseSettings, cache: bool, reporter: Reporter) -> PoseTrack:
+    """Return the track of a video, with what a second one of the same moment adds."""
+    from mimic.sources.video.two_views import merge_views
+
+    first, second = (track_video(video, settings, cache=cache, reporter=reporter) for video in (path, other))
+    merged, fit = merge_views(first, second, (path.name, other.name))
+    order = "before" if fit.delay > 0 else "after"
+    reporter.note(
+        f"two views    {other.name} starts {abs(fit.delay):.2f} s {order} {path.name}, "
+        f"{fit.angle_deg:.0f}° beside it; arms and trunk agree to {100 * fit.apart:.0f} cm"
+    )
+    return merged
 
 
 def retarget(

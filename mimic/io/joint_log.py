@@ -203,6 +203,11 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
             bound = np.inf if limits is None else float(np.abs(limits[j]).max())
             reach, span = (float(np.abs(x).max()), float(np.ptp(x))) if len(x) else (0.0, 0.0)
             whole = _whole(x)
+            if not whole and (steps := _steps_of_a_turn(x)):
+                return (
+                    f"{name}.{joint} has steps of 1/{steps}: turns of an encoder, not radians, by a factor of 6.28; "
+                    'multiply it by 2 pi, or note "units": "rad" if that is right'
+                )
             if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 20.0)):
                 continue
             most = bound if np.isfinite(bound) else 2 * np.pi
@@ -215,6 +220,15 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
                 f"{name}.{joint} is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
                 f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
             )
+    return None
+
+
+def _steps_of_a_turn(x: FloatArray) -> int | None:
+    """Return into how many steps an encoder divides one, where many readings are such shares of one."""
+    for steps in (2**bits for bits in range(10, 17)):
+        counts = np.round(steps * x)
+        if np.abs(steps * x - counts).max(initial=0.0) < 0.05 and len(np.unique(counts)) > 50:
+            return steps
     return None
 
 

@@ -236,6 +236,8 @@ BAD = [
     ("--camera text.mp4 --sim", text_file("text.mp4"), "cannot read a picture from text.mp4"),
     ("--camera 0 targets.parquet --robot can0", nothing, "are different inputs; give one of them"),
     ("--camera 0 --sim --video film.mp4", nothing, "leave it out with --camera"),
+    ("--camera 0 --sim --also side.mp4", nothing, "--also gives the second of two videos; a camera"),
+    ("targets.parquet --sim --also side.mp4", nothing, "targets.parquet is no video"),
     ("--text moonwalk --sim", nothing, "has no word 'moonwalk'; its verbs are step"),
     ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "llm"'), "llm_model"),
     ("--text wave --sim --config a.toml", text_file("a.toml", '[text]\nplanner = "poet"'), "planner is 'poet'"),

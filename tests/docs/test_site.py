@@ -12,6 +12,7 @@ import yaml
 
 import mimic
 from mimic.cli.app import DEFAULTS, app
+from mimic.dynamics.catalogue import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
@@ -64,6 +65,14 @@ def test_the_command_reference_has_every_command_and_every_option(site: ModuleTy
                     options += 1
         assert f"## {' '.join(('mimic', *name))}\n" in reference
     assert options > 100, "the walk over the commands found too little"
+
+
+def test_the_effect_reference_has_every_effect_with_its_equation_and_source(site: ModuleType) -> None:
+    reference = site.effect_reference()
+    for name, effect in CATALOGUE.items():
+        section = reference.split(f"### {name}\n")[1].split("###")[0]
+        assert effect.equation in section
+        assert effect.source.rstrip(".") in section
 
 
 def test_the_reference_of_the_library_has_every_public_name() -> None:

@@ -560,6 +560,16 @@ def test_a_unit_is_named_only_where_it_can_be(factor, whole, possible, impossibl
     assert impossible not in str(error.value)
 
 
+@pytest.mark.parametrize("steps", [1024, 16384])
+def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
+    turned = np.round(ANGLES / (2 * np.pi) * steps) / steps
+    path = parquet(tmp_path / "a.parquet", q__a=turned[:, 0], q__b=turned[:, 1])
+    refused(path, f"q.a has steps of 1/{steps}", "turns", "factor of 6.28")
+    assert read_log(path, {"units": "rad"}).q == pytest.approx(turned)
+    ticks = np.round(ANGLES / (2 * np.pi) * steps) * 2 * np.pi / steps
+    read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
+
+
 def test_ticks_with_a_sign_bit_are_said(tmp_path):
     ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64) & 0xFFFF
     refused(parquet(tmp_path / "a.parquet", q__a=ticks[:, 0], q__b=ticks[:, 1]), "sign bit")

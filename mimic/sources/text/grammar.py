@@ -50,6 +50,8 @@ def plan_by_grammar(sentence: str, reach: Reach) -> KeyFrames:
         for action in group:
             add = _add_base if action.moves_base else _add_hands
             timeline.understood.append(add(action, timeline, hands, reach))
+        if frames and frames[-1].what == " while ".join(timeline.understood):
+            timeline.understood[-1] += ", again"
         rows, heading = _frames(timeline, hands, heading)
         frames += rows
         if len(frames) > MOST_FRAMES:
@@ -110,7 +112,7 @@ def _add_hands(action: Action, timeline: _Timeline, hands: dict[str, FloatArray]
         there = holds and np.allclose(way[-1][1], hands[side])  # "raise it and keep it up for 2 seconds"
         timeline.hands[side] = [*([] if there else way), *([(said["seconds"], way[-1][1])] if holds else [])]
     who = "both hands" if len(action.sides) == 2 else f"the {action.sides[0]} hand"
-    took = f" in {said['seconds']:g} s" if "seconds" in said and not holds else ""
+    took = f" in {said['seconds']:.3g} s" if "seconds" in said and not holds else ""
     if action.verb == "place":
         hold = f" and hold {said['seconds']:g} s" if holds else ""
         return f"bring {who} {_POSTURE_WORDS.get(action.way, action.way)}{hold}{took}"

@@ -21,10 +21,9 @@ from mimic.errors import SourceError
 PACES = {"SLOW": 0.6, "FAST": 1.5, "TWICE_AS_FAST": 2.0, "HALF_AS_FAST": 0.5}
 UNITS = {
     "SECONDS": ("seconds", 1.0), "MINUTES": ("seconds", 60.0), "TIMES": ("times", 1.0), "DEGREES": ("degrees", 1.0),
-    "RADIANS": ("degrees", 57.29577951), "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01),
-    "FEET": ("metres", 0.3048), "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0),
-    "CENTIMETRES_PER_SECOND": ("m/s", 0.01), "HALF_TURN": ("degrees", 180.0), "QUARTER_TURN": ("degrees", 90.0),
-    "FULL_TURN": ("degrees", 360.0),
+    "METRES": ("metres", 1.0), "CENTIMETRES": ("metres", 0.01), "FEET": ("metres", 0.3048),
+    "INCHES": ("metres", 0.0254), "METRES_PER_SECOND": ("m/s", 1.0), "HALF_TURN": ("degrees", 180.0),
+    "QUARTER_TURN": ("degrees", 90.0), "FULL_TURN": ("degrees", 360.0),
 }  # fmt: skip
 _SMALL = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen"
 _TENS = "twenty thirty forty fifty sixty seventy eighty ninety"
@@ -37,31 +36,25 @@ WAYS = {
 }  # fmt: skip
 _OUT = {"out": "open", "side": "open"}
 _EACH_WAY = {"up": "up", "down": "down", "forward": "forward", **_OUT}
-POSTURES = {
+POSTURES = {  # for each verb the posture that a direction means
     "RAISE": {"": "up", "up": "up", "forward": "forward", **_OUT},
     "LOWER": {"": "down", "down": "down"},
     "OPEN": {"": "open", **_OUT, **dict.fromkeys(("up", "out up", "side up"), "high and open")},
     "EXTEND": {"": "forward", **_EACH_WAY},
     **dict.fromkeys(("STRETCH", "PLACE"), _EACH_WAY),
 }
-"""For each verb the posture that a direction means."""
-TAKES = {
+TAKES = {  # amounts that a verb takes
     "step": ("times", "seconds", "metres", "m/s"),
     "walk": ("seconds", "metres", "m/s"),
     "turn": ("degrees", "seconds"),
     **dict.fromkeys(("stop", "wait", "place"), ("seconds",)),
     **dict.fromkeys(("wave", "punch", "cycle"), ("times", "seconds")),
 }
-"""Amounts that a verb takes."""
 GESTURES = ("wave", "punch", "cycle")
-ENDLESS = {
-    "times": ("step", *GESTURES), "seconds": ("walk", *GESTURES), "metres": ("walk", "step"), "degrees": ("turn",),
-}  # fmt: skip
-"""Verbs without an amount of their own that could take the amount behind the next verb, too."""
-BASE = ("step", "walk", "turn", "stop", "wait")
-"""Verbs of the base; all others move hands."""
+BASE = ("step", "walk", "turn", "stop", "wait")  # verbs of the base; all others move hands
+ONE_GESTURE = 1.5  # about what one wave or punch takes [s]
 IN_TURN = {"ALTERNATE", "ONE_EACH", "LEFT_AND_RIGHT"}
-MOVES = ("STEP", "WALK", "RETREAT", "MOVE", "TURN")
+MOVES = ("STEP", "WALK", "MOVE", "TURN")
 BOTH = ("left", "right")
 OPPOSITE = {"left": "right", "right": "left"}
 VERBS = "step, walk, turn, stop, wait, wave, punch, raise, lower, open, put, move, hold, point or stretch"
@@ -94,9 +87,8 @@ class Action:
     @property
     def bare(self) -> bool:
         """Whether it only adds an amount or a pace to the action before."""
-        return not (self.kind or self.ways or "bare" in self.amounts) and not (
-            self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
-        )
+        own = self.words.keys() & {"HAND", "LEFT", "RIGHT", "AGAIN", "GREETING"}
+        return not (self.kind or self.ways or own or "bare" in self.amounts)
 
     def error(self, message: str) -> SourceError:
         """Return an error about it."""
@@ -119,14 +111,10 @@ class Action:
         """Add what is said behind a comma: "wave, slowly"."""
         for name, value in other.amounts.items():
             self.amount(name, value)
-        self.words = {
-            kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in {**self.words, **other.words}
-        }
-        self.pause, self.stays, self.last = (
-            other.pause or self.pause,
-            self.stays and other.stays,
-            other.last or self.last,
-        )
+        kinds = {**self.words, **other.words}
+        self.words = {kind: self.words.get(kind, []) + other.words.get(kind, []) for kind in kinds}
+        self.pause, self.stays = other.pause or self.pause, self.stays and other.stays
+        self.last = other.last or self.last
 
 
 Groups = list[list[Action]]
@@ -163,8 +151,9 @@ def parse(sentence: str) -> Groups:
     text = re.sub(r"(?<=\w)-(?=[a-z])|(?<=\d)(?=[a-z°])|\s+", " ", sentence.lower().replace("’", "'"))
     if found := re.search(r"\d,\d|\d\s*[-–]\s*\d|[-–−]\s*\d|\d\s*%", text):
         raise SourceError(f"'{found.group().strip()}' is not a number of the phrasebook; write 45, 1.5 or three")
-    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text.replace("back and forth", "forward and back"))
-    text = re.sub(r"\ban? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
+    text = re.sub(r"\bretreat(ing)?\b", r"walk\1 back", text.replace("back and forth", "forward and back"))
+    text = re.sub(r"\b(half|quarter)( of)? an? ", r"\1 ", text)
+    text = re.sub(r"\ban?(other)? (?=(second|minute|met(re|er)|foot)\b)", "1 ", text)
     text = re.sub(rf"(?<![\w'])(?:{grammar().get_terminal('FILLER').pattern.to_regexp()})", " ", text)
     text = " ".join(text.split())
     if not re.search(r"\w", text):
@@ -175,8 +164,13 @@ def parse(sentence: str) -> Groups:
         raise SourceError(_misfit(error, text)) from None
     if tree.data == "_ambig":
         raise SourceError(f"'{text}' can mean two things; say it in shorter parts, joined by 'then'")
-    reader = _Reader(text)
-    return [group for block in tree.children for group in reader.block(block)]
+    reader, again = _Reader(text), getattr(tree.children[-1], "type", "") == "REPEAT_ALL"
+    groups = [group for block in tree.children if isinstance(block, Tree) for group in reader.block(block)]
+    for side in BOTH if again else ():
+        ways = [a.way for group in groups for a in group if side in a.sides and not a.moves_base]
+        if ways and ways[0] and ways[0] == ways[-1]:
+            raise SourceError(f"the {side} hand is {ways[0]} already when all begins again; say what it does before")
+    return groups * 2 if again else groups
 
 
 def _misfit(error: UnexpectedInput, text: str) -> str:
@@ -219,6 +213,7 @@ class _Reader:
         self.text = text
         self.hands: tuple[str, ...] = ()
         self.before: Action | None = None
+        self.turns: list[Action] = []  # since it faced as at first, or turned back
 
     def block(self, tree: Any) -> Groups:
         """Return the groups of parts joined by commas, the last of them perhaps in time with another."""
@@ -281,7 +276,7 @@ class _Reader:
                 now.last = ""
             if isinstance(child, Token):
                 if child.type == "BACK_UP" and not now.kind:
-                    now.kind, now.word = "RETREAT", str(child)
+                    now.kind, now.word, now.ways = "WALK", str(child), now.ways | {"back"}
                 elif child.type == "BARE":
                     now.amount("bare", number(child))
                 elif child.type in WAYS:
@@ -323,7 +318,8 @@ class _Reader:
     def _scope(self, group: list[Action], said: Action, at_once: bool) -> None:
         """Give a time behind two joined actions to both, where they are at once; refuse what could belong to both."""
         name = said.last
-        free = [a for a in group if not a.amounts and a.verb in ENDLESS.get(name, ())]
+        takes = [a for a in group if name in TAKES[a.verb] and not a.amounts]
+        free = [a for a in takes if name != "seconds" or a.verb in ("walk", *GESTURES)]
         if name == "seconds" and not said.stays:
             free = [a for a in group if name not in a.amounts]
         if free and not (at_once and name == "seconds"):
@@ -420,9 +416,7 @@ class _Reader:
         before, hand, side = self.before, "HAND" in now.words, bool(now.words.keys() & {"LEFT", "RIGHT"})
         if now.word == "after" and before and before.verb in ("walk", *GESTURES) and not before.amounts:
             raise before.error("does not say for how long; say it, then what comes next")
-        if now.kind == "RETREAT":
-            now.kind, now.ways = "WALK", now.ways | {"back"}
-        elif now.kind == "TURN_AROUND":
+        if now.kind == "TURN_AROUND":
             now.kind = "TURN"
             now.amount("degrees", 180.0)
         elif now.kind == "MOVE":
@@ -464,12 +458,15 @@ class _Reader:
         now.refuse("HAND" in now.words or now.words.keys() & IN_TURN, f"is not something a hand does: to {now.word}")
         now.refuse(now.speed > PACES["FAST"], "is faster than the robot walks or turns; say quickly, or a speed")
         if now.verb == "turn":
-            degrees = now.amounts.get("degrees")
+            degrees, turns = now.amounts.get("degrees"), [*self.turns, now]
+            if now.ways == {"back"} and len(self.turns) == 1 and not sides and not degrees:
+                sides, degrees = [OPPOSITE[turns[0].sides[0]]], turns[0].amounts.get("degrees", 90.0)
+                now.amounts["degrees"], now.ways, turns = degrees, set(), []
             now.refuse(now.ways - {"around"}, "is not something the robot does; it turns left or right")
             now.refuse(now.ways and degrees is None, "does not say how far; say turn around, or a number of degrees")
             if len(sides) > 1 or not (sides or degrees in (180.0, 360.0)):
                 raise now.error("does not say where to turn; say turn left, or turn right 60 degrees")
-            now.sides = (*sides, "left")[:1]
+            now.sides, self.turns = (*sides, "left")[:1], turns
             return
         if sides:
             raise now.error(f"goes sideways, and the robot does not {now.word} sideways; turn {sides[0]} first")
@@ -497,10 +494,8 @@ class _Reader:
                 raise now.error(f"needs one direction for {now.word!r}: {', '.join(sorted(filter(None, found)))}")
             now.way = found[" ".join(sorted(ways))]
             again = now.amounts.get("times", 1.0) != 1.0
-            now.refuse(
-                again and "seconds" in now.amounts and now.stays,
-                "says how often and for how long; say 'in' and the time of all",
-            )
+            unclear = again and "seconds" in now.amounts and now.stays
+            now.refuse(unclear, "says how often and for how long; say 'in' and the time of all")
             now.verb = "cycle" if again and now.verb == "raise" and now.way == "up" else "place"
             now.amounts = {n: v for n, v in now.amounts.items() if now.verb != "place" or (n, v) != ("times", 1.0)}
 
@@ -523,9 +518,8 @@ class _Reader:
             return (OPPOSITE[self.hands[0]],)
         if self.hands and (first == "them" or (first == "it" and len(self.hands) == 1)):
             return self.hands
-        now.refuse(
-            first in ("no", "it", "them", "other"), "does not say which hand; say left hand, right hand or both hands"
-        )
+        unclear = first in ("no", "it", "them", "other")
+        now.refuse(unclear, "does not say which hand; say left hand, right hand or both hands")
         if first in ("one", "either", "any"):
             return ("right",)
         last = self.hands if now.kind in ("LOWER", "PLACE") else ()
@@ -552,9 +546,10 @@ def _counted(now: Action, tokens: list[Any]) -> None:
         now.kind, now.word = "TURN", "turn"
         now.words |= {token.type: [str(token)] for token in tokens[2:-1]}
         return now.amount("degrees", number(tokens[0]))
+    if noun.type == now.kind == "TURN" and len(tokens) == 2:
+        return now.amount("degrees", 360.0 * number(tokens[0]))
     if noun.type == "TURN" or not (now.kind in ("", noun.type) or (noun.type == "STEP" and now.kind in MOVES)):
         raise now.error(f"has {' '.join(tokens)}; say how far, how often or how many degrees")
-    now.ways |= {"back"} if now.kind == "RETREAT" else set()
     now.kind, now.word = noun.type, str(noun)
     for token in tokens[1:-1]:
         now.words.setdefault(token.type, []).append(str(token))
@@ -563,7 +558,7 @@ def _counted(now: Action, tokens: list[Any]) -> None:
 
 def _repeated(said: Action, action: Action, several: bool) -> Groups:
     """Return an action hand by hand where it is said so, and with pauses in between."""
-    times, words = action.amounts.get("times"), said.words
+    times, seconds, words = action.amounts.get("times"), action.amounts.get("seconds"), said.words
     by_hand = words.get("HAND", [""])[0].startswith("each") and action.verb != "place"
     if not (words.keys() & IN_TURN or by_hand):
         if "EACH" in words and len(action.sides) != 2 and not several:
@@ -572,14 +567,19 @@ def _repeated(said: Action, action: Action, several: bool) -> Groups:
             return [[action]]
         said.refuse(not times, "has a pause between nothing; say what comes before and behind it")
         return _apart([[replace(action, amounts={**action.amounts, "times": 1.0})]] * int(times or 1), said.pause)
-    said.refuse("seconds" in action.amounts, "has a time for hands in turn; say how often instead")
+    pair = words.get("LEFT_AND_RIGHT", [""])[0] == "one two"
+    each, once = by_hand or pair or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
+    unclear = seconds and (times or each or said.pause or action.verb == "place")
+    said.refuse(unclear, "has a time for hands in turn; say how often instead")
     if said.last == "times" and said.text.startswith("alternat") and "EACH" not in words:
         raise said.error("can count single moves or pairs; say how many for each hand")
     if "ONE_EACH" in words and times not in (None, 2.0):
         raise said.error(f"says {times:g} times and once for each of two hands")
     order = BOTH[::-1] if words.get("LEFT_AND_RIGHT", [""])[0].startswith("right") else BOTH
-    each, once = by_hand or "EACH" in words, action.amounts if by_hand else {"times": 1.0}
     count = (1 if by_hand else int(times or 1)) * 2 if each else int(times or 2)
+    if seconds:
+        count = max(2, round(seconds * action.speed / ONE_GESTURE))
+        once = {"times": 1.0, "seconds": seconds / count}
     once = {} if action.verb == "place" else once
     return _apart([[replace(action, sides=(order[n % 2],), amounts=dict(once))] for n in range(count)], said.pause)
 

@@ -50,7 +50,7 @@ MARGIN = 0.35
 """What is shown around a chosen person, on each side [box heights]."""
 WIDE = 1.2
 """A picture with a longer side than this many shorter ones is also searched in squares: people who are small in the
-whole of it are found there."""
+whole of it are found there. Where nobody was chosen, every second look does so."""
 
 _SHOULDERS, _HIPS = ([LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")] for part in ("shoulder", "hip"))
 CHOOSE = "--person left|right|largest|N chooses"
@@ -298,7 +298,8 @@ class People:
 
     def look(self, t: float, rgb: np.ndarray) -> None:
         """Look for everybody in a picture at time t [s]."""
-        people = distinct(list(self._everybody_in(rgb)))
+        closely = self._choice is not None or len(self._looks) % 2 == 0  # squares take two thirds of the time
+        people = distinct(list(self._everybody_in(rgb, closely)))
         if len(self._followed) < len(self._looks):
             self._followed.append(None)
         self._looks.append((t, people))
@@ -319,12 +320,12 @@ class People:
         """Return the frames (T,) in which the detector found the chosen person, or whom it liked if none was chosen."""
         return np.array(self._rows, dtype=np.bool_)
 
-    def _everybody_in(self, rgb: np.ndarray) -> Iterator[Person]:
-        """Yield the people in a picture and in its squares; some of them twice."""
+    def _everybody_in(self, rgb: np.ndarray, closely: bool = True) -> Iterator[Person]:
+        """Yield the people in a picture and, if asked, in its squares; some of them twice."""
         height, width = rgb.shape[:2]
         for image in self._poses_in(rgb):
             yield person_of(image, self._aspect, clothes_colour(rgb, image))
-        for x, y, side in squares(width, height):
+        for x, y, side in squares(width, height) if closely else ():
             for image in self._poses_in(rgb[y : y + side, x : x + side]):
                 inner = [x > 0, y > 0], [x + side < width, y + side < height]
                 if not ((image.min(axis=0) < 0) & inner[0]).any() and not ((image.max(axis=0) > 1) & inner[1]).any():

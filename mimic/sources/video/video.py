@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 10
+ALGORITHM = 11
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -134,7 +134,7 @@ def pose_cache_key(path: Path, settings: PoseSettings = _DEFAULT) -> str:
     given = settings.pose_model
     named = HEAVY_BUNDLE if given == "heavy" else BUNDLE
     model = sha256_of(given) if isinstance(given, Path) and given.is_file() else named
-    others = plain(replace(settings, pose_model=None))
+    others = plain(replace(settings, pose_model=None, also=None))
     parts = [sha256_of(path), others, model, f"mediapipe {version('mediapipe')}", ALGORITHM]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -230,15 +230,16 @@ def doubts(
     jumps = jump_share(t, landmarks, image, valid, size, settings.max_jump)
     if person < MIN_PERSON_SHARE:
         yield f"a person with both shoulders and a wrist is visible in only {person:.0%} of the frames"
-    if jumps > settings.max_jump_share:
+    still = f"a wrist or the person still jumps in {jumps:.0%} of the frames"
+    if swapped.mean() > MAX_SWAP_SHARE:
+        yield (
+            f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, but "
+            f"{still if jumps > settings.max_jump_share else 'errors may remain'}: film closer and in good light"
+        )
+    elif jumps > settings.max_jump_share:
         yield (
             f"the person or a wrist jumps in {jumps:.0%} of the frames: the clip has cuts, shows several people, or "
             "the arms are hard to see; use a clip of one person, without cuts, from the front or a three-quarter view"
-        )
-    if swapped.mean() > MAX_SWAP_SHARE:
-        yield (
-            f"the detector swapped left and right in {swapped.sum()} of {len(swapped)} frames; this was corrected, "
-            "but errors may remain: film from the front or a three-quarter view, in good light"
         )
     if upside_down(image, valid):
         yield "the shoulders are below the hips; if the video is upside down, rotate it"

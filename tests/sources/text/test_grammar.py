@@ -135,6 +135,9 @@ def test_hands_stay_where_the_clause_before_left_them(plan, reach):
         ("wave 1000 times", "more than"),
         ("wave 90 times, then wave 90 times", "more than"),
         ("turn up", "not something"),
+        ("turn left, turn right, turn back", "not something"),
+        ("raise both arms and do it all again", "up already"),
+        ("don't move your arms", 'no word "don\'t"'),
     ],
 )
 def test_what_is_not_understood_is_reported_with_what_would_be(sentence, message, plan):
@@ -208,6 +211,19 @@ def test_what_a_verb_does_not_use_is_an_error_and_never_dropped(sentence, word, 
         ("raise your left hand and wave", "raise your left hand, then wave the left hand"),
         ("take two steps forward, then two back", "step forward twice, then step back twice"),
         ("turn left at half speed", "turn left in 6 seconds"),
+        ("do a quick one-two punch", "punch left quickly, then punch right quickly"),
+        ("throw two one-two punches", "punch left, right, left, right"),
+        ("alternate left and right punches for 6 seconds", "alternate left and right punches in 6 seconds"),
+        ("don't move for 5 seconds", "stand for 5 seconds"),
+        ("open both arms and hold the pose for 2 seconds", "open both arms, wait 2 s"),
+        ("face the other way", "turn around"),
+        ("raise both hands as high as you can", "raise both hands"),
+        ("raise the left arm to the side at shoulder height", "raise the left arm to the side"),
+        ("raise both hands, then lower them both", "raise both hands, then lower both hands"),
+        ("punch left, then wave, and do it all again", "punch left, then wave, punch left, then wave"),
+        ("turn left 30 degrees, punch, then turn back", "turn left 30 degrees, punch, then turn right 30 degrees"),
+        ("rotate 1.5 turns clockwise", "turn right 540 degrees"),
+        ("walk another metre", "walk 1 m"),
     ],
 )
 def test_two_sentences_with_one_meaning_make_the_same_motion(sentence, same, plan):
@@ -249,6 +265,17 @@ def test_each_key_frame_says_how_its_part_of_the_sentence_was_understood(plan):
         "turn left 45° in 1.5 s",
         "walk forward 1 m in 4 s while wave with both hands 3 times",
     ]
+
+
+def test_the_same_thing_said_twice_is_read_back_twice(plan):
+    understood = dict.fromkeys(frame.what for frame in plan("turn left, then left again").frames)
+    assert list(understood) == ["turn left 90° in 3 s", "turn left 90° in 3 s, again"]
+
+
+def test_hands_in_turn_take_the_time_that_is_said(plan):
+    motion = plan("alternate left and right punches for 6 seconds")
+    assert motion.seconds == pytest.approx(6)
+    assert [frame.what.split()[3] for frame in motion.frames[::3]] == ["left", "right", "left", "right"]
 
 
 def test_it_and_the_other_are_the_hands_that_moved_before(plan, reach):

@@ -1,0 +1,209 @@
+"""One person from two uncalibrated cameras: the depth that one hardly sees lies in the picture of the other.
+
+Both clips are brought to one clock by the heights of elbows and wrists, which all cameras see alike. The turn between
+the cameras and the ratio of their scales are those at which the lines of arms and trunk agree best, each camera being
+less sure of depth. Each line is then the least-squares mean of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from mimic.errors import SourceError
+from mimic.records import SIDES, BoolArray, FloatArray, PoseTrack
+
+LATEST = 2.0
+"""One clip starts at most this long after the other [s]."""
+GRID_HZ = 100.0
+"""Rate at which their motion is compared [Hz]."""
+ACROSS, DEPTH = 0.03, 0.12
+"""Standard deviations of a line across the picture, and in depth where the track declares none [m]."""
+TURN_DOUBT = 0.14
+"""Standard deviation of the turn found, about each axis [rad]: 14° in all on twelve pairs of calibrated views."""
+STARTS = 8
+"""Turns about the vertical from which the best one is sought."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """How a second view lies to the first."""
+
+    delay: float
+    """Time of the second clip less that of the first at the same moment [s]."""
+    turn: FloatArray
+    """From axes of the second camera to those of the first, times the ratio of their scales (3, 3)."""
+    apart: float
+    """Root mean square distance of the lines of both views [m]."""
+    unlike: float
+    """The same over what ACROSS and DEPTH let expect: 0.6 to 0.7 for one person seen twice, 1.3 and more for others.
+
+    Source: twelve pairs of four calibrated views, and other clips (lab/results/sources.md).
+    """
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle between the directions in which the cameras look [deg]."""
+        return float(np.degrees(np.arccos(np.clip(self.turn[2, 2] / np.cbrt(np.linalg.det(self.turn)), -1.0, 1.0))))
+
+
+def merge_views(first: PoseTrack, second: PoseTrack, names: tuple[str, str]) -> tuple[PoseTrack, Fit]:
+    """Return the first track with arms and trunk from both views, and how the second one lies to it.
+
+    Args:
+        first, second: Tracks of one person at the same time; times, pictures and axes are those of the first.
+        names: Of their videos, for messages.
+
+    Raises:
+        SourceError: If the two show different motions, or one has a cut.
+    """
+    for track, name in zip((first, second), names, strict=True):
+        if len(np.unique(track.shot)) > 1:
+            raise SourceError(f"{name} has a cut or a change of person; two views need clips without one")
+    delay = _delay(first, second)
+    seen, other = _lines(first), _at(_lines(second), second.t, first.t + delay)
+    both = seen.valid & other.valid
+    if not both.any():
+        raise SourceError(f"{names[0]} and {names[1]} never show the same arm at once; film both at the same time")
+    turn, unlike = _turn(seen.xyz[both], other.xyz[both])
+    apart = float(np.sqrt(((seen.xyz[both] - other.xyz[both] @ turn.T) ** 2).sum(axis=-1).mean()))
+    if unlike > 1.0:
+        raise SourceError(
+            f"{names[0]} and {names[1]} do not show the same motion: seen from the best angle, arms and trunk are "
+            f"{100 * apart:.0f} cm apart; film one person with both at once, starting within {LATEST:g} s"
+        )
+    said = tuple(f"{names[1]}: {text}" for text in second.warnings)
+    merged = _with_lines(first, _mean(seen, other, turn))
+    return replace(merged, warnings=(*first.warnings, *said)), Fit(delay, turn, apart, unlike)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lines:
+    """Shoulder -> elbow and wrist of each side, right -> left shoulder and hip, mid-hip -> middle of the shoulders."""
+
+    xyz: FloatArray
+    """(T, 7, 3), axes of the camera [m]."""
+    spread: FloatArray
+    """Standard deviation of their depth (T, 7) [m]."""
+    valid: BoolArray
+    """(T, 7)."""
+
+
+def _lines(track: PoseTrack) -> _Lines:
+    columns = {f"{side}_{part}": track.index(f"{side}_{part}") for side in SIDES for part in _PARTS}
+    p = {name: track.landmarks[:, column] for name, column in columns.items()}
+    ok = {name: track.valid[:, column] for name, column in columns.items()}
+    middle = [(p[f"left_{part}"] + p[f"right_{part}"]) / 2 for part in ("hip", "shoulder")]
+    pairs = [(f"{side}_shoulder", f"{side}_{part}") for side in SIDES for part in ("elbow", "wrist")]
+    pairs += [("right_shoulder", "left_shoulder"), ("right_hip", "left_hip")]
+    xyz = np.stack([*(p[b] - p[a] for a, b in pairs), middle[1] - middle[0]], axis=1)
+    valid = np.stack([*(ok[a] & ok[b] for a, b in pairs), ok["left_shoulder"] & ok["right_shoulder"]], axis=1)
+    spread = np.full(valid.shape, DEPTH)
+    spread[:, [1, 3]] = np.where(np.isfinite(track.depth_spread), track.depth_spread, DEPTH)
+    return _Lines(xyz, spread, valid & np.isfinite(xyz).all(axis=-1))
+
+
+_PARTS = ("shoulder", "elbow", "wrist", "hip")
+
+
+def _at(lines: _Lines, t: FloatArray, times: FloatArray) -> _Lines:
+    """Return lines at other times; beyond the clip they are not seen."""
+    inside = (times >= t[0]) & (times <= t[-1])
+    row = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
+    share = np.clip((times - t[row - 1]) / (t[row] - t[row - 1]), 0.0, 1.0)
+
+    def between(values: FloatArray) -> FloatArray:
+        weight = share.reshape(-1, *[1] * (values.ndim - 1))
+        return (1.0 - weight) * values[row - 1] + weight * values[row]
+
+    valid = lines.valid[row - 1] & lines.valid[row] & inside[:, None]
+    return _Lines(between(lines.xyz), between(lines.spread), valid)
+
+
+def _delay(first: PoseTrack, second: PoseTrack) -> float:
+    """Return the delay at which elbows and wrists go up and down most alike [s]."""
+    one, other = (_speeds(track) for track in (first, second))
+    most = round(LATEST * GRID_HZ)
+    lags = range(max(-most, 1 - len(one)), min(most, len(other) - 1) + 1)
+
+    def alike(lag: int) -> float:
+        rows = min(len(one), len(other) - lag) - max(0, -lag)
+        return float(np.vdot(one[max(0, -lag) :][:rows], other[max(0, lag) :][:rows]))
+
+    return max(lags, key=alike) / GRID_HZ
+
+
+def _speeds(track: PoseTrack) -> FloatArray:
+    """Return how fast elbows and wrists go down from their shoulder at GRID_HZ (T, 4) [m/s]; 0 where unseen."""
+    lines, grid = _lines(track), np.arange(track.t[0], track.t[-1], 1.0 / GRID_HZ)
+    seen = _at(lines, track.t, grid)
+    speed = GRID_HZ * np.gradient(seen.xyz[:, :4, 1], axis=0) if len(grid) > 1 else np.zeros((len(grid), 4))
+    return np.where(seen.valid[:, :4] & np.isfinite(speed), speed, 0.0)
+
+
+def _turn(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
+    """Return the turn and scale (3, 3) that bring lines b (N, 3) to lines a (N, 3) by weighted least squares.
+
+    Last comes the root mean square of what is left, over what is expected.
+    """
+    aa, bb, ab = (x.T @ y / len(a) for x, y in ((a, a), (b, b), (a, b)))
+    noise = np.diag(np.square([ACROSS, ACROSS, DEPTH]))
+
+    def matrix(p: FloatArray) -> FloatArray:
+        return np.exp(p[3]) * Rotation.from_rotvec(p[:3]).as_matrix()
+
+    def cost(p: FloatArray) -> float:
+        m = matrix(p)
+        unlike = aa - ab @ m.T - m @ ab.T + m @ bb @ m.T
+        return float(np.trace(np.linalg.solve(noise + m @ noise @ m.T, unlike)))
+
+    about = [np.array([0.0, angle, 0.0, 0.0]) for angle in np.linspace(-np.pi, np.pi, STARTS, endpoint=False)]
+    found = min((minimize(cost, start) for start in about), key=lambda one: one.fun)
+    return matrix(found.x), float(np.sqrt(found.fun / 3.0))
+
+
+def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
+    """Return the least-squares mean of lines in two views, with what is left of their spread."""
+
+    def information(lines: _Lines) -> FloatArray:
+        across = np.full(lines.spread.shape, ACROSS)
+        weights = np.stack([across, across, lines.spread], axis=-1) ** -2.0 * lines.valid[..., None]
+        return weights[..., None] * np.eye(3)
+
+    back = np.linalg.inv(turn)
+    own, others = information(seen), back.T @ information(other) @ back
+    covariance = np.linalg.inv(own + others + 1e-9 * np.eye(3))
+    values = [np.where(lines.valid[..., None], lines.xyz, 0.0) for lines in (seen, other)]
+    total = (own @ values[0][..., None] + others @ (values[1] @ turn.T)[..., None])[..., 0]
+    xyz = (covariance @ total[..., None])[..., 0]
+    spread = np.hypot(np.sqrt(covariance[..., 2, 2]), TURN_DOUBT * np.linalg.norm(xyz, axis=-1))
+    return _Lines(xyz, spread, seen.valid | other.valid)
+
+
+def _with_lines(track: PoseTrack, lines: _Lines) -> PoseTrack:
+    """Return a track with these lines; what neither view shows stays as it is."""
+    landmarks, valid, score, spread = (
+        np.array(column) for column in (track.landmarks, track.valid, track.score, track.depth_spread)
+    )
+    for i, side in enumerate(SIDES):
+        half, elbow, wrist = 0.5 - i, 2 * i, 2 * i + 1
+        shoulder, seen = lines.xyz[:, 6] + half * lines.xyz[:, 4], lines.valid[:, 4] & lines.valid[:, 6]
+        places = {
+            "hip": (half * lines.xyz[:, 5], lines.valid[:, 5]),
+            "shoulder": (shoulder, seen),
+            "elbow": (shoulder + lines.xyz[:, elbow], seen & lines.valid[:, elbow]),
+            "wrist": (shoulder + lines.xyz[:, wrist], seen & lines.valid[:, wrist]),
+        }
+        moved = places["wrist"][0] - landmarks[:, track.index(f"{side}_wrist")]
+        for part in ("pinky", "index", "thumb"):
+            landmarks[:, track.index(f"{side}_{part}")] += moved
+        for part, (xyz, known) in places.items():
+            column = track.index(f"{side}_{part}")
+            landmarks[known, column] = xyz[known]
+            score[known, column] = np.where(valid[known, column], score[known, column], 1.0)
+            valid[known, column] = True
+        spread[:, i] = np.where(lines.valid[:, wrist], lines.spread[:, wrist], np.nan)
+    return replace(track, landmarks=landmarks, valid=valid, score=score, depth_spread=spread)
