@@ -62,7 +62,6 @@ FAMILIES: Mapping[str, Family] = {
     "base_tilt": Family("rad", 0.7, "40 deg; the catalogue ends at 46"),
     "payload": Family("kg", 0.5, "as heavy as the thigh", parts=("knee",)),
     "com_shift": Family("m", 0.09, "half of the link", signed=True),
-    "periodic_force": Family("N m", 1.5, "as gravity of three legs"),
     "joint_delay": Family("s", 0.04, "two targets"),
     "delay_jitter": Family("s", 0.06, "three targets"),
     "lost_commands": Family("1", 0.5, "every other target"),
@@ -78,6 +77,7 @@ ALIEN_CAPS: Mapping[str, tuple[float, str]] = {
     "cable_hysteresis": (1.0, "gravity of two legs"),
     "detent": (1.5, "gravity of three legs"),
     "random_walk": (1.0, "gravity of two legs"),
+    "periodic_force": (1.5, "as gravity of three legs"),
     "integral": (200.0, "the loop begins to oscillate"),
     "target_filter": (0.05, "two and a half targets"),
     "deadband": (0.05, "3 deg"),
@@ -129,13 +129,10 @@ def hidden_effect(
         values = {"angle": s * ROOM[np.array(index) % 3]}
     elif name == "encoder_scale":
         values = {"factor": 1.0 + s}
-    elif name in ("cogging", "periodic_force"):
+    elif name == "cogging":
         phase = draw(0.0, 2 * np.pi, 0.6)
-        values = {"cosine": s * np.cos(phase), "sine": s * np.sin(phase)}
-        if name == "cogging":
-            values["order"] = np.full(len(s), np.round(draw(12.0, 60.0, 31.0)[0], 2))
-        else:
-            values["frequency"] = np.full(len(s), np.round(draw(0.6, 4.0, 1.7)[0], 3))
+        order = np.full(len(s), np.round(draw(12.0, 60.0, 31.0)[0], 2))
+        values = {"cosine": s * np.cos(phase), "sine": s * np.sin(phase), "order": order}
     elif name == "spring":
         values = {"stiffness": s, "moment": s * draw(-0.5, 0.5, 0.2)}
     elif name == "base_tilt":

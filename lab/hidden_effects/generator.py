@@ -59,7 +59,6 @@ _DIRECT: Mapping[str, Mapping[str, str]] = {
     "encoder_step": {"angle": "step"},
     "cogging": {"cosine": "cog_cos", "sine": "cog_sin", "order": "cog_order"},
     "spring": {"stiffness": "stiffness", "moment": "moment"},
-    "periodic_force": {"cosine": "force_cos", "sine": "force_sin", "frequency": "force_hz"},
 }
 """Parameters of the catalogue that are a column of the physics."""
 
@@ -84,6 +83,7 @@ ALIENS: Mapping[str, str] = {
     "cable_hysteresis": "N m, Bouc-Wen loop reached within 0.15 rad",
     "detent": "N m, magnet at one angle, 0.05 rad wide",
     "random_walk": "N m, wandering torque, forgotten after 3 s",
+    "periodic_force": "N m, an outside force at 1.7 Hz",
     "integral": "N m/(rad s), integral term of the drive, which has run since before the log",
     "target_filter": "s, first-order lag of the target",
     "deadband": "rad, errors below which the drive does nothing",
@@ -416,6 +416,9 @@ def _alien_columns(alien: Alien, motion: Excitation, joint: int, rng: np.random.
         return {"imbalance": alien.size, "imbalance_order": 9.0, "imbalance_phase": rng.uniform(0, 2 * np.pi)}
     if alien.name == "cable_hysteresis":
         return {"cable_torque": alien.size, "cable_k": alien.size / 0.15}
+    if alien.name == "periodic_force":
+        phase = rng.uniform(0, 2 * np.pi)
+        return {"force_cos": alien.size * np.cos(phase), "force_sin": alien.size * np.sin(phase), "force_hz": 1.7}
     if alien.name in _ONE_COLUMN:
         return {_ONE_COLUMN[alien.name]: alien.size}
     if alien.name == "detent":

@@ -32,7 +32,7 @@ PAIRS = (
     ("stribeck", "backlash"),
     ("load_friction", "cogging"),
     ("velocity_lag", "spring"),
-    ("coupling", "periodic_force"),
+    ("coupling", "spring"),
     ("cogging", "quadratic_drag"),
     ("armature", "encoder_step"),
     ("torque_speed", "joint_delay"),
@@ -42,7 +42,7 @@ PAIRS = (
 TRIPLES = (
     ("torque_speed", "stribeck", "backlash"),
     ("cogging", "velocity_lag", "spring"),
-    ("load_friction", "periodic_force", "joint_delay"),
+    ("load_friction", "cogging", "joint_delay"),
 )
 """Medium; weak where an effect cannot be more (backlash)."""
 

@@ -51,7 +51,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "friction": ("stribeck", "load_friction", "asymmetric_friction", "quadratic_drag", "coupling"),
     "transmission": ("backlash", "compliance"),
     "encoder": ("encoder_offset", "encoder_scale", "encoder_step"),
-    "position, time": ("cogging", "spring", "base_tilt", "payload", "com_shift", "periodic_force"),
+    "position, time": ("cogging", "spring", "base_tilt", "payload", "com_shift"),
     "commands": ("joint_delay", "delay_jitter", "lost_commands"),
 }
 """Effects by where they sit, for the plot."""

@@ -340,7 +340,7 @@ class Law:
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(q, dq, load, tau)
-        applied = self._outside(q, dq, time) - bent
+        applied = self._outside(q, dq) - bent
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
         if self.rotor is not None:
             kp, kd, bias, low, high = self._through_gear(q, dq, ctrl, kp, kd, bias, low, high, tau)
@@ -443,7 +443,7 @@ class Law:
             level, bent = (forward + backward) / 2, (forward - backward) / 2
         return level, bent
 
-    def _outside(self, q: Any, dq: Any, time: Any) -> Any:
+    def _outside(self, q: Any, dq: Any) -> Any:
         xp, get, has, applied = self.xp, self.get, self._has, self._zero
         if "asymmetric_friction" in has:
             applied = applied - get("asymmetric_friction", "coefficient") * xp.abs(dq)
@@ -456,10 +456,6 @@ class Law:
             applied = applied + get("cogging", "cosine") * xp.cos(angle) + get("cogging", "sine") * xp.sin(angle)
         if "spring" in has:
             applied = applied + get("spring", "moment") - get("spring", "stiffness") * q
-        if "periodic_force" in has:
-            angle = self._zero + get("periodic_force", "frequency") * time * 6.283185307179586
-            applied = applied + get("periodic_force", "cosine") * xp.cos(angle)
-            applied = applied + get("periodic_force", "sine") * xp.sin(angle)
         return applied
 
     def _through_gear(

@@ -102,7 +102,6 @@ def calibrate(
         result,
         warnings=tuple(dict.fromkeys((*warnings, *result.warnings))),
         metadata=metadata,
-        repeatability=checks[0].repeatability if len(given) == 1 else None,
         effects=effects,
     )
     if out is not None:

@@ -41,12 +41,10 @@ from mimic.sysid.unexplained import (
     experiments,
     next_logs,
     no_match,
-    of_base,
     of_baseline,
     sentence,
     stopped_at,
     unexplained_residuals,
-    weak,
 )
 
 STEP_SHARE = 0.85
@@ -172,7 +170,6 @@ def _calibrated(
         log.q_des if log.q_des is not None else np.zeros_like(log.q),
         problem.blocks.index,
         np.asarray(machine.drives.neighbour),
-        None if final.base is None else final.base.share,
     )
     effects = _effect_set(final, coarse)
     if not log_matches_model:
@@ -205,9 +202,8 @@ def _calibrated(
         unexplained=rest,
         sentence=said,
         log_matches_model=log_matches_model,
-        experiments=(*experiments(stages), *of_base(final.base), *next_logs(rest)) if log_matches_model else (),
+        experiments=(*experiments(stages), *next_logs(rest)) if log_matches_model else (),
         warnings=(*final.notes, *(stopped_at(*row, machine) for row in _at_bounds(final))),
-        not_identifiable=weak(final.fitted, problem),
         correlations=correlations(final.fitted, problem),
         traces=traces,
         logs=unseen,
@@ -233,7 +229,7 @@ def _no_worse(final: FittedModel, before: FittedModel) -> FittedModel:
         return before
     titles = " and ".join(CATALOGUE[n].title for n in final.added)
     note = f"{titles} made the prediction of held-out blocks worse, so that the baseline stays"
-    return replace(before, notes=(*final.notes, note), base=final.base)
+    return replace(before, notes=(*final.notes, note))
 
 
 def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:

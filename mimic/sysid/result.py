@@ -35,7 +35,7 @@ class Thresholds:
     """Share of what is left of a joint that its encoder must round off to be called coarse (suite)."""
     most: float = 0.5
     """Share that is most of something: of the spread of positions (with more error, log and model have nothing to do
-    with each other), and of what is left (what a base, or single events, explain)."""
+    with each other), and of what is left (what single events explain)."""
     predictable: float = 0.1
     """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2
@@ -58,7 +58,7 @@ RULES = Thresholds()
 """Those in use."""
 
 
-FORMAT = 3
+FORMAT = 4
 """Version of the keys of `Calibration.to_json`."""
 
 CORRELATED = 0.7
@@ -145,13 +145,13 @@ class UnexplainedResidual:
     state_r2: float
     """Share of it that the state predicts on held-out blocks; at or below 0 none."""
     depends_on: tuple[str, ...]
-    """What it depends on most: position, velocity, torque, time, another joint, the base."""
+    """What it depends on most: position, velocity, torque, time, another joint."""
     peak_hz: float
     """Where its spectrum is highest [Hz]."""
     peak_ratio: float
     """That peak over the median of the spectrum."""
     verdict: str
-    """explained, state-dependent, moving base, periodic, events, or broadband."""
+    """explained, state-dependent, periodic, events, or broadband."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,12 +222,8 @@ class Calibration(ShownAsTable):
     experiments: tuple[str, ...] = ()
     """What to log next to tell apart what this log cannot."""
     warnings: tuple[str, ...] = ()
-    not_identifiable: tuple[str, ...] = ()
-    """Directions in the parameters that this log does not determine."""
     correlations: Correlations | None = None
     """Of the numbers that were fitted."""
-    repeatability: FloatArray | None = None
-    """Where the log holds an excitation twice, how much the two differ, over the square root of 2 (J,)."""
     traces: Traces
     replays: int = 0
     """Simulated logs."""
@@ -251,9 +247,6 @@ class Calibration(ShownAsTable):
                 "joints": self.joints,
                 "unit": self.unit,
                 "noise": dict(zip(self.joints, self.noise, strict=True)),
-                "repeatability": None
-                if self.repeatability is None
-                else dict(zip(self.joints, self.repeatability, strict=True)),
                 "errors": {
                     "nominal": self._errors(self.nominal),
                     "baseline": self._errors(baseline),
@@ -281,7 +274,6 @@ class Calibration(ShownAsTable):
                 "unexplained": self.unexplained,
                 "logs": self.logs,
                 "experiments": self.experiments,
-                "not_identifiable": self.not_identifiable,
                 "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
                 "warnings": self.warnings,
                 "replays": self.replays,

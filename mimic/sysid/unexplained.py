@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy import signal
@@ -15,11 +14,9 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.fit.least_squares import Fit, weak_directions
-from mimic.sysid.fit.problem import FreeParameter, Problem
+from mimic.sysid.fit.problem import FreeParameter
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.select.starts import PredictedMotion
-from mimic.sysid.torque.regression import BaseMotion
 
 BURST_TIME = 0.1
 """Share of the time in which most of the squares are single events."""
@@ -35,7 +32,6 @@ def unexplained_residuals(
     target: FloatArray,
     blocks: IntArray,
     neighbour: IntArray,
-    base: FloatArray | None = None,
 ) -> tuple[UnexplainedResidual, ...]:
     """Classify the residual of each joint.
 
@@ -46,14 +42,10 @@ def unexplained_residuals(
         target: Targets (T, J).
         blocks: Block of each reading, -1 where it does not count (T,).
         neighbour: Index of the joint next to each (J,).
-        base: Share of the torque that is left which a motion of the base removes (J,), where one explains it.
     """
     found = []
     for j, name in enumerate(joints):
-        rest = _remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t)
-        if base is not None and rest.verdict != "explained" and base[j] > RULES.most:
-            rest = replace(rest, verdict="moving base", depends_on=("the base",))
-        found.append(rest)
+        found.append(_remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t))
     return tuple(found)
 
 
@@ -199,7 +191,7 @@ _NEXT = {
     "velocity": "move {joint} at five constant speeds from 0.05 rad/s to its fastest, in both directions",
     "torque": "repeat the motion of {joint} with another payload, and log the measured torque",
     "another joint": "move {joint} while its neighbours hold still, then its neighbours alone",
-    "time": "hold {joint} still for 20 s with the drive on, then off; log an IMU on the base",
+    "time": "hold {joint} still for 20 s with the drive on, then off, and the base more stiffly; log an IMU on it",
 }
 """What tells more about a residual that depends on this."""
 
@@ -215,23 +207,11 @@ def next_logs(rest: tuple[UnexplainedResidual, ...]) -> tuple[str, ...]:
     """Return what to log to explain what stays unexplained: a line for each kind of motion, with its joints."""
     wanted: dict[str, list[str]] = {}
     for r in rest:
-        if r.verdict in ("explained", "moving base"):  # the latter is said by `of_base`
+        if r.verdict == "explained":
             continue
         for what in [_NEXT[d] for d in r.depends_on if d in _NEXT] or [_NEXT_BY_VERDICT[r.verdict]]:
             wanted.setdefault(what, []).append(r.joint)
     return tuple(what.format(joint=", ".join(joints)) for what, joints in wanted.items())
-
-
-def of_base(base: BaseMotion | None) -> tuple[str, ...]:
-    """Return what a motion of the base would explain, if one is what is left."""
-    if base is None:
-        return ()
-    at = " and ".join(f"{f:.2f}" for f in base.frequencies)
-    most = 100 * float(base.share.max())
-    return (
-        f"a base motion at {at} Hz would explain up to {most:.0f} % of a joint's unexplained torque: hold the base more"
-        " stiffly and log an IMU on it",
-    )
 
 
 def _where(joints: tuple[str, ...], machine: MachineModel) -> str:
@@ -318,7 +298,6 @@ def _left(rest: tuple[UnexplainedResidual, ...]) -> str:
         what = {
             "state-dependent": f"depends on {' and '.join(r.depends_on) or 'the state'}",
             "periodic": f"periodic near {r.peak_hz:.1f} Hz, independent of the motion",
-            "moving base": f"moving base, near {r.peak_hz:.1f} Hz",
             "events": "isolated events",
             "broadband": "broadband, independent of all logged signals",
         }[r.verdict]
@@ -330,16 +309,3 @@ def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
     """Return that a parameter is at a bound of its validity, and where."""
     end = "largest" if bound == free.bounds[1] else "smallest"
     return f"{free.called(machine.joints)} is at its {end}, {bound:g}: the log does not say more of it"
-
-
-def weak(final: Fit, problem: Problem) -> tuple[str, ...]:
-    """Return the parameters that the log determines only in combination."""
-    lines = []
-    for direction in weak_directions(final, problem):
-        parts = []
-        for (name, parameter), joints in direction.items():
-            where = "" if joints == [-1] else " of " + ", ".join(problem.machine.joints[j] for j in joints)
-            parts.append(f"{name}.{parameter}{where}")
-        if parts:
-            lines.append(" with ".join(parts))
-    return tuple(dict.fromkeys(lines))

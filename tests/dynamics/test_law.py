@@ -376,13 +376,6 @@ def test_cogging_comes_back_over_one_tooth(bench):
     assert max(torque) == pytest.approx(0.5, rel=0.01)
 
 
-def test_a_periodic_force_shakes_at_its_frequency(bench):
-    made = bench({"periodic_force": {"cosine": 0.0, "sine": 0.2, "frequency": 4.0}}, **FREE).run(2.0)
-    ddq = np.gradient(made["dq"], made["t"])
-    assert np.abs(ddq).max() == pytest.approx(0.2 / WHOLE, rel=0.02)
-    assert np.sum(np.diff(np.sign(ddq)) != 0) == pytest.approx(16, abs=1)
-
-
 # ---------------------------------------------------------------------- voltage drives
 
 SERVO = {"drive": "voltage", "gain": 5.0, "voltage": 10.0, "kt": 0.4, "resistance": 4.0}
@@ -472,7 +465,6 @@ LARGE = {
     "spring": {"stiffness": 5.0, "moment": 1.0},
     "payload": {"mass": 1.0},
     "com_shift": {"distance": 0.05},
-    "periodic_force": {"cosine": 1.0, "sine": 1.0, "frequency": 10.0},
 }
 
 

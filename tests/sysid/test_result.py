@@ -42,7 +42,7 @@ def small() -> Calibration:
 def test_all_but_the_traces_comes_out_as_json(tmp_path: Path) -> None:
     save_json(small().to_json(), tmp_path / "calibration.json")
     data = json.loads((tmp_path / "calibration.json").read_text())
-    assert data["format"] == 3
+    assert data["format"] == 4
     assert data["found"] == ["backlash"]
     assert data["errors"]["nominal"]["held_out"] == {"a": 8.0, "b": 24.0, "all": np.sqrt(320.0)}
     assert data["errors"]["final"]["train"]["b"] == 6.0

@@ -60,7 +60,6 @@ VALUES: dict[str, dict[str, float]] = {
     "spring": {"stiffness": 0.8, "moment": 0.3},
     "payload": {"mass": 0.2},
     "com_shift": {"distance": 0.02},
-    "periodic_force": {"cosine": 0.5, "sine": 0.3, "frequency": 3.0},
     "joint_delay": {"time": 0.004},
 }
 ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction", "motor"}

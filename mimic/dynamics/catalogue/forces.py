@@ -65,18 +65,4 @@ FORCES = (
         enters="body_ipos",
         source="rigid body",
     ),
-    Effect(
-        name="periodic_force",
-        title="external periodic force",
-        equation="tau = cosine cos(2 pi frequency t) + sine sin(2 pi frequency t)",
-        parameters=(
-            Parameter(name="cosine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="sine", unit="N m", neutral=0.0, low=-20.0, high=20.0, step=0.01),
-            Parameter(name="frequency", unit="Hz", neutral=1.0, low=0.05, high=50.0, step=0.002, shape=True, spread=50),
-        ),
-        signature="a narrow peak in the spectrum over time, whatever the robot does",
-        experiment="hold still and log",
-        enters="qfrc_applied at every step",
-        source="fans, pumps, a person at the stand",
-    ),
 )

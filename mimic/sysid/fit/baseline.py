@@ -14,7 +14,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
-from mimic.sysid.fit.problem import Key, Point, Problem
+from mimic.sysid.fit.problem import WIDE, Key, Point, Problem
 from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
@@ -29,10 +29,18 @@ def corrected(problem: Problem, point: Point) -> Problem:
 def settled(
     problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray], passes: int = 2
 ) -> tuple[Problem, Fit]:
-    """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it."""
+    """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it.
+
+    Once more where numbers moved further than their derivatives were taken over.
+    """
     for _ in range(passes):
         problem = corrected(problem, fitted.point)
-        fitted = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
+        after = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
+        size = np.array([k.step for k in after.free_parameters])
+        moved = after.point.read(after.free_parameters) - fitted.point.read(after.free_parameters)
+        fitted = after
+        if np.all(np.abs(moved) <= WIDE * size):
+            break
     return problem, fitted
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -114,27 +115,10 @@ Asking = Generator[Sequence[Point], FloatArray, "Fit"]
 
 
 def fit(
-    problem: Problem,
-    start: Point,
-    names: Sequence[str],
-    joints: Mapping[str, BoolArray],
-    *,
-    most: int = 6,
-    frozen: Fit | None = None,
-    every: int = 2,
+    problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray], *, most: int, **how: Any
 ) -> Fit:
-    """Fit the numbers of the named effects.
-
-    Args:
-        problem: Log and model.
-        start: Where to begin; has the effects.
-        names: Effects that are fitted.
-        joints: Which joints have an effect.
-        most: Most iterations.
-        frozen: Begin with this fit's derivatives for the free parameters it has.
-        every: After how many steps, and at the end, all derivatives are found anew; 0 for never.
-    """
-    return fit_all(problem, [fitting(problem, start, names, joints, most=most, frozen=frozen, every=every)])[0]
+    """Fit the numbers of the named effects by themselves; see `fitting`."""
+    return fit_all(problem, [fitting(problem, start, names, joints, most=most, **how)])[0]
 
 
 def fit_all(problem: Problem, fits: Sequence[Asking]) -> list[Fit]:
@@ -172,14 +156,21 @@ def fitting(
     names: Sequence[str],
     joints: Mapping[str, BoolArray],
     *,
-    most: int = 6,
+    most: int,
     frozen: Fit | None = None,
     every: int = 2,
 ) -> Asking:
-    """Ask for the replays of a fit, step by step; see `fit` and `fit_all`.
+    """Ask for the replays of a fit of the named effects, step by step; see `fit_all`.
 
-    Derivatives are found at the start, and with ``every`` anew after so many steps and at the end; in between each step
-    corrects them along its way (`_by_secant`).
+    Args:
+        problem: Log and model.
+        start: Where to begin; has the effects.
+        names: Effects that are fitted.
+        joints: Which joints have an effect.
+        most: Most iterations.
+        frozen: Begin with this fit's derivatives for the free parameters it has.
+        every: After how many steps, and at the end, all derivatives are found anew; 0 for never. In between each step
+            corrects them along its way (`_by_secant`).
     """
     free_parameters = problem.free_parameters(start, joints, names)
     point = start
@@ -189,12 +180,14 @@ def fitting(
     if frozen is not None:
         columns = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
     stacked: list[FloatArray] = []
+    stale = frozen is not None
     for i in range(most):
         anew = bool(every and i and i % every == 0)
         if fresh := [k for k in free_parameters if anew or (k.key, k.joint) not in columns]:
             points, groups, sizes = problem.difference_points(point, fresh)
             made = problem.columns(residual, (yield points), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
+            stale = stale and not anew
         stacked = [columns[k.key, k.joint] for k in free_parameters]
         sums = problem.sums(residual, stacked, free_parameters)
         _, gradient = sums.over(problem.blocks.train)
@@ -221,9 +214,10 @@ def fitting(
             stacked = _by_secant(problem, free_parameters, stacked, steps[winner], residual - replayed[winner])
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
+        stale = stale or winner > 0
         if not winner or (1 - best / before < CONVERGED).all():
             break
-    if every and free_parameters:
+    if every and free_parameters and stale:
         points, groups, sizes = problem.difference_points(point, free_parameters)
         stacked = problem.columns(residual, (yield points), groups, free_parameters, sizes)
     sums = problem.sums(residual, stacked, free_parameters)
@@ -451,21 +445,3 @@ def correlations(fitted: Fit, problem: Problem) -> Correlations | None:
 def _information(fitted: Fit, problem: Problem) -> FloatArray:
     """Return what data and prior say of the free parameters (P, P)."""
     return fitted.sums.over(problem.blocks.train)[0] + np.diag(prior(fitted.free_parameters))
-
-
-def weak_directions(fitted: Fit, problem: Problem, condition: float = 1e6) -> list[dict[Key, list[int]]]:
-    """Return combinations of free parameters that the log does not determine."""
-    if not fitted.free_parameters:
-        return []
-    hessian, _ = fitted.sums.over(problem.blocks.train)
-    scale = np.array([k.step for k in fitted.free_parameters])
-    values, vectors = np.linalg.eigh(hessian * scale[:, None] * scale[None])
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value * condition > values[-1]:
-            break
-        heavy: dict[Key, list[int]] = {}
-        for i in np.flatnonzero(np.abs(vector) > 0.3):
-            heavy.setdefault(fitted.free_parameters[i].key, []).append(fitted.free_parameters[i].joint)
-        found.append(heavy)
-    return found

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.replay import Replay
-from mimic.sysid.log.noise import period
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
 
@@ -132,59 +130,6 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     return position, speed, acceleration, torque
 
 
-def normal_equations(
-    residual: FloatArray,
-    columns: Sequence[FloatArray],
-    free_parameters: Sequence[FreeParameter],
-    blocks: Blocks,
-    channel_chain: IntArray,
-    chain: IntArray,
-    weights: FloatArray,
-) -> Sums:
-    """Return the normal equations of each block.
-
-    Args:
-        residual: Whitened (T, C).
-        columns: Derivatives of the predictions, whitened (T, C), one for each free parameter.
-        free_parameters: Those (P,).
-        blocks: Blocks of the readings.
-        channel_chain: Chain of each channel (C,).
-        chain: Chain of each joint (J,).
-        weights: Weight of each chain (K,).
-    """
-    count, total = len(free_parameters), len(blocks.held_out)
-    hessian, gradient = np.zeros((total, count, count)), np.zeros((total, count))
-    weighed = hessian.copy(), gradient.copy()
-    chains = np.unique(channel_chain)
-    of = np.array([-1 if k.joint < 0 else chain[k.joint] for k in free_parameters])
-    members = {c: np.flatnonzero((of == c) | (of < 0)) for c in chains}
-    rows_of = [np.flatnonzero(blocks.index == b) for b in range(total)]
-    for c in chains:
-        mine = np.flatnonzero(channel_chain == c)
-        index = members[c]
-        stacked = (
-            np.stack([columns[int(i)][:, mine] for i in index.tolist()])
-            if len(index)
-            else np.zeros((0, len(residual), len(mine)))
-        )
-        own = residual[:, mine]
-        for b, rows in enumerate(rows_of):
-            if not len(rows):
-                continue
-            a = stacked[:, rows].reshape(len(index), len(rows) * len(mine)).astype(np.float64)
-            r = own[rows].reshape(-1).astype(np.float64)
-            good = np.isfinite(r)
-            if not good.all() or not np.isfinite(a).all():
-                a, r = np.nan_to_num(a), np.where(good, r, 0.0)
-            outer, along = a @ a.T, a @ r
-            hessian[b][np.ix_(index, index)] += outer
-            gradient[b][index] += along
-            weighed[0][b][np.ix_(index, index)] += weights[c] * outer
-            weighed[1][b][index] += weights[c] * along
-    weight = np.where(of < 0, 1.0, weights[of]) if count else np.zeros(0)
-    return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)
-
-
 FINE = 3
 """A fine replay has this many times more steps."""
 
@@ -257,13 +202,6 @@ class Problem:
         """Number of readings of each fitted block (B_train,)."""
         there = self.blocks.index[self.blocks.index >= 0]
         return np.bincount(there, minlength=len(self.blocks.held_out))[self.blocks.train]
-
-    @cached_property
-    def period(self) -> float | None:
-        """Time after which the motion that was asked for repeats [s]; None where it does not."""
-        log = self.replay.log
-        asked = log.q_des if log.q_des is not None else log.force
-        return None if asked is None else period(log.t, asked)
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
@@ -493,7 +431,30 @@ class Problem:
     def sums(
         self, residual: FloatArray, columns: Sequence[FloatArray], free_parameters: Sequence[FreeParameter]
     ) -> Sums:
-        """Return the normal equations of each block."""
-        return normal_equations(
-            residual, columns, free_parameters, self.blocks, self.channel_chain, self.machine.chain, self.weight
-        )
+        """Return the normal equations of each block.
+
+        Args:
+            residual: Whitened (T, C).
+            columns: Derivatives of the predictions, whitened (T, C), one for each free parameter.
+            free_parameters: Those (P,).
+        """
+        chain, count, total = self.machine.chain, len(free_parameters), len(self.blocks.held_out)
+        hessian, gradient = np.zeros((total, count, count)), np.zeros((total, count))
+        weighed = hessian.copy(), gradient.copy()
+        of = np.array([-1 if k.joint < 0 else chain[k.joint] for k in free_parameters], dtype=int)
+        rows_of = [np.flatnonzero(self.blocks.index == b) for b in range(total)]
+        for c in np.unique(self.channel_chain):
+            mine, index = np.flatnonzero(self.channel_chain == c), np.flatnonzero((of == c) | (of < 0))
+            stacked = np.zeros((len(index), len(residual), len(mine)), dtype=np.float32)
+            for i, k in enumerate(index.tolist()):
+                stacked[i] = columns[k][:, mine]
+            for b, rows in enumerate(rows_of):
+                a = stacked[:, rows].reshape(len(index), len(rows) * len(mine))
+                a = np.nan_to_num(a.astype(np.float64))
+                r = np.nan_to_num(residual[np.ix_(rows, mine)].reshape(-1).astype(np.float64), posinf=0.0, neginf=0.0)
+                outer, along = a @ a.T, a @ r
+                for (h, g), w in (((hessian, gradient), 1.0), (weighed, self.weight[c])):
+                    h[b][np.ix_(index, index)] += w * outer
+                    g[b][index] += w * along
+        weight = np.where(of < 0, 1.0, self.weight[of])
+        return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)

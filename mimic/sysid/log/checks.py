@@ -12,10 +12,8 @@ from mimic.io.joint_log import CHANNELS, UNITS, JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
     Following,
-    find_repeat,
     following,
     noise_floor,
-    repeatability,
     reversals,
     speed,
 )
@@ -284,9 +282,6 @@ class LogCheck:
     """The log without repeated and unreadable rows: the one to fit."""
     noise: FloatArray
     """Standard deviation of white noise on the positions, no less than the encoder's step allows."""
-    repeatability: FloatArray | None
-    """Difference of two repetitions of an excitation over the square root of 2, where one comes twice; with heat or
-    drift it is more than noise."""
     warnings: tuple[str, ...]
     """What the user should know, a line each."""
 
@@ -329,11 +324,9 @@ def check_log(
         *beyond(log, limits),
         *full(log, torque),
     ]
-    repeat = find_repeat(log.t, asked)
     return LogCheck(
         log=log,
         noise=noise,
-        repeatability=None if repeat is None else repeatability(log.t, log.q, asked, repeat),
         warnings=tuple(warnings),
     )
 

@@ -1,4 +1,4 @@
-"""What a log's curves say by themselves: noise floor, encoder steps, repeated stretches, lag behind the target."""
+"""What a log's curves say by themselves: noise floor, encoder steps, lag behind the target."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ _DIFFERENCE = 20.0
 """Variance of the third difference of white noise, over that of the noise: 1 + 9 + 9 + 1."""
 _SPREAD = 2.31
 """Sum of the squared autocorrelations of that difference, 1 + 2 (0.75^2 + 0.3^2 + 0.05^2)."""
-
-GRID = 0.02
-"""Time between targets that are compared with each other [s]."""
 
 _TRIMMED = 0.759
 """Variance of a normal distribution cut at 1.96 standard deviations."""
@@ -88,95 +85,6 @@ def _variance(x: FloatArray) -> FloatArray:
     """Return the variance of each column of white noise whose largest twentieth, steps and spikes, is left out."""
     size = np.sort(np.abs(x - np.median(x, axis=0)), axis=0)
     return (size[: max(int(0.95 * len(size)), 1)] ** 2).mean(axis=0) / _TRIMMED
-
-
-@dataclass(frozen=True, kw_only=True)
-class Repeat:
-    """The same excitation, twice."""
-
-    first: float
-    """Start of the first time [s]."""
-    second: float
-    """Start of the second time [s]."""
-    seconds: float
-    """How long it lasts."""
-
-
-def find_repeat(t: FloatArray, target: FloatArray, least: float = 8.0) -> Repeat | None:
-    """Return the longest stretch of targets (T, J) that comes twice without overlap, at least ``least`` seconds of it.
-
-    Only stretches in which the target moves most of the time count.
-    """
-    clock, x = _scaled(t, target)
-    width = int(least / GRID)
-    if len(clock) < 2 * width or not x.size:
-        return None
-    moving = np.abs(np.diff(x, axis=0, append=x[-1:])).max(axis=1) > 1e-6
-    best: Repeat | None = None
-    for lag in range(width, len(x) - width):
-        same = np.asarray((np.abs(x[lag:] - x[:-lag]) < 0.02).all(axis=1))
-        if same.sum() < width:
-            continue
-        start, length = _longest(same)
-        length = min(length, lag)
-        if length < width or moving[start : start + length].mean() < 0.5:
-            continue
-        if best is None or length * GRID > best.seconds + GRID:
-            best = Repeat(first=float(clock[start]), second=float(clock[start + lag]), seconds=length * GRID)
-    return best
-
-
-def _scaled(t: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return even times (K,), and the targets then of what moves, over their ranges (K, moved)."""
-    clock = np.arange(t[0], t[-1], GRID)
-    x = target[np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)]
-    scale = np.ptp(x, axis=0)
-    return clock, x[:, scale > 0] / scale[scale > 0]
-
-
-def period(t: FloatArray, target: FloatArray, shortest: float = 1.0) -> float | None:
-    """Return the time [s] after which all targets (T, J) come again, over the whole log; None where they do not.
-
-    It must pass at least twice.
-    """
-    _, x = _scaled(t, target)
-    best: tuple[float, int] | None = None
-    for lag in range(int(shortest / GRID), len(x) // 2 if x.size else 0):
-        apart = np.abs(x[lag:] - x[:-lag]).max(axis=1)
-        if (apart < 0.03).mean() > 0.98:
-            best = min(best or (np.inf, 0), (float(apart.mean()), lag))
-        elif best is not None:
-            break
-    return None if best is None else best[1] * GRID
-
-
-def _longest(true: BoolArray) -> tuple[int, int]:
-    """Return start and length of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
-    if not len(edges):
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    i = int(lengths.argmax())
-    return int(edges[::2][i]), int(lengths[i])
-
-
-def repeatability(t: FloatArray, x: FloatArray, target: FloatArray, repeat: Repeat) -> FloatArray:
-    """Return how much two repetitions differ, over the square root of 2, for each signal (J,).
-
-    The first second is left out, in which the machine still knows what it did before. The shift between the two is
-    found to a fraction of a reading, by the targets. A machine that warms up or drifts differs by more than its noise.
-    """
-    inside = (t > repeat.first + 1.0) & (t < repeat.first + repeat.seconds - 0.05)
-    clock, dt = t[inside], float(np.median(np.diff(t)))
-
-    def differences(of: FloatArray, shift: float) -> FloatArray:
-        when = clock + repeat.second - repeat.first + shift
-        return np.stack([np.interp(when, t, c) for c in of.T], -1) - of[inside]
-
-    scale = np.maximum(np.ptp(target, axis=0), 1e-12)
-    shifts = np.arange(-0.04, 0.04 + 1e-9, dt / 4)
-    shift = shifts[int(np.argmin([((differences(target, s) / scale) ** 2).sum() for s in shifts]))]
-    return differences(x, shift).std(axis=0) / np.sqrt(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -26,7 +26,7 @@ from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
 from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
-from mimic.sysid.torque.regression import BaseMotion, Torques, asked_for, moving_base
+from mimic.sysid.torque.regression import Torques, asked_for
 
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
@@ -195,8 +195,6 @@ class FittedModel:
     """For an effect, those that cannot be told from it."""
     notes: tuple[str, ...] = ()
     """What was found and is not in the model any more."""
-    base: BaseMotion | None = None
-    """A motion of the base, where that explains what is left."""
 
     @cached_property
     def left_out(self) -> tuple[FloatArray, FloatArray]:
@@ -322,7 +320,7 @@ class Selection:
         if not self.settings.most_effects or baseline.explained:
             return baseline, ()
         best = replace(baseline, problem=baseline.problem.warmed_up(baseline.fitted.point))
-        beam, last, base = [best], (), None
+        beam, last = [best], ()
         for _ in range(self.settings.most_effects):
             if baseline.problem.replay.replays > MOST_REPLAYS:
                 note = "further effects were not looked for: the search has a limit, and what is left is reported"
@@ -330,21 +328,21 @@ class Selection:
                 break
             grown: list[FittedModel] = []
             for i, model in enumerate(beam):
-                made, tried, swings = self.extended(model)
+                made, tried = self.extended(model)
                 grown += made
                 if i == 0:
-                    last, base = tried, swings
+                    last = tried
             grown = [m for m in grown if m.score > best.score]
             if not grown:
                 break
             beam = list(_distinct(sorted(grown, key=lambda m: -m.score)))[: RULES.beam]
-            best, last, base = beam[0], (), None
+            best, last = beam[0], ()
             if best.explained:
                 break
-        return pruned(replace(best, base=base), self.tick), last
+        return pruned(best, self.tick), last
 
-    def extended(self, model: FittedModel) -> tuple[list[FittedModel], tuple[Trial, ...], BaseMotion | None]:
-        """Return the best models with one effect more, all that were tried, and a motion of the base if that is it."""
+    def extended(self, model: FittedModel) -> tuple[list[FittedModel], tuple[Trial, ...]]:
+        """Return the best models with one effect more, and all that were tried."""
         names = self.candidates(model)
         random = [n for n in names if CATALOGUE[n].random]
         tried = [self._late(model, x) for x in late_targets(model.problem, model.fitted, random)] if random else []
@@ -355,16 +353,13 @@ class Selection:
         names = [n for n in names if not CATALOGUE[n].read_off]
         self.tick("comparing torques")
         nearly = bool(np.all(model.problem.mean_squares(model.fitted.residual, False) < RULES.explained**2))
-        wanted, seen = asked_for(self.torques, names, model.added, RULES.z if nearly and self.torques else 0.0)
+        wanted = asked_for(self.torques, names, model.added, RULES.z if nearly and self.torques else 0.0)
         first = [n for n in wanted if n in names]
         rest = [n for n in names if n not in wanted and CATALOGUE[n].structural and not nearly]
         for some in (first, rest):
             if some and not any(t.better and t.lateness is None for t in tried):
                 tried += self._tried(model, some)
         tried.sort(key=lambda t: -t.score(model.problem))
-        base = self._base(next((t for t in tried if t.name == "periodic_force"), None))
-        if base is not None:
-            tried = [replace(t, why=base.instead_of(seen.get(t.name))) if t.better else t for t in tried]
         grown: list[FittedModel] = []
         good = [t for t in tried if t.better]
         good = [t for t in good if t is good[0] or not self._surely(model, good[0], t)]  # a beam of what is as good
@@ -376,11 +371,15 @@ class Selection:
                 grown.append(child)
             if grown and grown[0].explained:
                 break
-        return grown, tuple(tried), base
+        return grown, tuple(tried)
 
     def _surely(self, model: FittedModel, one: Trial, other: Trial) -> bool:
         """Return whether a model is surely better with one effect than with another."""
         return compare(model.problem, one.squares, other.squares, one.numbers - other.numbers).better
+
+    def _hopeless(self, model: FittedModel, one: Trial, best: Trial | None) -> bool:
+        """Return whether an effect that derivatives see is surely worse than the best after the same two steps."""
+        return best is not None and not CATALOGUE[one.name].structural and self._surely(model, best, one)
 
     def candidates(self, model: FittedModel) -> list[str]:
         """Return the effects that may be added to a model."""
@@ -396,13 +395,6 @@ class Selection:
             out |= {"backlash", "compliance"}
         allowed = self.settings.effects or tuple(CATALOGUE)
         return [n for n in allowed if n not in out and not CATALOGUE[n].baseline]
-
-    def _base(self, shaken: Trial | None) -> BaseMotion | None:
-        """Return the motion of the base that explains periodic forces in the joints as well, or None."""
-        if shaken is None or not self.torques or not shaken.against.better:
-            return None
-        cosine, sine, frequency = (shaken.fitted.point.values[shaken.name, p] for p in ("cosine", "sine", "frequency"))
-        return moving_base(self.torques[0], frequency, np.hypot(cosine, sine), shaken.joints)
 
     def _late(self, model: FittedModel, lateness: Lateness) -> Trial:
         """Return late targets as a trial, judged by what each chain shows of those of the others."""
@@ -425,6 +417,8 @@ class Selection:
         quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
         asked_first = list(names[:2])  # by gain and by z
         strong = [t for t in quick if t.name in asked_first or (t.numbers and t.against.gain >= RULES.gain)]
+        best = max(strong, key=lambda t: t.score(problem), default=None)
+        strong = [t for t in strong if t.name in asked_first or not self._hopeless(model, t, best)]
         strong.sort(key=lambda t: (t.name not in asked_first, -t.score(problem)))
         strong = strong[: RULES.finished]
         if not strong:
@@ -487,9 +481,9 @@ class Selection:
         else:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
             child = replace(child, joints={**model.joints, t.name: t.joints})
-            problem = corrected(model.problem, point).weighed(t.fitted.residual)
-            fitted = fit(problem, point, child.names, child.joints, most=3, frozen=t.fitted, every=0)
-        problem, fitted = settled(problem, fitted, child.names, child.joints, passes=1)
+            problem = model.problem.weighed(t.fitted.residual)
+            fitted = fit(problem, point, child.names, child.joints, most=MOST_STEPS, frozen=t.fitted)
+        problem, fitted = settled(problem, fitted, child.names, child.joints)
         return replace(child, problem=problem, fitted=fitted)
 
 

@@ -16,21 +16,10 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, linear_step
 from mimic.sysid.fit.problem import Point, Problem
-
-LEAST_PERIODS = 1.5
-"""Fewest periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""
-
-FINEST_ORDER = 0.5
-"""Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
-
-MOST_PERIODS = 40
-"""Most periods of cogging in the range of motion."""
+from mimic.sysid.torque.columns import best_order
 
 POORLY_EXPLAINED = 4.0
 """Mean square of what is left, in noise floors, from which on fits also begin with the model's own baseline."""
-
-BINS = 20
-"""Places that the residual is averaged over, in the shortest period of cogging."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,11 +53,10 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
         grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
         return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
     if name == "cogging":
-        best = [_best_order(problem, incumbent, motion, j) for j in range(len(machine.joints))]
+        calm = np.abs(motion.dq) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
+        left = [_left(incumbent, j) for j in range(len(machine.joints))]
+        best = [best_order(motion.q[use, j], left[j][use]) for j, use in enumerate(calm.T)]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
-    if name == "periodic_force":
-        best = [_best_frequency(problem, incumbent, motion, j) for j in range(len(machine.joints))]
-        return [incumbent.point.with_effect(name, machine, {"frequency": np.array(best)})]
     joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
     axes = [
         [(p.name, np.array([v * p.step * problem.scale(p.unit, j) for j in joints])) for v in p.starts]
@@ -89,42 +77,6 @@ def _clipped(point: Point) -> Point:
 def _left(incumbent: Fit, joint: int) -> FloatArray:
     residual = incumbent.residual[:, joint].astype(np.float64)
     return np.where(np.isfinite(residual), residual, 0.0)
-
-
-def _best_order(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
-    """Order whose sine and cosine over position explain most of the residual."""
-    r, q, v = _left(incumbent, joint), motion.q[:, joint], motion.dq[:, joint]
-    bounds = CATALOGUE["cogging"].parameter("order")
-    span = max(float(np.ptp(q)), 1e-9)
-    most = min(2 * np.pi * MOST_PERIODS / span, bounds.high)
-    orders = np.arange(max(least_order(q), bounds.low), most, FINEST_ORDER / span)
-    if not len(orders):
-        return bounds.high
-    calm = np.abs(v) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
-    if not calm.any():
-        return float(orders[0])
-    r, q = r[calm], q[calm]
-    bins = ((q - q.min()) * (BINS * MOST_PERIODS / max(np.ptp(q), 1e-9))).astype(int)
-    count = np.bincount(bins)
-    there = count > 0
-    total = np.bincount(bins, r - r.mean())[there]
-    place, count = np.bincount(bins, q)[there] / count[there], count[there]
-    a, b = (wave(orders[:, None] * place) for wave in (np.cos, np.sin))
-    a, b = (wave - (wave @ count / len(q))[:, None] for wave in (a, b))
-    aa, bb, ab, ar, br = (a * a) @ count, (b * b) @ count, (a * b) @ count, a @ total, b @ total
-    power = (bb * ar**2 - 2 * ab * ar * br + aa * br**2) / np.maximum(aa * bb - ab**2, 1e-9)
-    return float(orders[int(np.argmax(power))])
-
-
-def _best_frequency(problem: Problem, incumbent: Fit, motion: PredictedMotion, joint: int) -> float:
-    """Frequency at which the residual is strongest, of those that the motion itself does not have."""
-    r = _left(incumbent, joint)
-    dt = float(np.median(np.diff(motion.t)))
-    size = 8 * len(r)
-    spectrum = np.abs(np.fft.rfft(r - r.mean(), size)) ** 2
-    frequency = np.fft.rfftfreq(size, dt)
-    inside = (frequency > 0.1) & (frequency < 20.0) & ~on_harmonic(problem, frequency)
-    return float(np.clip(frequency[inside][int(np.argmax(spectrum[inside]))], 0.1, 20.0))
 
 
 def starting_points(
@@ -242,20 +194,3 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
         tau = tau + log.force
     limit = np.asarray(machine.drives.torque)
     return PredictedMotion(t=t, q=q, dq=dq, tau=np.clip(tau, -limit, limit))
-
-
-def least_order(q: FloatArray) -> float:
-    """Return the least order at which a force over positions (T,) repeats often enough to be cogging."""
-    return 2 * np.pi * LEAST_PERIODS / max(float(np.ptp(q)), 1e-9)
-
-
-def on_harmonic(problem: Problem, frequency: FloatArray) -> BoolArray:
-    """Return where a frequency [Hz] is a multiple of that with which the whole motion repeats, if it does.
-
-    What depends on the state repeats with the motion, so that nothing external can be told from it there.
-    """
-    every = problem.period
-    if every is None:
-        return np.zeros(np.shape(frequency), dtype=bool)
-    turns = np.asarray(frequency) * every
-    return np.abs(turns - np.round(turns)) < 0.6 * every / problem.replay.log.duration

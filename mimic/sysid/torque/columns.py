@@ -19,6 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.machine import GRAVITY, MachineModel, as_logged, inertias, tilted_gravity
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
@@ -362,13 +363,10 @@ class Columns:
             )
 
     def _waves(self, left: Sequence[FloatArray]) -> Iterable[Column]:
-        order = np.array([self._strongest([m.q[:, j] for m in self.motions], left, j) for j in self._each])
+        q = np.concatenate([m.q[:: m.every] for m in self.motions])
+        use, rest = np.concatenate([m.moving[:: m.every] for m in self.motions]), np.concatenate(left)
+        order = np.array([best_order(q[use[:, j], j], rest[use[:, j], j]) for j in self._each])
         yield self._own("cogging", lambda m: np.cos(order * m.q), lambda m: np.sin(order * m.q))
-        when = [m.t for m in self.motions]
-        hertz = np.array([self._strongest(when, left, j) for j in self._each])
-        yield self._own(
-            "periodic_force", lambda m: np.cos(hertz * m.t[:, None]), lambda m: np.sin(hertz * m.t[:, None])
-        )
 
     # ------------------------------------------------------------------ how they are made
 
@@ -484,19 +482,39 @@ class Columns:
         power = np.clip(given * m.dq, 0.0, None).sum(-1, keepdims=True)
         return m.tau - given, np.where(given == m.tau, 0.0, given * power)
 
-    def _strongest(self, places: Sequence[FloatArray], left: Sequence[FloatArray], j: int) -> float:
-        """Return the angular frequency of the wave over places that explains most of what is left in a joint."""
-        x = np.concatenate([p[:: m.every] for p, m in zip(places, self.motions, strict=True)])
-        y = np.concatenate([rows[:, j] for rows in left])
-        use = np.concatenate([m.moving[:: m.every, j] for m in self.motions])
-        x, y = x[use], y[use] - y[use].mean() if use.any() else y[use]
-        if len(x) < 20:
-            return 1.0
-        span = max(float(np.ptp(x)), 1e-9)
-        most = min(np.pi * 60 / span, 400.0) if places[0] is not self.motions[0].t else 2 * np.pi * 15.0
-        found = np.arange(2 * np.pi * 1.5 / span, max(most, 2 * np.pi * 3 / span), 0.7 / span)
-        power = [abs(np.exp(-1j * w * x) @ y) for w in found]
-        return float(found[int(np.argmax(power))])
+
+LEAST_PERIODS, MOST_PERIODS = 1.5, 40
+"""Fewest and most periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on
+position."""
+
+FINEST_ORDER = 0.5
+"""Spacing of the orders at which cogging is looked for, over the range of motion: below the width of a peak."""
+
+BINS = 20
+"""Places that a residual is averaged over, in the shortest period of cogging."""
+
+
+def best_order(q: FloatArray, r: FloatArray) -> float:
+    """Return the order whose sine and cosine over positions (T,) explain most of a residual (T,)."""
+    bounds = CATALOGUE["cogging"].parameter("order")
+    span = max(float(np.ptp(q)), 1e-9) if len(q) else 1e-9
+    orders = np.arange(
+        max(2 * np.pi * LEAST_PERIODS / span, bounds.low),
+        min(2 * np.pi * MOST_PERIODS / span, bounds.high),
+        FINEST_ORDER / span,
+    )
+    if not len(q) or not len(orders):
+        return bounds.high
+    bins = ((q - q.min()) * (BINS * MOST_PERIODS / span)).astype(int)
+    count = np.bincount(bins)
+    there = count > 0
+    total = np.bincount(bins, r - r.mean())[there]
+    place, count = np.bincount(bins, q)[there] / count[there], count[there]
+    a, b = (wave(orders[:, None] * place) for wave in (np.cos, np.sin))
+    a, b = (wave - (wave @ count / len(q))[:, None] for wave in (a, b))
+    aa, bb, ab, ar, br = (a * a) @ count, (b * b) @ count, (a * b) @ count, a @ total, b @ total
+    power = (bb * ar**2 - 2 * ab * ar * br + aa * br**2) / np.maximum(aa * bb - ab**2, 1e-9)
+    return float(orders[int(np.argmax(power))])
 
 
 def _write(links: Links, made: Sequence[FloatArray]) -> None:

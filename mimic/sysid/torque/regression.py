@@ -1,11 +1,4 @@
-"""Effects ranked by how much of the torque they explain in blocks that were left out, in seconds.
-
-Also whether it is the base that moves: one motion of the base against a force of its own in each joint. A base that
-swings shakes all joints at its few frequencies, each as strongly as the masses behind it and its pose demand. That
-pattern has six numbers for each phase of a frequency, however many joints there are; forces in the joints have as many
-as they like. No effect of the catalogue moves the base: where its motion explains no less of the torque than forces do,
-the rest is not explained, and the report says so.
-"""
+"""Effects ranked by how much of the torque they explain in blocks that were left out, in seconds."""
 
 from __future__ import annotations
 
@@ -13,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import mujoco
 import numpy as np
 
 from mimic.dynamics.machine import MachineModel
@@ -268,17 +260,6 @@ class Regression:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(count >= 4, 0.5 * np.log(squares / count), np.nan).reshape(self._blocks, self._joints)
 
-    def explained_by(self, column: FloatArray) -> FloatArray:
-        """Return the log error (B, J) of what the baseline leaves, less a column (T, J, K) that all joints share.
-
-        Of one log.
-        """
-        own = self.spread[self.rows.joint]
-        x = column[self.rows.keep[0]] / own[:, None]
-        scale = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
-        ridge = np.full(x.shape[1], 1e-7 * len(x))
-        return self._logs(own * _without_each(x / scale, self._left / own, self._block, self._blocks, ridge)[0])
-
     def _scaled(self, chain: int, columns: Sequence[Column], found: FloatArray) -> FloatArray:
         """Return by how much each left-out block multiplies the torque of each joint (B, J)."""
         factor = np.ones((self._blocks, self._joints))
@@ -335,13 +316,6 @@ def _without_each(
     return y - np.einsum("rk,rk->r", x, out[block]), out, np.linalg.solve(whole, total)
 
 
-def behind(best: FloatArray, other: FloatArray) -> float:
-    """Return how many standard errors the log errors (B, J) of an effect are behind others, over all joints."""
-    apart = other - best
-    d = np.nanmean(apart[np.isfinite(apart).any(axis=1)], axis=1)
-    return float(d.mean() / (d.std(ddof=1) + 1e-12) * np.sqrt(len(d)))
-
-
 def evidence(difference: FloatArray) -> tuple[float, float]:
     """Return mean gain and z of log errors (B, J): of all joints together, or of the one that shows it best."""
     best = (-np.inf, -np.inf)
@@ -362,7 +336,7 @@ def evidence(difference: FloatArray) -> tuple[float, float]:
 
 def asked_for(
     torques: Sequence[Torques], effects: Sequence[str], given: Sequence[str] = (), least: float = 0.0
-) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+) -> tuple[str, ...]:
     """Return the effects that torques ask for, best by gain and by z in turn, and those that they cannot judge.
 
     Args:
@@ -370,9 +344,6 @@ def asked_for(
         effects: To choose from.
         given: Effects that are in the model by now.
         least: Standard errors by which they must be asked for; above 0 none that torques cannot judge.
-
-    Returns:
-        Names, and the log error of each judged effect in each left-out block and joint, of the first torques (B, J).
     """
     found: dict[str, list[Score]] = {}
     for one in torques:
@@ -385,7 +356,7 @@ def asked_for(
     names = (*chosen, *(n for n in effects if n not in found or (n in GAUGE and n not in chosen)))
     if torques and least > 0.0:
         names = tuple(n for n in chosen if max(s.z for s in found[n]) >= least)
-    return names, {n: scores[0].blocks for n, scores in found.items()}
+    return names
 
 
 def torques_of(
@@ -406,131 +377,3 @@ def torques_of(
         return tuple(Torques(one, rows, sending) for one in made)
     except CalibrationError:
         return ()
-
-
-AXES = 6
-"""Accelerations along x, y, z and about x, y, z of the base."""
-
-POSES_HZ = 50.0
-"""How often the pattern is computed; the legs hardly move in between [Hz]."""
-
-MOST_FREQUENCIES = 3
-"""Most frequencies that a base is taken to swing at."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BaseMotion:
-    """A motion of the base as an explanation."""
-
-    frequencies: tuple[float, ...]
-    """[Hz]"""
-    numbers: int
-    """How many it has."""
-    share: FloatArray
-    """Of the squares of the torque that is left, what it removes in blocks that were left out (J,)."""
-    blocks: FloatArray
-    """Log of the error in each left-out block, of each joint (B, J)."""
-
-    def instead_of(self, blocks: FloatArray | None) -> str:
-        """Return why this explains the torque no worse than an effect, or an empty string.
-
-        Args:
-            blocks: What the effect leaves, as `blocks` says it; None where torques cannot judge it.
-        """
-        if blocks is None or behind(blocks, self.blocks) >= RULES.z:
-            return ""
-        at = " and ".join(f"{f:.2f}" for f in self.frequencies)
-        explains = "more" if behind(self.blocks, blocks) >= RULES.z else "as much"
-        return f"one motion of the base at {at} Hz explains {explains}, with {self.numbers} parameters"
-
-
-def base_torques(machine: MachineModel, q: FloatArray, factor: FloatArray) -> FloatArray:
-    """Return the torque on each joint of a unit acceleration of the base along and about its axes (T, J, 6).
-
-    In [N m] for [m/s^2] and [rad/s^2], in a frame that moves with the base; slow enough that the legs' own speed does
-    not matter.
-
-    Args:
-        machine: The model, its base at the origin.
-        q: Positions (T, J) [rad].
-        factor: Of the mass of each joint's link (J,).
-    """
-    model, data = machine.model, mujoco.MjData(machine.model)
-    scale = np.ones(model.nbody)
-    scale[machine.body] = factor
-    linear, turning = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    out = np.zeros((len(q), model.nv, AXES))
-    for row, pose in zip(out, q, strict=True):
-        data.qpos[:] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        for b in range(1, model.nbody):
-            if not model.body_mass[b]:
-                continue
-            mujoco.mj_jacBodyCom(model, data, linear, turning, b)
-            axes = data.ximat[b].reshape(3, 3)
-            inertia = scale[b] * axes @ np.diag(model.body_inertia[b]) @ axes.T
-            x, y, z = data.xipos[b]
-            across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # of alpha x r
-            mass = scale[b] * model.body_mass[b]
-            row[:, :3] -= mass * linear.T
-            row[:, 3:] -= mass * linear.T @ across + turning.T @ inertia
-    return out
-
-
-def shared_frequencies(
-    frequency: FloatArray, size: FloatArray, there: BoolArray, resolution: float
-) -> tuple[float, ...]:
-    """Return the frequencies that two joints or more share, that of most joints first.
-
-    Args:
-        frequency: Of the force in each joint (J,) [Hz].
-        size: How strong it is (J,).
-        there: Joints that have one (J,).
-        resolution: Frequencies closer than this are one [Hz].
-    """
-    left, found = there.copy(), []
-    while left.any():
-        near = [left & (np.abs(frequency - f) < resolution) for f in frequency]
-        best = max(np.flatnonzero(left), key=lambda j: (int(near[j].sum()), float(size[j])))
-        if near[best].sum() < 2:
-            break
-        found.append(float(np.average(frequency[near[best]], weights=size[near[best]] ** 2)))
-        left &= ~near[best]
-    return tuple(found[:MOST_FREQUENCIES])
-
-
-def moving_base(torques: Torques, frequency: FloatArray, size: FloatArray, there: BoolArray) -> BaseMotion | None:
-    """Return the motion of the base that explains the torques at least as well as forces in the joints, or None.
-
-    Of one log: two have nothing to do with each other in their phases.
-
-    Args:
-        torques: Of the log.
-        frequency: Of a periodic force fitted to each joint (J,) [Hz].
-        size: How strong it is (J,) [N m].
-        there: Joints that have one (J,).
-    """
-    if len(torques.motions) > 1 or there.sum() < 2:
-        return None
-    motion = torques.motions[0]
-    shared = np.array(shared_frequencies(frequency, size, there, 1.0 / motion.t[-1]))
-    numbers = (2 * AXES + 1) * len(shared)
-    lone = len(np.unique(motion.machine.chain)) == 1
-    if not len(shared) or (lone and numbers >= 3 * there.sum()):
-        return None
-    at = np.arange(0.0, motion.t[-1] + 1.0 / POSES_HZ, 1.0 / POSES_HZ)
-    q = np.stack([np.interp(at, motion.t, column) for column in motion.q.T], -1)
-    poses = base_torques(motion.machine, q, np.ones(len(there)))
-    pattern = np.stack([np.interp(motion.t, at, c) for c in poses.reshape(len(at), -1).T], -1)
-    angle = 2 * np.pi * motion.t[:, None] * shared
-    waves = np.concatenate([np.cos(angle), np.sin(angle)], -1)
-    swung = np.einsum("tja,tw->tjaw", pattern.reshape(len(motion.t), -1, AXES), waves)
-    each = np.einsum("jk,tw->tjkw", np.eye(len(there)), waves)
-    search = torques.regression
-    base, forces = (search.explained_by(motion.filtered(x.reshape(*x.shape[:2], -1))) for x in (swung, each))
-    none = search.score(()).blocks
-    if behind(base, none) < RULES.z or behind(forces, base) >= RULES.z:
-        return None
-    share = 1.0 - np.exp(2.0 * (np.nanmean(base, axis=0) - np.nanmean(none, axis=0)))
-    return BaseMotion(frequencies=tuple(sorted(shared.tolist())), numbers=numbers, share=share, blocks=base)

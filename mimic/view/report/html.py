@@ -25,7 +25,6 @@ from mimic.view.report.svg import figure, number
 _VERDICTS = {
     "explained": "explained down to the noise floor",
     "state-dependent": "depends on the state: an effect outside the catalogue",
-    "moving base": "moving base: hold it more stiffly",
     "periodic": "periodic, independent of the motion: an external disturbance",
     "broadband": "broadband: disturbance or timing",
     "events": "isolated events: delayed or lost targets, impacts, mechanical catching",
@@ -174,9 +173,8 @@ def _errors(c: Calibration, unit: Unit) -> str:
     if len(c.stages) > 1:
         columns.append(("final", c.stages[-1].errors))
     last = columns[-1][1]
-    floors = {"noise floor": c.noise} | ({} if c.repeatability is None else {"repeats within": c.repeatability})
     shown = (f"{name}<br><small>train / held out</small>" for name, _ in columns)
-    headings = ["joint", *shown, *floors, "final / noise"]
+    headings = ["joint", *shown, "noise floor", "final / noise"]
 
     def row(pick: Callable[[FloatArray], float]) -> list[str]:
         cells = [
@@ -185,7 +183,7 @@ def _errors(c: Calibration, unit: Unit) -> str:
         ]
         ratio = pick(last.held_out) / max(pick(c.noise), 1e-300)
         explained = f"<span class=good>{figure(ratio)}</span>" if ratio < 1.2 else figure(ratio)
-        return [*cells, *(figure(pick(v) * unit.factor) for v in floors.values()), explained]
+        return [*cells, figure(pick(c.noise) * unit.factor), explained]
 
     rows = [("", [escape(joint), *row(lambda v, i=i: float(v[i]))]) for i, joint in enumerate(c.joints)]
     if len(c.joints) > 1:
@@ -195,8 +193,6 @@ def _errors(c: Calibration, unit: Unit) -> str:
         f"Root mean square of measured − predicted [{unit.name}]. The held-out blocks were used neither for fitting"
         " nor for selection."
     )
-    if c.repeatability is not None:
-        lead += " The same excitation occurs twice in this log; no model can explain the difference between the two."
     return section("Errors", lead, stage_errors(c, unit, names), table(headings, rows), other_measures(c))
 
 
@@ -223,7 +219,7 @@ def _unexplained(c: Calibration) -> str:
         verdict = escape(_VERDICTS.get(r.verdict, r.verdict))
         if r.depends_on:
             verdict += f" <small>(on {escape(' and '.join(r.depends_on))})</small>"
-        if r.verdict in ("periodic", "moving base"):
+        if r.verdict == "periodic":
             verdict += f" <small>(near {number(r.peak_hz)} Hz)</small>"
         kind = "good" if r.verdict == "explained" else ""
         rows.append(
@@ -241,7 +237,6 @@ def _unexplained(c: Calibration) -> str:
     )
     lists = (
         ("What to log next", c.experiments),
-        ("Not determined by this log", c.not_identifiable),
         ("Warnings", c.warnings),
     )
     texts = "".join(

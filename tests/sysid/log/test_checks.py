@@ -14,7 +14,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog, read_log, write_log
 from mimic.records import FloatArray
 from mimic.sysid.log.checks import check_log, targets_match_log, units
-from mimic.sysid.log.noise import find_repeat, following, period
+from mimic.sysid.log.noise import following
 from mimic.sysid.log.pool import valid_samples
 
 JOINTS = ("hip", "knee", "ankle")
@@ -89,28 +89,6 @@ def test_missing_readings_do_not_hide_the_step_of_an_encoder() -> None:
     q = 0.002 * np.round(clean.q / 0.002)
     q[50::100] = np.nan
     assert (check_log(replace(clean, q=q)).noise >= 0.002 / np.sqrt(12) - 1e-12).all()
-
-
-def test_a_repeated_excitation_gives_the_repeatability() -> None:
-    twice = made_log(seconds=26.0, q_des=lambda t: targets(np.where(t >= 13.0, t - 13.0, t)))
-    assert twice.q_des is not None
-    repeat = find_repeat(twice.t, twice.q_des)
-    assert repeat is not None
-    assert repeat.second - repeat.first == pytest.approx(13.0, abs=0.03)
-    assert repeat.seconds > 11.0
-    assert check_log(twice).repeatability == pytest.approx([NOISE] * 3, rel=0.1)
-
-
-def test_an_excitation_that_never_comes_again_gives_none(log: JointLog) -> None:
-    assert check_log(log).repeatability is None
-
-
-def test_a_motion_that_repeats_has_a_period(log: JointLog) -> None:
-    again = made_log(seconds=26.0, q_des=lambda t: targets(np.mod(t, 6.24)))
-    assert again.q_des is not None
-    assert log.q_des is not None
-    assert period(again.t, again.q_des) == pytest.approx(6.24)
-    assert period(log.t, log.q_des) is None
 
 
 def test_the_lag_is_that_of_the_drive(log: JointLog) -> None:

@@ -74,8 +74,8 @@ def test_jitter_is_named_with_its_width_and_the_delay_below_it(pair: MachineMode
     assert found(result) == ["delay_jitter"]
     values = {e.name: e.values for e in result.effects}
     assert values["delay_jitter"]["spread"][0] == pytest.approx(0.012, rel=0.15)
-    assert values["delay"]["time"][0] == pytest.approx(0.011, abs=0.0015)
-    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+    assert values["delay"]["time"][0] == pytest.approx(0.011, abs=0.001)
+    assert np.all(result.stages[-1].errors.held_out < 1.2 * result.noise)  # each target's lateness is an estimate
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def test_only_named_effects_are_tried(machine: MachineModel) -> None:
 
 def test_a_shortlist_has_what_is_hidden_first_and_what_torques_cannot_judge(machine: MachineModel) -> None:
     every = [name for name, e in CATALOGUE.items() if not e.baseline]
-    kept, _ = asked_for(torques_of([(pendulum(12.0, load=0.15), machine)]), every)
+    kept = asked_for(torques_of([(pendulum(12.0, load=0.15), machine)]), every)
     assert kept[0] == "load_friction"
     assert {"gains", "kt_gain", "delay_jitter", "lost_commands", "encoder_step"} <= set(kept) < set(every)
 
