@@ -30,7 +30,7 @@ def look(description, *faults: str, wiring=WIRING, zeroed=True, trust=True, rate
     motor_bus = MotorBus(EmulatedLink(robot), wiring)
     motor_bus.link.sleep(0.2)
     found = preflight(motor_bus, description, rate_hz=rate, homing=None, trust_zeros=trust)
-    assert all(motor.mode.name == "RESET" for motor in robot.motors)
+    assert all(motor.mode.name == "OFF" for motor in robot.motors)
     return {finding.name: finding for finding in found}
 
 
