@@ -45,12 +45,12 @@ DRAWN_QUANTILE, SOLID_QUANTILE = 0.95, 0.90
 SCALE_DOUBT = 0.05
 """Standard deviation of a bone's length, as a share of it: people's clothes, lenses and lean hide as much.
 
-Source: two views of a real person against four calibrated cameras (lab/results/sources.md).
+Source: two views of a real person against four calibrated cameras (lab/results/depth.md).
 """
 MEAN_SHARE = 0.7
 """Share of the network in the average depth of an arm; the rest is the detector's.
 
-With less, real people are nearer to the truth and rendered ones farther from it (lab/results/sources.md).
+With less, real people are nearer to the truth and rendered ones farther from it (lab/results/depth.md).
 """
 SLOW_S, MEAN_S = 0.5, 1.0
 """Standard deviation of the Gaussian over scale and heading of a clip, and over the average depth of an arm [s]."""

@@ -41,7 +41,7 @@ class Fit:
     unlike: float
     """The same over what ACROSS and DEPTH let expect: 0.6 to 0.7 for one person seen twice, 1.3 and more for others.
 
-    Source: twelve pairs of four calibrated views, and other clips (lab/results/sources.md).
+    Source: twelve pairs of four calibrated views, and other clips (lab/results/depth.md).
     """
 
     @property
