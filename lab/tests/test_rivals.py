@@ -39,7 +39,7 @@ def test_a_table_has_a_row_for_each_method_and_says_what_could_not_run():
 
 @pytest.mark.slow
 def test_the_regression_and_the_baseline_fit_predict_an_unseen_motion_better_than_the_model_as_given():
-    case = leg_case("single/stribeck/medium/probe/0/10s/grid/leg")
+    case = leg_case("single/stribeck/medium/probe/0/20s/grid/leg")
     assert not np.array_equal(case.test.q[:100], case.fitted[0].q[:100])
     before = error_of(case, as_given(case))
     sparse, baseline = of_sindy(case), of_baseline(case)
