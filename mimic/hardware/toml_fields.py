@@ -1,12 +1,35 @@
-"""Fields of a wiring file, read and checked."""
+"""A wiring file and its fields, read and checked."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
-from mimic.errors import ConfigError
+from mimic.errors import AssetError, ConfigError
+
+T = TypeVar("T")
+
+
+def read_file(path: Path, understand: Callable[[Mapping[str, Any]], T]) -> T:
+    """Return what a function makes of a TOML file.
+
+    Raises:
+        AssetError: If there is no such file.
+        ConfigError: If it is not TOML, or the function raises it; the message names the file.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as reason:
+        raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+        raise ConfigError(f"{path} is not TOML: {reason}") from None
+    try:
+        return understand(raw)
+    except ConfigError as reason:
+        raise ConfigError(f"{path}: {reason}") from None
 
 
 def table(raw: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mimic.errors import AssetError, ConfigError
+from mimic.errors import ConfigError
 from mimic.hardware.motors.interface import MotorFacts, MotorProtocol
 from mimic.hardware.motors.makers import make_motors
-from mimic.hardware.toml_fields import number, table, whole
+from mimic.hardware.toml_fields import number, read_file, table, whole
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
@@ -97,16 +96,7 @@ def load_wiring(path: Path | None = None, *, buses: int = 1, robot: str = "cyber
             layout for so many buses.
     """
     path = shipped("assets", robot, "bus.toml") if path is None else path
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as reason:
-        raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
-        raise ConfigError(f"{path} is not TOML: {reason}") from None
-    try:
-        return _Reader(path, raw).wiring(buses)
-    except ConfigError as reason:
-        raise ConfigError(f"{path}: {reason}") from None
+    return read_file(path, lambda raw: _Reader(path, raw).wiring(buses))
 
 
 class _Reader:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mimic.errors import AssetError, ConfigError
-from mimic.hardware.toml_fields import number, table, whole
+from mimic.errors import ConfigError
+from mimic.hardware.toml_fields import number, read_file, table, whole
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
@@ -109,16 +108,7 @@ def load_board(path: Path | None = None, board: str = "cyberdog2") -> BoardWirin
         ConfigError: If it is not TOML or not consistent.
     """
     path = shipped("assets", board, "board.toml") if path is None else path
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as reason:
-        raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
-        raise ConfigError(f"{path} is not TOML: {reason}") from None
-    try:
-        return _wiring(path, raw)
-    except ConfigError as reason:
-        raise ConfigError(f"{path}: {reason}") from None
+    return read_file(path, lambda raw: _wiring(path, raw))
 
 
 def _wiring(path: Path, raw: Mapping[str, Any]) -> BoardWiring:

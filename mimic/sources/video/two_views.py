@@ -27,6 +27,8 @@ TURN_DOUBT = 0.14
 STARTS = 8
 """Turns about the vertical from which the best one is sought."""
 
+_PARTS = ("shoulder", "elbow", "wrist", "hip")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
@@ -104,9 +106,6 @@ def _lines(track: PoseTrack) -> _Lines:
     spread = np.full(valid.shape, DEPTH)
     spread[:, [1, 3]] = np.where(np.isfinite(track.depth_spread), track.depth_spread, DEPTH)
     return _Lines(xyz, spread, valid & np.isfinite(xyz).all(axis=-1))
-
-
-_PARTS = ("shoulder", "elbow", "wrist", "hip")
 
 
 def _at(lines: _Lines, t: FloatArray, times: FloatArray) -> _Lines:
