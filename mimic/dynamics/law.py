@@ -159,8 +159,11 @@ class Law:
             state += ["heat"]
         if self.rotor is not None:
             state += ["theta", "omega", "omega_open", "omega_slope"]
+        if "target_filter" in has:
+            state += ["goal"]
         for name in state:
             self.states[name] = xp.zeros_like(self._zero)
+        self._lag_u = self._lag("target_filter")
         self._lag_v, self._lag_t = self._lag("velocity_lag"), self._lag("torque_lag")
 
     def _lag(self, name: str) -> tuple[Any, Any] | None:
@@ -235,6 +238,7 @@ class Law:
             "omega": dq,
             "omega_open": dq,
             "heat": heat,
+            "goal": q,
         }
         for name, before in self.states.items():
             value = known.get(name)
@@ -248,11 +252,27 @@ class Law:
             q = q - self.get("encoder_offset", "angle")
         if "encoder_scale" in self._has:
             q = q / self.get("encoder_scale", "factor")
+        return self._centred(q)
+
+    def _centred(self, turned: Any) -> Any:
+        """Return the angle that an eccentric encoder reads as this one."""
+        q = turned
+        for _ in range(4 if "encoder_eccentricity" in self._has else 0):  # each leaves a fifth of the error or less
+            q = turned - self._beside(q)
         return q
+
+    def _beside(self, q: Any) -> Any:
+        """Return what an eccentric encoder reads too much."""
+        xp, get = self.xp, self.get
+        angle = self._zero + q
+        cosine = get("encoder_eccentricity", "cosine") * xp.cos(angle)
+        return cosine + get("encoder_eccentricity", "sine") * xp.sin(angle)
 
     def reading(self, q: Any) -> Any:
         """Return what the encoders read at link positions q; call it after `step` or `reset`."""
         value = self._position(q)
+        if "encoder_eccentricity" in self._has:
+            value = value + self._beside(value)
         if "encoder_scale" in self._has:
             value = value * self.get("encoder_scale", "factor")
         if "encoder_offset" in self._has:
@@ -308,6 +328,10 @@ class Law:
             ctrl = ctrl - get("encoder_offset", "angle")
         if "encoder_scale" in has:
             ctrl = ctrl / get("encoder_scale", "factor")
+        if self._lag_u is not None:
+            left, held = self._lag_u
+            wanted, ctrl, parts = ctrl, ctrl + held * (s["goal"] - ctrl), ()
+            s["goal"] = wanted + left * (s["goal"] - wanted)
         if self._d.volts is not None:
             kp = kp * self._supply
         if has & {"kt_drift", "kt_heat"}:
@@ -318,6 +342,9 @@ class Law:
             kp, kd = kp * factor, kd * factor
         if "encoder_step" in has:
             bias = bias - kp * (self._rounded(theta) - theta)
+        if "encoder_eccentricity" in has:
+            bias = bias - kp * self._beside(theta)
+            kd = kd * (1.0 + self._beside(theta + np.pi / 2))  # drives differentiate what they read
         if "velocity_before" in s:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:

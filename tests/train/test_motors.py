@@ -61,6 +61,8 @@ VALUES: dict[str, dict[str, float]] = {
     "payload": {"mass": 0.2},
     "com_shift": {"distance": 0.02},
     "joint_delay": {"time": 0.004},
+    "encoder_eccentricity": {"cosine": 0.02, "sine": -0.03},
+    "target_filter": {"time": 0.01},
 }
 ELSEWHERE = {"base_tilt", "delay_jitter", "lost_commands", "gear_load_friction", "motor"}
 """Of a stand, of voltage drives, drawn by other generators, or by what the links needed in the physics step before."""

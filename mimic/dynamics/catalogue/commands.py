@@ -39,4 +39,18 @@ COMMANDS = (
         enters="command path",
         source="bus errors",
     ),
+    Effect(
+        name="target_filter",
+        title="low-pass on the target",
+        equation="the drive follows w, time dw/dt + w = target",
+        parameters=(
+            Parameter(
+                name="time", unit="s", neutral=0.0, low=0.0, high=0.5, step=0.001, spread=50, starts=(5.0, 20.0, 60.0)
+            ),
+        ),
+        signature="steps of the target arrive rounded; later than a delay, and only for what is fast",
+        experiment="steps",
+        enters="command path",
+        source="profiles and smoothing in servo firmware",
+    ),
 )

@@ -320,6 +320,7 @@ class Columns:
         yield self._links_column("payload", 2, 0.5)
         yield self._read("encoder_offset", lambda m: (-np.ones_like(m.q),))
         yield self._read("encoder_scale", lambda m: (-m.q,))
+        yield self._read("encoder_eccentricity", lambda m: (-np.cos(m.q), -np.sin(m.q)))
         if any(m.on.any() and m.tau.any() for m in self.motions):
             for share in (0.03, 0.07, 0.15, 0.3, 0.5, 0.8):
                 soft = share * self._error / self._hard
@@ -348,6 +349,12 @@ class Columns:
             yield own(
                 "velocity_lag",
                 lambda m, s=time: -np.asarray(m.machine.drives.kd) * m.on * (m.dq - _lag(m.dq, s, m.t)),
+                at=(time,),
+            )
+        for time in (0.01, 0.03, 0.08):
+            yield own(
+                "target_filter",
+                lambda m, s=time: gains[id(m)] * m.on * (m.target - _lag(m.target, s, m.t)),
                 at=(time,),
             )
         if any(m.later.any() for m in self.motions) and self.joints > 1:
