@@ -344,7 +344,6 @@ class Law:
             bias = bias - kp * (self._rounded(theta) - theta)
         if "encoder_eccentricity" in has:
             bias = bias - kp * self._beside(theta)
-            kd = kd * (1.0 + self._beside(theta + np.pi / 2))  # drives differentiate what they read
         if "velocity_before" in s:
             s["velocity_before"] = omega + self._zero
         if self._lag_v is not None:

@@ -5,7 +5,7 @@ thresholds: when an effect counts as found, and a joint as explained.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -40,11 +40,6 @@ class Thresholds:
     """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
-    peak: float = 40.0
-    """Height of a spectral peak over the median, from which on the rest is periodic; with its effects in the model a
-    machine leaves 2 to 8."""
-    coherent: float = 0.4
-    """Coherence with the torque at a peak, from which on the robot's own motion made it; chosen, not measured."""
     shortlist: int = 5
     """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
     the worst was fifth of either (lab/hidden_effects/torque_screen)."""
@@ -236,49 +231,20 @@ class Calibration(ShownAsTable):
 
     def to_json(self) -> dict[str, Any]:
         """Return everything but the traces as plain data; the keys are described in docs/manual/calibration.md."""
-        baseline = self.stages[0].errors if self.stages else self.nominal
-        final = self.stages[-1].errors if self.stages else self.nominal
+        ends = {"nominal": self.nominal, "baseline": self.nominal, "final": self.nominal}
+        if self.stages:
+            ends |= {"baseline": self.stages[0].errors, "final": self.stages[-1].errors}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("nominal", "traces")}
+        kept = ("name", "joints", "role", "values", "intervals")
         return plain(
-            {
-                "format": FORMAT,
-                "sentence": self.sentence,
-                "log_matches_model": self.log_matches_model,
-                "found": [s.added for s in self.stages if s.added not in ("", "baseline")],
-                "joints": self.joints,
-                "unit": self.unit,
+            {"format": FORMAT, "found": [s.added for s in self.stages if s.added not in ("", "baseline")]}
+            | own
+            | {
                 "noise": dict(zip(self.joints, self.noise, strict=True)),
-                "errors": {
-                    "nominal": self._errors(self.nominal),
-                    "baseline": self._errors(baseline),
-                    "final": self._errors(final),
-                },
-                "stages": [
-                    {
-                        "added": s.added,
-                        "errors": self._errors(s.errors),
-                        "alternatives": s.alternatives,
-                        "candidates": s.candidates,
-                    }
-                    for s in self.stages
-                ],
-                "effects": [
-                    {
-                        "name": e.name,
-                        "joints": e.joints,
-                        "role": e.role,
-                        "values": e.values,
-                        "intervals": e.intervals,
-                    }
-                    for e in self.effects
-                ],
-                "unexplained": self.unexplained,
-                "logs": self.logs,
-                "experiments": self.experiments,
+                "errors": {name: self._errors(errors) for name, errors in ends.items()},
+                "stages": [plain(s) | {"errors": self._errors(s.errors)} for s in self.stages],
+                "effects": [{key: getattr(e, key) for key in kept} for e in self.effects],
                 "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
-                "warnings": self.warnings,
-                "replays": self.replays,
-                "seconds": self.seconds,
-                "metadata": self.metadata,
             }
         )
 

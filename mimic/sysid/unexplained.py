@@ -82,10 +82,7 @@ def _remainder(
         verdict = "explained"
     elif r2 > RULES.predictable:
         verdict = "state-dependent"
-    elif peak_ratio > RULES.peak and _coherence(r, inputs["torque"][:, 0], dt, peak_hz) >= RULES.coherent:
-        verdict = "state-dependent"
-        depends = ("torque",)
-    elif peak_ratio > RULES.peak and _steady(slow, t[rows], blocks[rows], peak_hz) > RULES.predictable:
+    elif _steady(slow, t[rows], blocks[rows], peak_hz) > RULES.predictable:
         verdict = "periodic"
         depends = ("time",)
     else:
@@ -107,12 +104,6 @@ def _peak(r: FloatArray, dt: float) -> tuple[float, float]:
     inside = frequency > 0.15
     at = int(np.argmax(power[inside]))
     return float(frequency[inside][at]), float(power[inside][at] / max(np.median(power[inside]), 1e-12))
-
-
-def _coherence(r: FloatArray, x: FloatArray, dt: float, at_hz: float) -> float:
-    size = min(len(r), int(5.0 / dt))
-    frequency, coherence = signal.coherence(r, x, 1 / dt, nperseg=size)
-    return float(np.max(coherence[np.abs(frequency - at_hz) <= 0.3], initial=0.0))
 
 
 def _steady(r: FloatArray, t: FloatArray, blocks: IntArray, near_hz: float) -> float:

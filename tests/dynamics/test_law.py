@@ -424,12 +424,6 @@ def test_an_eccentric_encoder_reads_and_is_driven_by_what_it_reads(bench):
     assert made.law.unread(np.array([[0.5, 0.5]]))[0, 0] == pytest.approx(q, abs=2e-4)
 
 
-def test_a_drive_brakes_by_the_speed_that_an_eccentric_encoder_reads(bench):
-    """At 0 this one reads a tenth more of every motion; the drive sees nothing but readings."""
-    read = bench({"encoder_eccentricity": {"cosine": 0.0, "sine": 0.1}}).run(0.0025, speed=1.0)
-    assert read["tau"][0] == pytest.approx(1.1 * bench().run(0.0025, speed=1.0)["tau"][0])
-
-
 def test_a_filtered_target_arrives_with_its_time_constant(bench):
     made = bench({"target_filter": {"time": 0.2}}, kp=300.0, kd=8.0).run(0.4, target=lambda t: 0.3)
     slow = bench(kp=300.0, kd=8.0).run(0.4, target=lambda t: 0.3 * (1 - np.exp(-(t + 0.00125) / 0.2)))

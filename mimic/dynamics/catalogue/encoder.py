@@ -36,14 +36,14 @@ ENCODER = (
     Effect(
         name="encoder_eccentricity",
         title="eccentric encoder",
-        equation="reading = q + cosine cos(q) + sine sin(q)",
+        equation="reading = q + cosine cos(q) + sine sin(q); the drive damps by the true speed",
         parameters=(
             Parameter(name="cosine", unit="rad", neutral=0.0, low=-0.2, high=0.2, step=0.01, spread=30),
             Parameter(name="sine", unit="rad", neutral=0.0, low=-0.2, high=0.2, step=0.01, spread=30),
         ),
         signature="an offset that turns with the joint; small motions show an offset and a scale",
         experiment="static poses over the whole range",
-        enters="reading, actuator bias and damping at every step",
+        enters="reading and actuator bias at every step",
         source="a magnet or disc beside the axis",
     ),
 )
