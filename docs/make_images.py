@@ -17,13 +17,17 @@ from mimic.config.play import RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.control.loop import run_policy
 from mimic.control.real_time import PacedPlant
+from mimic.dynamics.effect_set import EffectSet, read_effects
+from mimic.dynamics.machine import hung_robot
 from mimic.flows.camera import follow_camera
 from mimic.flows.motion import InputSettings
 from mimic.io import store
+from mimic.io.joint_log import read_log
 from mimic.policy.runtime import load_policy
-from mimic.records import PHASES, RunLog
+from mimic.records import JOINTS, PHASES, RunLog
 from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant
+from mimic.sysid.predict import predict
 from mimic.view.film.side_by_side import RobotFilm
 from mimic.view.scene.live import LiveView
 from mimic.view.scene.viewer import screenshot
@@ -42,6 +46,10 @@ MOTIONS = {
     "ballet_in_words": (0.5, 1.3, 3.2, 4.0, 5.4, 6.6, 8.0, 8.9),
 }
 """Times of the motions in words that their strips show [s]."""
+WORST = (29.0, 32.0)
+"""Part of the log that the figure of the loop shows [s]."""
+BOXING = (0.5, 2.3, 4.1, 5.9, 7.7, 9.5, 11.3)
+"""Times of the clip that the strip of the loop shows [s]."""
 
 
 def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
@@ -88,11 +96,55 @@ def live(folder: Path, images: Path) -> None:
     small(images / "live.png")
 
 
+def loop(folder: Path, images: Path) -> None:
+    """Close the loop of docs/manual/calibration.md: figures, and a strip of the corrected run."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    hidden, found = HERE.parent / "examples" / "hidden.toml", folder / "calibration" / "effects.toml"
+    probe, clip = folder / "probe.parquet", str(CLIPS / "boxing.mp4")
+    models = {"as given": [], "real robot": ["--effects", str(hidden)], "corrected": ["--effects", str(found)]}
+    commands = {
+        probe: ["log", "simulate", *models["real robot"], "--seconds", "40", "--timestep", "0.0001"],
+        folder / "calibration": ["calibrate", str(probe)],
+    } | {folder / name: [clip, "--rate", "0.1", "--sim", "--no-view", *more] for name, more in models.items()}
+    for out, words in commands.items():
+        if not out.exists():
+            assert mimic([*words, "-o", str(out)]) == 0, f"{words} failed"
+    log = read_log(probe)
+    machine = hung_robot(load_description())
+    left = {
+        name: predict(log, machine, effects)[:, JOINTS.index("FL_knee")] * 1e3
+        for name, effects in (("as given", EffectSet(())), ("corrected", read_effects(found)))
+    }
+    runs = {name: store.load(folder / name / "log.parquet", RunLog) for name in models}
+    figure, (over_time, by_motor) = plt.subplots(1, 2, figsize=(11, 3.4), width_ratios=(3, 2), constrained_layout=True)
+    rows, colours = (log.t > WORST[0]) & (log.t < WORST[1]), {"as given": "#e07b1f", "real robot": "#888888"}
+    for name, residual in left.items():
+        over_time.plot(log.t[rows], residual[rows], color=colours.get(name, "#1f5fa8"), label=name)
+    over_time.set(xlabel="time [s]", ylabel="measured - predicted [mrad]", title="FL knee in the log")
+    knees = [j for j in JOINTS if j.endswith("knee")]
+    for i, (name, run) in enumerate(runs.items()):
+        torque = np.sqrt(np.mean(run.tau[run.aimed] ** 2, axis=0))[[JOINTS.index(j) for j in knees]]
+        by_motor.bar(np.arange(4) + 0.27 * (i - 1), torque, 0.25, color=colours.get(name, "#1f5fa8"), label=name)
+    by_motor.set(xticks=range(4), xticklabels=knees, ylabel="torque, rms [N m]", title="Knees while boxing")
+    for axes in (over_time, by_motor):
+        axes.legend(frameon=False)
+    figure.savefig(images / "loop.png", dpi=90)
+    corrected = runs["corrected"]
+    begin = float(corrected.t[np.argmax(corrected.phase == PHASES.index("track"))])
+    strip(corrected, images / "loop_run.png", begin, BOXING)
+    small(images / "loop_run.png", width=1600)
+
+
 def main() -> None:
     images = HERE / "images"
     images.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         words(Path(folder), images)
+        loop(Path(folder), images)
         live(Path(folder), images)
         for name, moment in MOMENTS.items():
             run = Path(folder) / name

@@ -145,6 +145,7 @@ def _calibrated(
         if settings.most_effects:
             final, last = Selection(settings=settings, tick=tick, torques=_torques(before)).run(before)
             final = _no_worse(final, before)
+            before = before if final.added else final
             stages, residual = final.stages(last), final.fitted.residual
             if (coarse := coarse_encoders(final)).any():
                 tick("adding encoder rounding")

@@ -251,7 +251,7 @@ class FittedModel:
         Args:
             last: What was tried where nothing was added.
         """
-        root = self.path[0]
+        root = self.path[0] if self.added else self  # effects that were taken out again led to a better baseline
         made = [Stage(added="baseline", errors=errors_of(root.problem, root.fitted.residual))]
         kept = [m for m in self.path if m.trial is not None and m.trial.name in self.names]
         for m in kept:
