@@ -23,6 +23,7 @@ from mimic.flows.camera import follow_camera
 from mimic.flows.motion import InputSettings
 from mimic.io import store
 from mimic.io.joint_log import read_log
+from mimic.metrics import toe_error
 from mimic.policy.runtime import load_policy
 from mimic.records import JOINTS, PHASES, RunLog
 from mimic.robot.description import load_description
@@ -120,17 +121,17 @@ def loop(folder: Path, images: Path) -> None:
         for name, effects in (("as given", EffectSet(())), ("corrected", read_effects(found)))
     }
     runs = {name: store.load(folder / name / "log.parquet", RunLog) for name in models}
-    figure, (over_time, by_motor) = plt.subplots(1, 2, figsize=(11, 3.4), width_ratios=(3, 2), constrained_layout=True)
+    figure, (over_time, toes) = plt.subplots(1, 2, figsize=(11, 3.4), width_ratios=(3, 2), constrained_layout=True)
     rows, colours = (log.t > WORST[0]) & (log.t < WORST[1]), {"as given": "#e07b1f", "real robot": "#888888"}
     for name, residual in left.items():
         over_time.plot(log.t[rows], residual[rows], color=colours.get(name, "#1f5fa8"), label=name)
     over_time.set(xlabel="time [s]", ylabel="measured - predicted [mrad]", title="FL knee in the log")
-    knees = [j for j in JOINTS if j.endswith("knee")]
     for i, (name, run) in enumerate(runs.items()):
-        torque = np.sqrt(np.mean(run.tau[run.aimed] ** 2, axis=0))[[JOINTS.index(j) for j in knees]]
-        by_motor.bar(np.arange(4) + 0.27 * (i - 1), torque, 0.25, color=colours.get(name, "#1f5fa8"), label=name)
-    by_motor.set(xticks=range(4), xticklabels=knees, ylabel="torque, rms [N m]", title="Knees while boxing")
-    for axes in (over_time, by_motor):
+        error = 100 * toe_error(run)
+        values = [error.mean(), np.quantile(error, 0.95)]
+        toes.bar(np.arange(2) + 0.27 * (i - 1), values, 0.25, color=colours.get(name, "#1f5fa8"), label=name)
+    toes.set(xticks=range(2), xticklabels=["mean", "95th percentile"], ylabel="[cm]", title="Toe error while boxing")
+    for axes in (over_time, toes):
         axes.legend(frameon=False)
     figure.savefig(images / "loop.png", dpi=90)
     corrected = runs["corrected"]

@@ -50,6 +50,10 @@ from mimic.sysid.unexplained import (
 STEP_SHARE = 0.85
 """Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
+OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
+"""Their baseline parameters: the motor constants scale all torques, so that masses must be known, and behind the gear of
+a hobby servo the rotor is most of the inertia."""
+
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""
 
@@ -115,7 +119,9 @@ def _calibrated(
     together = pool(logs, model, step_of(logs, settings), called[: len(logs)])
     log = together.log
     machine = as_logged(model, log.metadata, by_force=log.q_des is None)
-    if machine.drives.volts is not None and "motor" not in settings.baseline:
+    if machine.drives.volts is not None and settings.baseline == CalibrateSettings().baseline:
+        settings = replace(settings, baseline=OF_VOLTAGE_DRIVES)
+    elif machine.drives.volts is not None and "motor" not in settings.baseline:
         settings = replace(settings, baseline=(*settings.baseline, "motor"))
     problem = problem_of(together, machine, settings)
     start = Point.of(settings.baseline, machine)

@@ -31,7 +31,9 @@ FRICTION = (
         name="load_friction",
         title="load-dependent friction",
         equation="tau = -ratio |tau_motor| sgn(v), beside dry friction",
-        parameters=(Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25),),
+        parameters=(
+            Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25, starts=(5.0,)),
+        ),
         signature="friction grows in loaded poses",
         experiment="reversals under several loads",
         enters="dof_frictionloss at every step",
@@ -41,7 +43,9 @@ FRICTION = (
         name="gear_load_friction",
         title="load-dependent friction of the gear",
         equation="tau = -ratio |tau_motor - tau_external| sgn(v), beside dry friction; tau_external: gravity, motion",
-        parameters=(Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25),),
+        parameters=(
+            Parameter(name="ratio", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.02, spread=25, starts=(5.0,)),
+        ),
         signature="friction grows in loaded poses, also where the link pushes the motor that is switched off",
         experiment="reversals under several loads, and falls with the drive switched off",
         enters="dof_frictionloss at every step",

@@ -310,7 +310,8 @@ def left_out(fitted: Fit, problem: Problem) -> Judged:
     """Return the squares of each fitted block under a fit without that block, and how the fit moves.
 
     Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
-    Where that changes a block much, the linear model is not believed, and the fit without the block is replayed.
+    Where that changes a block much, the linear model is not believed, and the fit without the block is replayed. A
+    block in which a drive is switched is judged as it was fitted: a joint that is let go moves as in no other.
     """
     return left_out_all([fitted], problem)[0]
 
@@ -353,8 +354,8 @@ def _by_linear_model(fitted: Fit, problem: Problem) -> Judged:
     moves = np.zeros((len(train), len(at)))
     stacked = np.stack([fitted.columns[i] for i in index]) if len(index) else None
     for row, b in enumerate(train):
-        if stacked is None:
-            break
+        if stacked is None or (problem.blocks.switched is not None and problem.blocks.switched[b]):
+            continue
         rest = (total - s.weighed[0][b])[np.ix_(index, index)]
         change = scaled_solution(rest, s.weighed[1][b][index], 1e-10)
         moves[row, index] = -change

@@ -41,6 +41,9 @@ class Blocks:
     """Block of each reading, -1 where it does not count (T,)."""
     held_out: BoolArray
     """True for blocks that nothing is fitted to (B,)."""
+    switched: BoolArray | None = None
+    """True for blocks in which a drive is switched: they are always fitted, since no other says what happens then (B,).
+    """
 
     @property
     def train(self) -> IntArray:
@@ -77,7 +80,7 @@ def make_blocks(
     logs = logs or [slice(0, len(t))]
     total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
     seconds = seconds if total > SHORT else min(seconds, total / LEAST_BLOCKS)
-    index, held_out, count = np.zeros(len(t), dtype=int), [], 0
+    index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
     for rows in logs:
         own = np.floor((t[rows] - t[rows][0]) / seconds).astype(int)
         last = int(own.max())
@@ -91,7 +94,10 @@ def make_blocks(
             rest[own[1:][np.any(np.diff(enabled[rows], axis=0), axis=1)]] = False
         held = [np.flatnonzero(rest[b : b + every])[:1] + b for b in range(every // 2, last + 1, every)]
         held_out.append(np.isin(np.arange(last + 1), np.concatenate([[-1], *held])))
-    return Blocks(index=np.where(counts, index, -1), held_out=np.concatenate(held_out))
+        switched.append(~rest)
+    return Blocks(
+        index=np.where(counts, index, -1), held_out=np.concatenate(held_out), switched=np.concatenate(switched)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -85,13 +85,13 @@ def starting_points(
     """Return the best start of each of the named effects: a joint takes the one that suits it best, or none.
 
     Each start is replayed alone, with the numbers of the incumbent free to make up for it. Where much is unexplained,
-    those of effects with a threshold are also tried with the model's own baseline: without the effect it was bent to
-    make up for it.
+    those away from neutral are also tried with the model's own baseline: without the effect it was bent to make up for
+    it, as dry friction does for friction that grows with the load.
     """
     points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
     bent = float(np.mean(problem.mean_squares(incumbent.residual, False))) > POORLY_EXPLAINED
     own_from = len(points)
-    points += [(name, own_baseline(problem, p)) for name, p in points if bent and CATALOGUE[name].structural]
+    points += [(name, own_baseline(problem, p)) for name, p in points if bent and _acts(name, p, problem)]
     moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
     replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
     left = {
