@@ -51,8 +51,8 @@ STEP_SHARE = 0.85
 """Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
 OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
-"""Their baseline parameters: the motor constants scale all torques, so that masses must be known, and behind the gear of
-a hobby servo the rotor is most of the inertia."""
+"""Their baseline parameters: motor constants scale all torques, so that masses must be known, and behind the gear of a
+hobby servo the rotor is most of the inertia."""
 
 Progress = Callable[[str, int], None]
 """Called with what is being done and the number of replays so far."""

@@ -311,7 +311,7 @@ def left_out(fitted: Fit, problem: Problem) -> Judged:
 
     Infinitesimal jackknife: r_b(-b) = r_b + J_b (H - J_b'J_b)^-1 J_b'r_b, exact for linear models; H holds the priors.
     Where that changes a block much, the linear model is not believed, and the fit without the block is replayed. A
-    block in which a drive is switched is judged as it was fitted: a joint that is let go moves as in no other.
+    block in which a drive is switched has none: a joint that is let go moves as in no other, so that it says nothing.
     """
     return left_out_all([fitted], problem)[0]
 
@@ -345,7 +345,7 @@ def _by_linear_model(fitted: Fit, problem: Problem) -> Judged:
     train, s = problem.blocks.train, fitted.sums
     squares = problem.block_squares(fitted.residual)[train]
     if not fitted.free_parameters:
-        return squares, np.zeros((len(train), 0))
+        return problem.judged(squares), np.zeros((len(train), 0))
     total = s.weighed_over(train)[0] + np.diag(prior(fitted.free_parameters) * s.weight)
     low_high = np.array([k.bounds for k in fitted.free_parameters]).reshape(-1, 2)
     at = fitted.point.read(fitted.free_parameters)
@@ -354,15 +354,15 @@ def _by_linear_model(fitted: Fit, problem: Problem) -> Judged:
     moves = np.zeros((len(train), len(at)))
     stacked = np.stack([fitted.columns[i] for i in index]) if len(index) else None
     for row, b in enumerate(train):
-        if stacked is None or (problem.blocks.switched is not None and problem.blocks.switched[b]):
-            continue
+        if stacked is None:
+            break
         rest = (total - s.weighed[0][b])[np.ix_(index, index)]
         change = scaled_solution(rest, s.weighed[1][b][index], 1e-10)
         moves[row, index] = -change
         inside = np.flatnonzero(problem.blocks.index == b)
         residual = fitted.residual[inside] + np.tensordot(change.astype(np.float32), stacked[:, inside], 1)
         squares[row] = np.nan_to_num(np.sum(residual.astype(np.float64) ** 2, axis=0), nan=np.inf)
-    return np.minimum(squares, LARGEST), moves
+    return np.minimum(problem.judged(squares), LARGEST), moves
 
 
 def _trials(fitted: Fit, problem: Problem, made: Judged) -> tuple[BoolArray, list[Point]]:

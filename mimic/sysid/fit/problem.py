@@ -199,9 +199,9 @@ class Problem:
 
     @property
     def readings(self) -> IntArray:
-        """Number of readings of each fitted block (B_train,)."""
+        """Number of readings of each fitted block that judges (B_train,)."""
         there = self.blocks.index[self.blocks.index >= 0]
-        return np.bincount(there, minlength=len(self.blocks.held_out))[self.blocks.train]
+        return self.judged(np.bincount(there, minlength=len(self.blocks.held_out))[self.blocks.train, None])[:, 0]
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
@@ -283,6 +283,11 @@ class Problem:
         begin = np.flatnonzero(np.diff(index, prepend=-1))  # blocks follow each other
         out[index[begin]] = np.add.reduceat(squares[there], begin, axis=0)
         return out
+
+    def judged(self, values: Any) -> Any:
+        """Return values of the fitted blocks (B_train, C), 0 in those in which a drive is switched."""
+        there = self.blocks.switched
+        return values if there is None else np.where(there[self.blocks.train][:, None], 0, values)
 
     def mean_squares(self, residual: FloatArray, held_out: bool) -> FloatArray:
         """Return the mean square of each channel (C,), over the fitted or the held-out blocks."""

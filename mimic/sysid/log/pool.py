@@ -42,8 +42,8 @@ class Blocks:
     held_out: BoolArray
     """True for blocks that nothing is fitted to (B,)."""
     switched: BoolArray | None = None
-    """True for blocks in which a drive is switched: they are always fitted, since no other says what happens then (B,).
-    """
+    """True for blocks in which a drive is switched: they are always fitted and judge nothing, since
+    no other says what happens then (B,)."""
 
     @property
     def train(self) -> IntArray:

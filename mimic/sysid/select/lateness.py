@@ -136,6 +136,7 @@ def late_targets(problem: Problem, fitted: Fit, names: Sequence[str]) -> list[La
         if ("delay", "time") in point.values:
             point = Point({**point.values, ("delay", "time"): point.values["delay", "time"] - shift * period})
         squares = problem.block_squares(np.where(inside, after, np.nan).astype(np.float32))[problem.blocks.train]
+        squares = problem.judged(squares)
         found.append(
             Lateness(
                 name=name,
