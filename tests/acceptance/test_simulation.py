@@ -18,9 +18,10 @@ def test_the_boxing_clip_in_simulation(shell):
     assert (out / "scene.rrd").stat().st_size > 100_000
 
 
-def test_a_sentence_in_simulation(shell):
-    done = shell.mimic("--text", "step forward, then wave the left hand", "--sim", "--out", "out")
-    shell.figures.append(f"a sentence: {shell.check_run(done, shell.folder / 'out')}")
+def test_a_sentence_in_simulation_on_a_model_with_the_effects_of_a_calibration(shell):
+    hidden = shell.videos.parent / "hidden.toml"
+    done = shell.mimic("--text", "step forward, then wave the left hand", "--sim", "--effects", hidden, "--out", "out")
+    shell.figures.append(f"a sentence, knees with Stribeck friction: {shell.check_run(done, shell.folder / 'out')}")
 
 
 def test_a_camera_followed_live(shell):

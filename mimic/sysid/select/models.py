@@ -98,9 +98,10 @@ def compare(
         channels: That can differ (C,); all by default.
     """
     use = np.ones(one.shape[1], dtype=bool) if channels is None else channels
-    if not use.any():
+    judging = problem.readings > 0
+    if not use.any() or not judging.any():
         return Comparison(gain=0.0, z=0.0, share=0.0)
-    good, bad, noise = one[:, use], other[:, use], np.maximum(problem.readings, 1)[:, None]
+    good, bad, noise = one[judging][:, use], other[judging][:, use], problem.readings[judging, None]
     price = _price(numbers, _independent(problem) * int(use.sum()))
     each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
     whole = noise[:, 0] * int(use.sum())
