@@ -93,6 +93,9 @@ ALIENS: Mapping[str, str] = {
 }
 """Name and size."""
 
+DESCRIBED = {"eccentricity": "encoder_eccentricity", "target_filter": "target_filter"}
+"""Aliens that the catalogue describes by now: to name them is right, too."""
+
 OTHER_LAWS: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "load_friction": ("grows with |tau|^0.8", {"load_power": 0.8}),
     "stribeck": ("exp(-|v|/speed)", {"stribeck_power": 1.0}),

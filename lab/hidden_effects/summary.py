@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from lab.hidden_effects.generator import CLOCKS
+from lab.hidden_effects.generator import CLOCKS, DESCRIBED
 from lab.hidden_effects.scenarios import FAINT, Scenario, for_choosing
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.records import JOINTS, FloatArray
@@ -140,7 +140,8 @@ def marked(r: Record) -> bool:
 
 
 def unexplained(r: Record) -> bool:
-    return nothing_named(r) and marked(r)
+    described = {DESCRIBED[n] for n in r["names"] if n in DESCRIBED}
+    return (nothing_named(r) and marked(r)) or (bool(described) and "error" not in r and named(r) == described)
 
 
 def shown(r: Record) -> bool:

@@ -18,6 +18,7 @@ from lab.hidden_effects.families import ALIEN_CAPS, FAMILIES, alien, hidden_effe
 from lab.hidden_effects.generator import (
     ALIENS,
     CLOCKS,
+    DESCRIBED,
     ENCODER,
     FLOOR,
     OTHER_LAWS,
@@ -222,7 +223,9 @@ def test_effects_of_no_size_do_not_act():
 
 def test_every_catalogued_effect_that_is_not_declared_has_a_family():
     """Load-dependent friction of a gear, and voltage drives, are judged by logs of real servos."""
-    assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.baseline} - {"gear_load_friction", "motor"}
+    elsewhere = {"gear_load_friction", "motor", *DESCRIBED.values()}
+    assert set(FAMILIES) == {name for name, e in CATALOGUE.items() if not e.baseline} - elsewhere
+    assert set(DESCRIBED) <= set(ALIENS)
 
 
 @pytest.mark.slow
