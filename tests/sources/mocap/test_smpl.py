@@ -129,6 +129,7 @@ def test_rotations_add_up_along_the_arm(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.train
 def test_gvhmr_is_read_from_a_file_of_pytorch(tmp_path):
     torch = pytest.importorskip("torch", reason="writing the file needs the extra 'train'")
     pose = torch.tensor(left_arm_up(66), dtype=torch.float32)
