@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.pose import MocapSettings
+from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.io.reading import read_text
 from mimic.records import FloatArray
 from mimic.sources.mocap.points import Points
 

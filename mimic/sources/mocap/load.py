@@ -89,7 +89,7 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     if not path.is_file():
         raise SourceError(f"there is no file {path}")
     points = READERS[path.suffix.lower()](path, mocap)
-    if len(points.t) < 2 or points.t[-1] - points.t[0] < settings.min_duration:
+    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < settings.min_duration:
         raise SourceError(
             f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
             f"at least two and {settings.min_duration:g} s"

@@ -13,7 +13,7 @@ from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
 from mimic.sources.mocap.points import Points
 from mimic.sources.mocap.skeletons import layout_of
-from mimic.sources.mocap.smpl import KEYS, has_rotations, points_of_rotations
+from mimic.sources.mocap.smpl import KEYS, RATES, frame_rate, has_rotations, points_of_rotations
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
@@ -104,15 +104,14 @@ def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Pa
 
 
 def _times(arrays: dict[str, Any], rows: int, settings: MocapSettings, path: Path) -> np.ndarray:
-    if settings.fps:
-        return np.arange(rows) / settings.fps
-    if "t" in arrays:
-        t = np.array(arrays["t"], dtype=np.float64)
+    if "t" in arrays and not settings.fps:
+        t = arrays["t"]
+        t = t.astype("datetime64[ns]").astype(np.int64) / 1e9 if t.dtype.kind == "M" else np.array(t, dtype=np.float64)
         if t.shape != (rows,):
             raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
         return t
-    if "fps" in arrays and np.ndim(arrays["fps"]) == 0 and float(arrays["fps"]) > 0:
-        return np.arange(rows) / float(arrays["fps"])
-    raise SourceError(
-        f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give [mocap] fps in --config"
-    )
+    if not settings.fps and not any(name in arrays for name in RATES):
+        raise SourceError(
+            f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give [mocap] fps in --config"
+        )
+    return np.arange(rows) / frame_rate(arrays, settings, path)

@@ -85,7 +85,7 @@ def points_of_rotations(arrays: Mapping[str, Any], settings: MocapSettings, path
         turned.append(turned[parent] @ turns[:, joint])
     note = "joint rotations on a generic skeleton, without a body model"
     return Points(
-        t=np.arange(len(xyz)) / _rate(arrays, settings, path),
+        t=np.arange(len(xyz)) / frame_rate(arrays, settings, path),
         xyz=xyz,
         score=np.ones(xyz.shape[:2]),
         names=JOINTS,
@@ -142,7 +142,12 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
     return Rotation.from_rotvec(flat.reshape(-1, 3)).as_matrix().reshape(*flat.shape, 3)
 
 
-def _rate(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> float:
+def frame_rate(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> float:
+    """Return the frame rate that was asked for, else that of the file [Hz].
+
+    Raises:
+        SourceError: If there is none.
+    """
     if settings.fps:
         return settings.fps
     name = _first(arrays, RATES)

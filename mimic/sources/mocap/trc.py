@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.pose import MocapSettings
+from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.io.reading import read_text
 from mimic.sources.mocap.points import UNITS, Points
 
 _HEADER = 5
