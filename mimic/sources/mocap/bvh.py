@@ -18,7 +18,7 @@ from mimic.config.pose import MocapSettings
 from mimic.config.text_file import read_text
 from mimic.errors import SourceError
 from mimic.records import FloatArray
-from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.points import Points, clock
 
 _CHANNELS = {f"{axis}{kind}": (kind, i) for kind in ("position", "rotation") for i, axis in enumerate("xyz")}
 
@@ -85,14 +85,8 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     if frames != announced or len(values) % width:
         warnings.append(f"{path.name} announces {announced} frames and holds {len(values) / width:g}")
     values = values[: frames * width].reshape(frames, width)
-    if settings.fps:
-        step = 1.0 / settings.fps
-    if step <= 0.0:
-        raise SourceError(
-            f"{path.name} gives a frame time of {step:g} s; give the frame rate as [mocap] fps in --config"
-        )
     return Points(
-        t=step * np.arange(frames),
+        t=clock(frames, 1.0 / step if step else np.inf, settings, path),
         xyz=_positions(joints, values),
         score=np.ones((frames, len(joints))),
         names=tuple(joint.name for joint in joints),

@@ -11,9 +11,9 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.points import Points, clock
 from mimic.sources.mocap.skeletons import layout_of
-from mimic.sources.mocap.smpl import KEYS, RATES, frame_rate, has_rotations, points_of_rotations
+from mimic.sources.mocap.smpl import KEYS, RATES, has_rotations, points_of_rotations
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
@@ -104,14 +104,10 @@ def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Pa
 
 
 def _times(arrays: dict[str, Any], rows: int, settings: MocapSettings, path: Path) -> np.ndarray:
-    if "t" in arrays and not settings.fps:
-        t = arrays["t"]
-        t = t.astype("datetime64[ns]").astype(np.int64) / 1e9 if t.dtype.kind == "M" else np.array(t, dtype=np.float64)
-        if t.shape != (rows,):
-            raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
-        return t
-    if not settings.fps and not any(name in arrays for name in RATES):
-        raise SourceError(
-            f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give [mocap] fps in --config"
-        )
-    return np.arange(rows) / frame_rate(arrays, settings, path)
+    if "t" not in arrays or settings.fps:
+        return clock(rows, next((arrays[name] for name in RATES if name in arrays), None), settings, path)
+    t = arrays["t"]
+    if t.shape != (rows,):
+        raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
+    stamps = t.dtype.kind == "M"
+    return t.astype("datetime64[ns]").astype(np.int64) / 1e9 if stamps else np.array(t, dtype=np.float64)

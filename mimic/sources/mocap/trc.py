@@ -12,7 +12,7 @@ import numpy as np
 from mimic.config.pose import MocapSettings
 from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, Points, clock
 
 _HEADER = 5
 """Lines before the table; an empty one may follow them."""
@@ -38,7 +38,7 @@ def read_trc(path: Path, settings: MocapSettings) -> Points:
     table = _table(lines, path, 2 + 3 * len(names))
     xyz = table[:, 2:].reshape(len(table), len(names), 3)
     xyz[(xyz == 0.0).all(axis=-1)] = np.nan
-    t = np.arange(len(table)) / settings.fps if settings.fps else table[:, 1]
+    t = clock(len(table), None, settings, path) if settings.fps else table[:, 1]
     return Points(t=t, xyz=xyz, score=np.ones(xyz.shape[:2]), names=names, unit=unit)
 
 
