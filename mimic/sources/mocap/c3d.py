@@ -12,7 +12,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import MissingExtra, SourceError
-from mimic.sources.mocap.points import UNITS, Points, clock
+from mimic.sources.mocap.points import UNITS, UPS, Points, clock
 
 LARGEST = 1_000_000_000
 """Largest file [bytes]."""
@@ -51,7 +51,7 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
         score=np.ones(xyz.shape[:2]),
         names=names[: xyz.shape[1]],
         unit=unit if unit in UNITS else None,
-        up=screen if screen in ("x", "y", "z", "-x", "-y", "-z") else None,
+        up=screen if screen in UPS else None,
     )
 
 

@@ -18,7 +18,7 @@ from mimic.records import SIDES, FloatArray, PoseTrack
 from mimic.sources.mocap.bvh import read_bvh
 from mimic.sources.mocap.c3d import read_c3d
 from mimic.sources.mocap.npz import read_npz
-from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, UPS, Points
 from mimic.sources.mocap.skeletons import NEEDED, Columns, read_names, recognise
 from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
@@ -47,7 +47,7 @@ MIRRORED = (
     "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
 )
 
-_UP = {f"{sign}{axis}": float(f"{sign}1") * np.eye(3)[i] for sign in ("", "-") for i, axis in enumerate("xyz")}
+_UP = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.sources.mocap.points import Points, clock
+from mimic.sources.mocap.points import UPS, Points, clock
 from mimic.sources.mocap.skeletons import layout_of
 from mimic.sources.mocap.smpl import KEYS, RATES, has_rotations, points_of_rotations
 
@@ -22,7 +22,7 @@ _READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout", "up"}
 """Arrays that are read; others are left where they are."""
 LARGEST = 500_000_000
 """Most bytes of the arrays that are read."""
-_UPS = ("x", "y", "z", "-x", "-y", "-z")
+_NONE = (ValueError, OSError, EOFError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
 
 
 def read_npz(path: Path, settings: MocapSettings) -> Points:
@@ -50,8 +50,8 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
     if score.shape != (rows, count):
         raise SourceError(f"the visibilities in {path.name} have shape {score.shape}; expected ({rows}, {count})")
     up = str(arrays["up"]) if "up" in arrays else None
-    if up is not None and up not in _UPS:
-        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(_UPS)}")
+    if up is not None and up not in UPS:
+        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(UPS)}")
     return Points(
         t=_times(arrays, rows, settings, path),
         xyz=xyz,
@@ -67,15 +67,7 @@ def _arrays(path: Path) -> dict[str, Any]:
         with np.load(path, allow_pickle=False) as file:
             found = {key: file[key] for key in file.files if key in _READ}
             return found or dict.fromkeys(file.files)
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        MemoryError,
-        zlib.error,
-        zipfile.BadZipFile,
-    ):  # NumPy's own words advise to load pickles, which is not safe
+    except _NONE:  # NumPy's own words advise to load pickles, which is not safe
         raise SourceError(
             f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
             "Python objects"

@@ -12,6 +12,8 @@ from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
 from mimic.records import FloatArray
 
+UPS = ("x", "y", "z", "-x", "-y", "-z")
+"""Axes that may point up."""
 UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 """Length of each unit that a file may use [m]."""
 

@@ -30,6 +30,8 @@ CORRECTIONS = 3
 LONGEST_SENTENCE, LARGEST_BODY = 2000, 4_000_000  # characters of a sentence; bytes of an endpoint's response
 REPORTED = 12  # at most this many errors go back at once
 
+_FAULTS = (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError)
+
 Chat = Callable[[list[dict[str, str]]], str]
 
 
@@ -192,15 +194,7 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     def chat(messages: list[dict[str, str]]) -> str:
         try:
             return _within(settings.llm_timeout, lambda: ask(messages))
-        except (
-            openai.OpenAIError,
-            OSError,
-            AttributeError,
-            LookupError,
-            TypeError,
-            ValueError,
-            RecursionError,
-        ) as error:
+        except (openai.OpenAIError, *_FAULTS) as error:
             text = next(text for kind, text in failures if isinstance(error, kind))
             raise SourceError(text.replace("%s", " ".join(str(error).split())[:200])) from None
 

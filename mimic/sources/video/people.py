@@ -25,8 +25,7 @@ from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 Choice = Literal["left", "right", "largest"] | int
 
 SOONEST, LATEST = 0.5, 3.0
-"""Times between two looks for everybody [s]: half of the time since the beginning, but the first where one person was
-chosen."""
+"""Times between two looks for everybody [s]: all since the beginning, but the first where one person was chosen."""
 MOST = 5
 """At most this many people are found."""
 VISIBLE = 0.6
@@ -233,7 +232,7 @@ class People:
         """Return what the detector may see of a frame at time t [s]: all of it, or the chosen person."""
         self._aspect = rgb.shape[1] / rgb.shape[0]
         if t >= self._next:
-            self._next = t + (float(np.clip(t / 2, SOONEST, LATEST)) if self._choice is None else SOONEST)
+            self._next = t + (float(np.clip(t, SOONEST, LATEST)) if self._choice is None else SOONEST)
             self.look(t, rgb)
         if self._choice is None or self._place is None:
             return rgb
