@@ -47,7 +47,7 @@ MIRRORED = (
     "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
 )
 
-_UP = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
+_UP: dict[str, FloatArray] = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -100,24 +100,23 @@ def _first(arrays: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
 
 def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
     """Return the rotations of the 22 joints relative to their parents (T, 22, 3, 3)."""
-    root, body = _first(arrays, ROOTS), _first(arrays, BODIES)
+    root, body, whole = (_first(arrays, names) for names in (ROOTS, BODIES, WHOLE))
     if root is not None and body is not None:
-        first, rest = _matrices(arrays[root], root, path), _matrices(arrays[body], body, path)
-        if len(first) != len(rest) or first.shape[1] != 1 or rest.shape[1] < len(JOINTS) - 1:
+        parts = [_matrices(arrays[name], name, path) for name in (root, body)]
+        if len(parts[0]) != len(parts[1]) or parts[0].shape[1] != 1 or parts[1].shape[1] < len(JOINTS) - 1:
             shapes = f"{np.shape(arrays[root])} and {np.shape(arrays[body])}"
             raise SourceError(
                 f"{path.name}: '{root}' and '{body}' have shapes {shapes}; expected (T, 3) and (T, 63) or more"
             )
-        return np.concatenate([first, rest], axis=1)[:, : len(JOINTS)]
-    name = _first(arrays, WHOLE)
-    assert name is not None  # has_rotations
-    given = np.shape(arrays[name])
+        return np.concatenate(parts, axis=1)[:, : len(JOINTS)]
+    assert whole is not None  # has_rotations
+    given = np.shape(arrays[whole])
     if len(given) == 2 and given[1] not in _WIDTHS:
         known = ", ".join(f"{width} ({what})" for width, what in _WIDTHS.items())
-        raise SourceError(f"{path.name}: '{name}' has shape {given}; expected (T, W) with a width W of {known}")
-    turns = _matrices(arrays[name], name, path)
+        raise SourceError(f"{path.name}: '{whole}' has shape {given}; expected (T, W) with a width W of {known}")
+    turns = _matrices(arrays[whole], whole, path)
     if turns.shape[1] < len(JOINTS):
-        raise SourceError(f"{path.name}: '{name}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
+        raise SourceError(f"{path.name}: '{whole}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
     return turns[:, : len(JOINTS)]
 
 
@@ -133,13 +132,11 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
             f"{path.name}: '{name}' has shape {array.shape}; expected axis angles (T, 3 N) or matrices (T, N, 3, 3)"
         )
     array = np.asarray(array, dtype=np.float64)
-    if not np.isfinite(array).all():
-        row = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
-        raise SourceError(f"{path.name}: '{name}' is not a number in row {row + 1}; cut these rows")
+    if len(rows := np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))):
+        raise SourceError(f"{path.name}: '{name}' is not a number in row {rows[0] + 1}; cut these rows")
     if matrices:
         return array
-    flat = array.reshape(len(array), -1, 3)
-    return Rotation.from_rotvec(flat.reshape(-1, 3)).as_matrix().reshape(*flat.shape, 3)
+    return Rotation.from_rotvec(array.reshape(-1, 3)).as_matrix().reshape(len(array), -1, 3, 3)
 
 
 # ---------------------------------------------------------------------- what programs store besides arrays

@@ -45,16 +45,15 @@ def read_trc(path: Path, settings: MocapSettings) -> Points:
 def _table(lines: list[str], path: Path, width: int) -> np.ndarray:
     rows = []
     for number, line in enumerate(lines[_HEADER:], _HEADER + 1):
-        if not line.strip():
-            continue
-        cells = [cell.strip() for cell in line.rstrip().split("\t")]
+        cells = line.rstrip().split("\t") if line.strip() else []
         if len(cells) > width:
             raise SourceError(
                 f"{path.name}, line {number}: {len(cells)} cells; expected {width}, for the names in line 4"
             )
-        cells += [""] * (width - len(cells))
         try:
-            rows.append([float(cell) if cell else np.nan for cell in cells[:width]])
+            rows += (
+                [[float(cell.strip() or "nan") for cell in cells] + [np.nan] * (width - len(cells))] if cells else []
+            )
         except ValueError:
             raise SourceError(
                 f"{path.name}, line {number}: expected numbers separated by tabs, got {line[:60]!r}"

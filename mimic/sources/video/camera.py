@@ -246,7 +246,7 @@ def _run_camera(
         os.nice(LOW_PRIORITY)
     import cv2
 
-    from mimic.sources.video.blazepose import BlazePose
+    from mimic.sources.video.blazepose import BlazePose, Everybody
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
 
@@ -258,7 +258,8 @@ def _run_camera(
     latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
     assert isinstance(pose.pose_model, Path)
     hint = "let one person stand before the camera"
-    with BlazePose(pose.pose_model) as detect, People(pose.pose_model, None, camera, hint) as people:
+    with BlazePose(pose.pose_model) as detect, Everybody(pose.pose_model) as everybody:
+        people = People(everybody, None, camera, hint)
         detect(people.show(0.0, cv2.cvtColor(first, cv2.COLOR_BGR2RGB)))  # warm-up: the first detection is slow
         pipe.send(True)
         if not device:
