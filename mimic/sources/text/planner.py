@@ -11,6 +11,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -233,19 +234,13 @@ def _within(seconds: float, work: Callable[[], str]) -> str:
     Raises:
         TimeoutError: If it takes longer.
     """
-    outcome: list[str | BaseException] = []
+    outcome: Future[str] = Future()
 
     def run() -> None:
         try:
-            outcome.append(work())
+            outcome.set_result(work())
         except BaseException as error:
-            outcome.append(error)
+            outcome.set_exception(error)
 
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not outcome:
-        raise TimeoutError
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
-    return outcome[0]
+    threading.Thread(target=run, daemon=True).start()
+    return outcome.result(seconds)
