@@ -80,7 +80,7 @@ def play(
         _check_camera_options(run, retarget, pose)
     from mimic.flows.motion import InputSettings
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
+    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
     if robot is not None:
         from mimic.cli.robot import play_on_robot
@@ -125,8 +125,6 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
-    if pose is not None and pose.also is not None:
-        raise ConfigError("--also gives the second of two videos; a camera is followed by itself: leave it out")
     if retarget is not None and retarget.slow_down != 1.0:
         raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 
@@ -210,7 +208,7 @@ def retarget(
     from mimic.flows.motion import InputSettings
     from mimic.flows.play import load_robot, save_targets
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
     robot = None if robot_model is None else load_robot(robot_model)
     motion = save_targets(source, out, settings, description=robot, reporter=ConsoleReporter())

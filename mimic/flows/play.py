@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.flows.motion import InputSettings, Motion, as_motion, existing, is_video, load_motion, motion_from_text
+from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -28,6 +28,7 @@ from mimic.flows.run_folder import (
     save_run,
 )
 from mimic.io import store
+from mimic.io.reading import existing
 from mimic.records import (
     CommandTrack,
     HealthLog,
@@ -229,7 +230,7 @@ def load_run(folder: str | Path) -> SavedRun:
     result = RunResult(
         log=log,
         health=store.load(folder / HEALTH, HealthLog),
-        events=tuple(Event(**{**event, "mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
+        events=tuple(Event(**event | {"mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
         samples=stored(JOINTS, JointSamples),
         fell_at=log.metadata.get("fell_at"),
         interrupted=metrics["interrupted"],
