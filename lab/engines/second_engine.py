@@ -99,9 +99,9 @@ class DrakePlant:
             drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet(shapes))
         )
         self._joints = [plant.GetJointByName(name) for name in JOINTS]
-        for joint in self._joints:
+        for joint, armature in zip(self._joints, description.armature, strict=True):
             motor = plant.AddJointActuator(joint.name(), joint)
-            motor.set_default_rotor_inertia(description.armature)
+            motor.set_default_rotor_inertia(armature)
             motor.set_default_gear_ratio(1.0)
         plant.Finalize()
         self.plant = plant

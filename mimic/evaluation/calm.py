@@ -98,7 +98,7 @@ def winding_heat(tau: FloatArray, description: RobotDescription) -> FloatArray:
     """
     constant = description.voltage / description.speed_max
     resistance = (description.voltage - constant * description.speed_flat) * constant / description.torque_max
-    return resistance * np.square(np.asarray(tau) / constant).sum(axis=-1)
+    return (resistance * np.square(np.asarray(tau) / constant)).sum(axis=-1)
 
 
 def fast_share(values: FloatArray, rate_hz: float, above: float = HIGH) -> float:

@@ -133,14 +133,16 @@ def _set_motors(spec: Any, description: RobotDescription) -> None:
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     d = description
-    slope = d.torque_max / (d.speed_max - d.speed_flat)
-    constant = d.voltage / d.speed_max
-    for name in JOINTS:
+    constants = d.voltage / d.speed_max
+    resistances = constants**2 / (d.torque_max / (d.speed_max - d.speed_flat))
+    for name, constant, resistance, most, kp, kd in zip(
+        JOINTS, constants, resistances, d.torque_max, d.kp, d.kd, strict=True
+    ):
         motor = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
         motor.set_to_dcmotor(
             motorconst=[constant, constant],
-            resistance=constant**2 / slope,
-            saturation=[d.torque_max, 0.0, 0.0],
-            controller=[d.kp, 0.0, d.kd, 0.0, 0.0, d.voltage],
+            resistance=resistance,
+            saturation=[most, 0.0, 0.0],
+            controller=[kp, 0.0, kd, 0.0, 0.0, d.voltage],
             ctrlspec=1,  # a position
         )

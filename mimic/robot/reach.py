@@ -82,8 +82,8 @@ class Reach:
         self._clear = self.description.poses["upright"][:FRONT].copy()
         self.legs = front_legs(self.description)
         """The front legs in closed form."""
-        self.speed_max = workspace.speed_share * self.description.speed_flat
-        """Joint speed that targets may ask for [rad/s]."""
+        self.speed_max = workspace.speed_share * self.description.speed_flat[:FRONT]
+        """Joint speeds that targets may ask for (6,) [rad/s]."""
 
     def toes(self, q: FloatArray) -> FloatArray:
         """Return base -> front toes, left and right, (..., 2, 3) [m] for joints (..., 12) or front joints (..., 6)."""
@@ -148,7 +148,7 @@ class Reach:
             front = mass[np.ix_(self._at_v[:FRONT], self._at_v[:FRONT])]
             greatest = np.maximum(greatest, np.sum(np.abs(front), axis=1))
         greatest = np.tile(np.maximum(greatest[:3], greatest[3:]), 2)
-        return self.description.workspace.torque_share * self.description.torque_max / greatest
+        return self.description.workspace.torque_share * self.description.torque_max[:FRONT] / greatest
 
     def _full(self, q: FloatArray) -> FloatArray:
         """Return Pinocchio's configuration with the base at the origin; hind legs stay where no joints are given."""
