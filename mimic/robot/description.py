@@ -190,7 +190,7 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
 
 
 def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
-    thermal, overload = motor["thermal"], motor["overload"]
+    thermal, overload = motor["thermal"], motor.get("overload", {"torque": (), "seconds": ()})
     return ThermalNumbers(
         winding_share=thermal["winding_share"],
         winding_time=thermal["winding_seconds"],
@@ -287,7 +287,7 @@ def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
 @cache
 def _read(path: Path) -> RobotDescription:
     if not path.is_file():
-        raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2), or a folder with a {FILE}")
+        raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2, go2), or a folder with a {FILE}")
     try:
         return _described(tomllib.loads(path.read_text(encoding="utf-8")), path)
     except KeyError as missing:
