@@ -12,7 +12,7 @@ import numpy as np
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings
 from mimic.errors import MimicError
-from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 from mimic.records import RunLog
@@ -68,13 +68,12 @@ def lead(
     from mimic.evaluation.leading import lead_robot
     from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
     reporter, hand, leading = reporter or SilentReporter(), hand or HandSettings(), leading or LeadingSettings()
     warn_of_stand_effects(robot, reporter)
-    description = load_description()
+    description = load_robot(robot.robot_model)
     player = load_policy(policy, description)
     if film is not None:
         store.check_writable(film.parent)

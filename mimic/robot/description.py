@@ -267,7 +267,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
     )
 
 
-def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
+def load_description(robot: str | Path) -> RobotDescription:
     """Read the description of a robot; each file is read once.
 
     Args:
@@ -281,7 +281,7 @@ def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
         return _read(path.resolve())
     if path.is_dir() or len(path.parts) > 1:
         return _read(path.resolve() / FILE)
-    return _read(shipped("assets", str(robot)) / FILE)
+    return _read(shipped("assets") / path / FILE)
 
 
 @cache

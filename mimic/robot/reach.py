@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from mimic.records import JOINTS, LEGS, FloatArray
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_legs
 from mimic.robot.model import TOES
 from mimic.robot.projection import Local, project
@@ -55,13 +55,13 @@ class Closest:
 class Reach:
     """Kinematics of the robot and the reachable set of its front toes. Not to be shared between threads."""
 
-    def __init__(self, description: RobotDescription | None = None) -> None:
+    def __init__(self, description: RobotDescription) -> None:
         """Read the robot.
 
         Raises:
             AssetError: If the MJCF lacks a part that the description names.
         """
-        self.description = description or load_description()
+        self.description = description
         self._model, self._geometry = rigid_body_model(self.description)
         self._joints = [self._model.getJointId(name) for name in JOINTS]
         self._at_q = np.array([self._model.joints[i].idx_q for i in self._joints])

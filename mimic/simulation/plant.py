@@ -284,7 +284,7 @@ def plant_options(robot: EffectsSettings) -> dict[str, Any]:
     """
     if robot.effects is None:
         return {}
-    description = with_timestep(load_description(), robot.timestep)
+    description = with_timestep(load_description(robot.robot_model), robot.timestep)
     effects = read_standing(Path(robot.effects))
     parameters_of(effects, hung_robot(description))
     return {"effects": effects, "solver": Solver(timestep=robot.timestep)}
