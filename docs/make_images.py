@@ -47,7 +47,7 @@ MOTIONS = {
 def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
     """Write moments of a run as a row of pictures."""
     ticks = [int(np.argmin(np.abs(log.t - begin - t))) for t in times]
-    with RobotFilm(log, load_description(), width=260, height=320) as film:
+    with RobotFilm(log, load_description("cyberdog2"), width=260, height=320) as film:
         pictures = [film.picture(tick) for tick in ticks]
     cv2.imwrite(str(path), cv2.cvtColor(np.hstack(pictures), cv2.COLOR_RGB2BGR))
 
@@ -74,7 +74,7 @@ def words(folder: Path, images: Path) -> None:
 
 def live(folder: Path, images: Path) -> None:
     """Take a picture of the live window while a clip stands in for the camera."""
-    description = load_description()
+    description = load_description("cyberdog2")
     with ExitStack() as stack:
         window = stack.enter_context(LiveView(description, path=folder / "live.rrd"))
         run = RunSettings()

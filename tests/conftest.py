@@ -22,7 +22,7 @@ from mimic.robot.description import RobotDescription, load_description
 
 @pytest.fixture(scope="session")
 def description() -> RobotDescription:
-    return load_description()
+    return load_description("cyberdog2")
 
 
 @pytest.fixture(scope="session")
@@ -74,7 +74,7 @@ def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
 
 
 FORGIVING = replace(
-    limits_for(load_description()),
+    limits_for(load_description("cyberdog2")),
     turn_mismatch=10.0,
     toes_apart=10.0,
     toes_apart_moving=10.0,

@@ -268,7 +268,7 @@ def main(argv: list[str] | None = None) -> int:
         print("Drake is not installed; install it beside mimic: pip install drake", file=sys.stderr)
         return 2
     logging.getLogger("drake").setLevel(logging.ERROR)  # a warning for each MJCF attribute that it does not read
-    description = load_description()
+    description = load_description("cyberdog2")
     policy = Policy(options.policy, description)
     few = max(options.robots // 5, 1)
     table2 = replace(Randomisation(), restitution=NOMINAL.restitution)

@@ -14,6 +14,7 @@ from mimic.retargeting.live import LiveRetarget, LiveTarget, LiveTargets
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import wrist_track
 from mimic.robot.arm_mapping import toes_of_arms
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 
 ASPECT = 640 / 480
@@ -22,7 +23,7 @@ FOCAL = 0.87
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 def person(

@@ -10,9 +10,10 @@ from mimic.errors import SourceError
 from mimic.records import WristTrack
 from mimic.retargeting.commands import command_track
 from mimic.retargeting.targets import target_track, wanted_toes
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 
-REACH = Reach()
+REACH = Reach(load_description("cyberdog2"))
 RENDERED = Path(__file__).parents[3] / "shared" / "data" / "videos" / "rendered"
 MIRROR = np.array([1.0, -1.0, 1.0])
 

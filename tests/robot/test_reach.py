@@ -11,8 +11,8 @@ from mimic.records import LEGS
 from mimic.robot.description import load_description
 from mimic.robot.reach import FRONT, Reach
 
-REACH = Reach()
-DESCRIPTION = load_description()
+REACH = Reach(load_description("cyberdog2"))
+DESCRIPTION = load_description("cyberdog2")
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 points = arrays(np.float64, (2, 3), elements=st.floats(-0.6, 0.6))

@@ -118,7 +118,7 @@ def test_the_command_retargets_into_its_workspace(go2, reach, tmp_path):
     for toes in targets.p_BE[::25]:
         assert reach.closest(toes).moved.max() < 1e-6
     hips = np.array([leg.origin for leg in reach.legs])
-    shipped = load_description().leg
+    shipped = load_description("cyberdog2").leg
     assert np.linalg.norm(targets.p_BE - hips, axis=-1).max() > shipped.thigh + np.linalg.norm(shipped.toe)
 
 
@@ -171,4 +171,4 @@ def test_joints_in_another_order_are_refused(go2):
 
 
 def test_the_shipped_robot_is_another_one(go2):
-    assert go2.name != load_description().name
+    assert go2.name != load_description("cyberdog2").name

@@ -38,9 +38,7 @@ def made(request, description):
 def hold(description, q=None) -> JointCommand:
     zeros = np.zeros(12)
     q = description.poses["lie"] if q is None else q
-    return JointCommand(
-        q_des=q, dq_des=zeros, kp=description.kp, kd=description.kd, tau_ff=zeros
-    )
+    return JointCommand(q_des=q, dq_des=zeros, kp=description.kp, kd=description.kd, tau_ff=zeros)
 
 
 def steps(plant, description, count: int = 10) -> None:
