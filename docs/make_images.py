@@ -78,7 +78,7 @@ def live(folder: Path, images: Path) -> None:
     with ExitStack() as stack:
         window = stack.enter_context(LiveView(description, path=folder / "live.rrd"))
         run = RunSettings()
-        how = {"view": window, "zero": run.stand_up}
+        how = {"view": window, "description": description, "zero": run.stand_up}
         targets, _ = stack.enter_context(
             follow_camera(str(CLIPS / "boxing.mp4"), InputSettings(), LiveSettings(), **how)
         )
