@@ -62,5 +62,6 @@ def train(
     reporter = ConsoleReporter() if first else SilentReporter()
     path = train_policy(out, mdp, learn, robot=robot_model, resume=resume, report=report, reporter=reporter)
     if first:
-        note(f"wrote {path}; evaluate it with: mimic evaluate {path}")
+        robot = "" if robot_model == DEFAULT_ROBOT else f" --robot-model {robot_model}"
+        note(f"wrote {path}; evaluate it with: mimic evaluate {path}{robot}")
     return DONE

@@ -100,7 +100,7 @@ def lead(
 
         rows = np.clip(np.searchsorted(pull.t, result.log.t), 0, max(len(pull.t) - 1, 0))
         held = (result.log.t >= hand.begin) & (result.log.t < hand.end)
-        at, force = (np.where(held[:, None], np.array(v)[rows], 0.0) for v in (pull.at, pull.force))
+        at, force = (np.where(held[:, None], np.array([*v, np.zeros(3)])[rows], 0.0) for v in (pull.at, pull.force))
         save_leading_film(film, log=result.log, description=description, at=at, force=force)
     return Led(figures=lead_figures(result, pull, hand), log=result.log, fell_at=result.fell_at)
 

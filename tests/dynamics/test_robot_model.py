@@ -17,6 +17,7 @@ from mimic.dynamics.robot_model import (
     vary_model,
 )
 from mimic.geometry import rotation_from_quat
+from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
