@@ -117,7 +117,7 @@ def serve_robot(
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
     emulated = EmulatedRobot(
-        load_robot(),
+        load_robot(effects.robot_model),
         load_wiring(options.wiring, buses=options.buses),
         settings,
         effects=_effects(effects, settings, reporter),
@@ -211,7 +211,7 @@ def serve_board(
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=FAULTS))
     board = EmulatedBoard(
-        load_robot(),
+        load_robot(effects.robot_model),
         wiring,
         settings,
         effects=_effects(effects, settings, reporter),
