@@ -138,7 +138,11 @@ def stands_at_end(result: RunResult, description: RobotDescription, *, ground: F
     p_WB[:, 2] -= ground
     log = replace(result.log, p_WB=p_WB)
     last = standing(log, description)[-round(1.0 / description.dt) :]
-    return bool(result.fell_at is None and last.mean() > 0.5 and p_WB[-1, 2] > 0.3)
+    return bool(
+        result.fell_at is None
+        and last.mean() > 0.5
+        and p_WB[-1, 2] > round(0.7 * description.pose_height["upright"], 2)
+    )
 
 
 def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
