@@ -16,7 +16,6 @@ from mimic.config.evaluation import (
     StandUpSettings,
     TableSettings,
 )
-from mimic.config.play import AS_DESCRIBED
 
 WIDE = 120
 """Columns of a terminal in which the paper's table fits with its standard deviations."""
@@ -65,14 +64,15 @@ def evaluate(
     from mimic.flows.evaluate import KINDS
     from mimic.flows.evaluate import evaluate as run
     from mimic.flows.play import load_policy, load_robot
+    from mimic.policy.runtime import find_policy
 
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    player = load_policy(policy, load_robot((robot or AS_DESCRIBED).robot_model))
-    path = player.path
     what = kind or "stand_track"
     settings: Any = KINDS[what][0](**options)
-    if kind is None and player.contract.task == "sit_down":
+    model = load_robot(settings.robot.robot_model)
+    path = find_policy(policy, model.name)
+    if kind is None and load_policy(path, model).contract.task == "sit_down":
         what, settings = "sit_down", KINDS["sit_down"][0](**options)
     file = out or Path(f"{kind or 'evaluation'}-{path.stem}.json")
     result = run(path, settings, out=file, reporter=ConsoleReporter())

@@ -60,11 +60,13 @@ def evaluate(
         AssetError, ContractError: If the policy cannot be run on this robot.
         ConfigError: If the effects cannot be used.
     """
+    from mimic.policy.runtime import find_policy
     from mimic.simulation.plant import plant_options
 
     reporter = reporter or SilentReporter()
-    player = load_policy(policy, load_robot(DEFAULT_ROBOT if settings is None else settings.robot.robot_model))
-    path, settings = player.path, settings or KINDS[player.contract.task][0]()  # type: ignore[call-arg]
+    description = load_robot(DEFAULT_ROBOT if settings is None else settings.robot.robot_model)
+    path = find_policy("stand_track" if policy is None else policy, description.name)
+    settings = settings or KINDS[load_policy(path, description).contract.task][0]()  # type: ignore[call-arg]
     if out is not None:
         store.check_writable(out.parent)
     warn_of_stand_effects(settings.robot, reporter)
