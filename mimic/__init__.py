@@ -112,7 +112,7 @@ _OWNERS = {
 
 _MODULE_OF = {name: module for module, names in _OWNERS.items() for name in names}
 
-__all__ = ["__version__", *sorted(_MODULE_OF)]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = ["__version__", *sorted(_MODULE_OF)]
 
 
 def __getattr__(name: str) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
@@ -45,7 +45,7 @@ def batch(
     from mimic.flows.batch import batch as play_folder
     from mimic.flows.motion import InputSettings
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
     done = play_folder(
         folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()

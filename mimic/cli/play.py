@@ -81,7 +81,7 @@ def play(
         _check_camera_options(run, retarget, pose)
     from mimic.flows.motion import InputSettings
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
+    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
     if robot is not None:
         from mimic.cli.robot import play_on_robot
@@ -211,7 +211,7 @@ def retarget(
     from mimic.flows.motion import InputSettings
     from mimic.flows.play import load_robot, save_targets
 
-    given = {"pose": pose, "stored": stored, "retarget": retarget}
+    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
     motion = save_targets(source, out, settings, description=load_robot(robot_model), reporter=ConsoleReporter())
     table("Targets", target_rows(motion.targets) | {"written": str(out)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def fill_dropouts(log: RunLog, description: RobotDescription) -> RunLog:
     What was measured does not change.
     """
     names = ("q", "dq", "tau", "quat_WB", "omega_B", "q_sent", "kp", "kd")
-    filled = {name: _forward_filled(getattr(log, name)) for name in names}
+    filled: dict[str, Any] = {name: _forward_filled(getattr(log, name)) for name in names}
     toes = all_toes(filled["q"], description)
     heights = np.einsum("tj,tlj->tl", rotation_from_quat(filled["quat_WB"])[:, 2], toes)
     p_WB = np.zeros((len(log.t), 3))

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -54,6 +54,8 @@ STANDING: dict[str, dict[str, Any]] = {
 }
 """Ways of standing, each with what differs; the first one counts. At MuJoCo's impratio of 1 feet creep under load."""
 
+PUSH_WAYS: tuple[Literal["fore-aft", "sideways"], ...] = ("fore-aft", "sideways")
+PULL_WAYS: tuple[Literal["forward", "backward", "left", "right"], ...] = ("forward", "backward", "left", "right")
 PULLED: dict[str, Any] = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_seconds": 4.5}
 
 
@@ -140,8 +142,7 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     options: dict[str, Any] = plant_options(s.robot)
     if job.solver is not None:
         options = options | {"solver": replace(options.get("solver") or Solver(), impratio=job.solver.impratio)}
-    toe = {"toe": SIDES[job.seed % 2]}
-    disturbance = replace(job.disturbance, **toe)
+    disturbance = replace(job.disturbance, toe=SIDES[job.seed % 2])
     plant = SimulatedPlant(
         description, ranges=ranges, seed=job.seed, samples=stands, disturbance=disturbance, **options
     )
@@ -169,11 +170,11 @@ def _jobs(s: CalmSettings) -> Iterator[_Job]:
             yield _Job(kind="standing", what=what, seed=seed, seconds=s.seconds, settings=s, **differs)
     short = 2 * PUSHED_AT - 0.5
     for seed in range(s.seed, s.seed + s.pushed_episodes):
-        for push, way in product(s.pushes, ("fore-aft", "sideways")):
+        for push, way in product(s.pushes, PUSH_WAYS):
             pushed = Disturbance(push_way=way)
             what = f"{push:g} m/s {way}"
             yield _Job(kind="pushed", what=what, seed=seed, seconds=short, settings=s, push=push, disturbance=pushed)
-        for pull, way in product(s.pulls, ("forward", "backward", "left", "right")):
+        for pull, way in product(s.pulls, PULL_WAYS):
             pulled = Disturbance(drag=pull, drag_way=way, **PULLED)
             what, seconds = f"{pull:g} N {way}", PUSHED_AT + PULLED["drag_seconds"] + 1.5
             yield _Job(kind="pulled", what=what, seed=seed, seconds=seconds, settings=s, disturbance=pulled)

@@ -5,10 +5,6 @@ admittance turns it into commands: the stronger the pull forward or back, the fa
 towards where it is pulled. When the hand lets go, it stops. The policy itself knows nothing of it.
 """
 
-# Pinocchio has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import math

@@ -103,8 +103,9 @@ def play_policy_switch(job: SitDownEpisode, tracker: Policy, sit_down: Policy) -
     seconds = rng.uniform(EARLIEST, job.seconds) - TIMING.stand_up - TIMING.blend
     track = command_script(description, max(seconds, 2 * description.dt), rng)
     recorder = ContactRecorder(description)
-    options = {"samples": False, "observer": recorder, **plant_options(job.robot)}
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **options)
+    plant = SimulatedPlant(
+        description, ranges=job.ranges, seed=job.seed, samples=False, observer=recorder, **plant_options(job.robot)
+    )
     return play_episode(plant, tracker, track, TIMING, sit_down=sit_down), recorder
 
 

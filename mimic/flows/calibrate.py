@@ -57,6 +57,7 @@ def calibrate(
         ConfigError: If a setting names an effect that does not exist, or a note is none.
     """
     from mimic.dynamics.effect_set import EffectSet
+    from mimic.io.joint_log import JointLog
     from mimic.sysid.calibrate import calibrate as explain
     from mimic.sysid.calibrate import check_names
     from mimic.sysid.log.pool import refuse_contradictions
@@ -67,7 +68,7 @@ def calibrate(
             raise ConfigError(f"{out} is a file; name a folder with --out")
         store.check_writable(out)
     check_names(settings)
-    logs = [log] if isinstance(log, (str, Path)) or hasattr(log, "q_des") else list(log)  # type: ignore[arg-type]
+    logs = [log] if isinstance(log, (str, Path, JointLog)) else list(log)
     given = [*logs, *held_out]
     if not logs:
         raise ConfigError("no log is given; give one log of the machine or more (.parquet or .csv)")

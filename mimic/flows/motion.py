@@ -59,7 +59,8 @@ def input_settings(given: AnySettings | None, changes: Mapping[str, Any]) -> Inp
         part = next((f.name for f in fields(settings) if type(getattr(settings, f.name)) is type(given)), None)
         if part is None:
             raise ConfigError(f"settings is a {type(given).__name__}; expected InputSettings or a part of it")
-        settings = replace(settings, **{part: given})
+        change: dict[str, Any] = {part: given}
+        settings = replace(settings, **change)
     parts = {name.name: f.name for f in fields(settings) for name in fields(getattr(settings, f.name))}
     for name, value in changes.items():
         if name not in parts:

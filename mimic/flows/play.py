@@ -245,7 +245,7 @@ def load_run(folder: str | Path) -> SavedRun:
     result = RunResult(
         log=log,
         health=store.load(folder / HEALTH, HealthLog),
-        events=tuple(Event(**{**event, "mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
+        events=tuple(Event(**event | {"mode": SafetyMode(event["mode"])}) for event in metrics["events"]),
         samples=stored(JOINTS, JointSamples),
         fell_at=log.metadata.get("fell_at"),
         interrupted=metrics["interrupted"],

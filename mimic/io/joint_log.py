@@ -280,7 +280,9 @@ def _carried(log: JointLog) -> JointLog:
     rows, within = (note.get("rows"), note.get("within")) if isinstance(note, dict) else (None, None)
     if not (isinstance(rows, int) and rows > 0 and isinstance(within, int | float) and within >= 0):
         raise CalibrationError(f'the note {HELD} of the log is {note!r}; expected {{"rows": 12, "within": 0.001}}')
-    carried = {name: np.array(getattr(log, name)) for name in ("q", "dq", "tau") if getattr(log, name) is not None}
+    carried: dict[str, Any] = {
+        name: np.array(getattr(log, name)) for name in ("q", "dq", "tau") if getattr(log, name) is not None
+    }
     number = np.arange(len(log.t))
     for j in range(len(log.joints)):
         q = log.q[:, j]
@@ -418,7 +420,7 @@ def _numeric(columns: Mapping[str, Sequence[str | None]], path: Path) -> dict[st
     Raises:
         CalibrationError: If one with a name of ours is something else.
     """
-    found = {}
+    found: dict[str, FloatArray] = {}
     for name, cells in columns.items():
         try:
             found[name] = np.array([cell or "nan" for cell in cells], dtype=np.float64)

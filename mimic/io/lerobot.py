@@ -178,7 +178,7 @@ def _info(
     }
 
 
-def _stats(values: FloatArray) -> dict[str, list[Any]]:
+def _stats(values: np.ndarray) -> dict[str, list[Any]]:
     own = values.reshape(len(values), -1).astype(np.float64)
     return {
         "min": own.min(axis=0).tolist(),

@@ -26,8 +26,8 @@ def results_on_ray(play: Callable[[Any], Any], jobs: Sequence[Any], *, address: 
         ConfigError: If there is no cluster at the address.
     """
     try:
-        import ray  # pyright: ignore[reportMissingImports]  # an extra
-        from ray.exceptions import RayError  # pyright: ignore[reportMissingImports]
+        import ray
+        from ray.exceptions import RayError
     except ModuleNotFoundError as missing:
         raise MissingExtra(str(missing.name), "ray") from None
     try:

@@ -386,7 +386,7 @@ class ObservationBuilder:
         self._contract = contract
         self._default = np.array(contract.default_q)
         self._frames: FloatArray | None = None
-        self._last_action = np.zeros(len(contract.joints))
+        self._last_action: FloatArray = np.zeros(len(contract.joints))
         self._steps = 0
         self._gait = np.zeros(())
         averaged = AVERAGED if contract.columns("slow_mean").size else ()

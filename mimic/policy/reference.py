@@ -1,8 +1,5 @@
 """The first steps of a policy with made-up inputs, kept in its ONNX file: a new player can be checked with them."""
 
-# ONNX Runtime has no type stubs:
-# pyright: reportUnknownMemberType=false
-
 from __future__ import annotations
 
 import json

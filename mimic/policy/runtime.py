@@ -1,9 +1,5 @@
 """Observation -> action, by ONNX Runtime."""
 
-# ONNX Runtime has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-
 from __future__ import annotations
 
 import os

@@ -33,9 +33,9 @@ def in_words(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, np.ndarray):
-        return _array(value)  # pyright: ignore[reportUnknownArgumentType]
+        return _array(value)
     if isinstance(value, (Mapping, tuple, list)):
-        entries: list[Any] = list(value)  # pyright: ignore[reportUnknownArgumentType]
+        entries: list[Any] = list(value)
         inside = ", ".join(str(one) if isinstance(one, (str, int, float)) else type(one).__name__ for one in entries)
         return f"{len(entries)}: {inside}" if entries else "none"
     if is_dataclass(value):

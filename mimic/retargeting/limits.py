@@ -49,7 +49,7 @@ def limit_track(q: FloatArray, dt: float, speed: FloatArray, acceleration: Float
         right = q.copy()
         for n, weight in enumerate(weights):
             right += weight * _spread(z[n] - u[n], n + 1, rows)
-        x = cho_solve_banded(factor, right)
+        x = np.asarray(cho_solve_banded(factor, right))
         for n, bound in enumerate(bounds):
             slope = np.diff(x, n + 1, axis=0) + u[n]
             z[n] = np.clip(slope, -bound, bound)

@@ -169,7 +169,7 @@ class LiveTargets:
         """
         self._reach, self._hold, self._clock, self._begin = reach, settings.lost_hold, clock, begin
         self._hanging = posture("down", reach)
-        self._q, self._dq = self._hanging.copy(), np.zeros(FRONT)
+        self._q, self._dq = self._hanging.copy(), np.zeros_like(self._hanging)
         self._goal = self._hanging.copy()
         self._present = np.zeros(2)
         self._seen_at = np.full(2, -np.inf)

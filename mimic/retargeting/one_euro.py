@@ -26,7 +26,7 @@ class OneEuro:
         self._min_cutoff, self._beta = min_cutoff, beta
         self._t = float("nan")
         self._x: FloatArray | None = None
-        self._speed = np.zeros(0)
+        self._speed: FloatArray = np.zeros(0)
 
     def __call__(self, t: float, x: FloatArray) -> FloatArray:
         """Return the filtered vector (n,) [m] at time t [s]; the first one, and one of no later time, as it is."""

@@ -4,11 +4,6 @@ A description says what the MJCF calls its parts (`mimic.robot.parts.ModelNames`
 joints and the links to the roles of JOINTS, so that no other module needs the model's own names.
 """
 
-# MuJoCo has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import logging

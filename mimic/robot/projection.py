@@ -1,8 +1,5 @@
 """The closest image of a smooth map under bounds and smooth inequalities: Newton steps on small quadratic programs."""
 
-# SciPy has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-
 from __future__ import annotations
 
 from collections.abc import Callable

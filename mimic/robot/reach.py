@@ -5,13 +5,6 @@ some joint angles keep a margin to their limits and leave the front legs clear o
 and of the hind legs' motors; the numbers are in ``[reach]`` of robot.toml.
 """
 
-# Pinocchio's extension module has no type stubs.
-# pyright: reportAttributeAccessIssue=false
-# Pinocchio has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -206,7 +199,7 @@ class Reach:
     @cached_property
     def _grid(self) -> list[tuple[FloatArray, FloatArray]]:
         """Postures (N, 3) and toes (N, 3) of each front leg over its bounds."""
-        grids = []
+        grids: list[tuple[FloatArray, FloatArray]] = []
         for index, leg in enumerate(self.legs):
             bounds = zip(self.q_min[3 * index :], self.q_max[3 * index :], GRID, strict=False)
             axes = np.meshgrid(*(np.linspace(*each) for each in bounds), indexing="ij")

@@ -1,10 +1,5 @@
 """A compiled MuJoCo model as a Pinocchio model: kinematics, inertias, and the distances between shapes."""
 
-# Pinocchio and Coal have no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from typing import Any

@@ -249,7 +249,7 @@ class CapturedPPO(PPO):
         }
         return saved
 
-    def load(self, loaded_dict: dict, load_cfg: dict | None, strict: bool) -> bool:
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, Any] | None, strict: bool) -> bool:
         """Take over a checkpoint of PPO or of this class."""
         optimizer = loaded_dict["optimizer_state_dict"]
         here = {k: v for k, v in self._own.items() if k != "lr"}

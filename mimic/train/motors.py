@@ -44,7 +44,7 @@ def drawn_parameters(
     Uniform over the 95 % interval of each value, or within MARGIN of it where it has none; inside the catalogue's
     bounds.
     """
-    found = {}
+    found: dict[tuple[str, str], FloatArray] = {}
     for (name, parameter), row in parameters_of(effects, machine).items():
         e, spec = next(e for e in effects.applied if e.name == name), CATALOGUE[name].parameter(parameter)
         low, high = row[0].copy(), row[0].copy()

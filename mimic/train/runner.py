@@ -121,7 +121,7 @@ class QuietLogger(Logger):
         self.cur_reward_sum *= ~done
         self.cur_episode_length *= ~done
 
-    def log(self, it: int, **figures: Any) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def log(self, it: int, **figures: Any) -> None:  # pyrefly: ignore[bad-override]
         """Write the figures of an update; stop the training when it is over.
 
         Raises:

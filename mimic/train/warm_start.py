@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -137,5 +138,5 @@ def _loaded(path: Path) -> Any:
         raise AssetError(f"{path} is no ONNX file ({reason})") from reason
 
 
-def _sizes(shapes: list[tuple[int, ...]]) -> str:
+def _sizes(shapes: Sequence[tuple[int, ...]]) -> str:
     return "-".join(str(i) for _, i in shapes) + f"-{shapes[-1][0]}"

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -106,9 +107,7 @@ class Worlds:
         self.device, self._description = device, description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
-        self.motors = None
-        if effects is not None:
-            self.motors = WorldMotors(description, effects, settings.worlds, device)
+        self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
         model = load_model(description, visuals=False, servos=effects is not None)
         model.opt.timestep = description.timestep
@@ -156,7 +155,7 @@ class Worlds:
             self.weight = gravity * wp.to_torch(self.model.body_subtreemass)[:, model.body(BASE).id]
             """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
-        self._substep_ctrl = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
+        self._substep_ctrl: list[Any] = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
         self._support = self._make_support()
         self._whole = ReplayedWarp(self._run, device)
         self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)

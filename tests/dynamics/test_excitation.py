@@ -94,4 +94,4 @@ def test_impossible_motions_are_refused_with_the_reason():
     with pytest.raises(ConfigError, match="between its low and its high"):
         probe_targets(LOW, HIGH, HIGH)
     with pytest.raises(ConfigError, match="probe or random"):
-        probe_targets(LOW, HIGH, CENTRE, kind="wild")  # pyright: ignore[reportArgumentType]
+        probe_targets(LOW, HIGH, CENTRE, kind="wild")

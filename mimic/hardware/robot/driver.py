@@ -97,10 +97,13 @@ class Driver(Protocol):
     """Time from one message to the next [s]."""
     repeats: bool
     """Whether the robot must hear the newest command again and again."""
-    report: Any
-    """Newest readings; a scalar of REPORT whose time and state the sender fills in."""
     problem: str
     """What is wrong with the way to the robot, as a sentence without its full stop; empty where nothing is."""
+
+    @property
+    def report(self) -> Any:
+        """Newest readings; a scalar of REPORT whose time and state the sender fills in."""
+        ...
 
     def now(self) -> float:
         """Return the driver's time: the monotonic clock [s], or that of an emulated robot."""

@@ -17,7 +17,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -166,14 +166,16 @@ for _module in ("numpy.core", "numpy._core"):
     _KNOWN[f"{_module}.numeric._frombuffer"] = _frombuffer
 
 
-class _Reader(pickle._Unpickler):  # pyright: ignore  # the Python one: joblib's arrays follow their BUILD
+class _Reader(pickle._Unpickler):  # the Python one: joblib's arrays follow their BUILD
     """An unpickler that knows plain containers and arrays only."""
+
+    stack: list[Any]
 
     def __init__(self, file: io.BytesIO, storages: Callable[[Any], np.ndarray] | None = None) -> None:
         super().__init__(file, encoding="latin1")
         self.file, self.storages = file, storages
 
-    def find_class(self, module: str, name: str) -> Any:  # pyright: ignore
+    def find_class(self, module: str, name: str) -> Any:
         full = f"{module}.{name}"
         if module == "torch" and name.endswith("Storage"):
             return name
@@ -194,9 +196,9 @@ class _Reader(pickle._Unpickler):  # pyright: ignore  # the Python one: joblib's
             given.state = state
             self.stack[-1] = given.read(self.file)
         elif isinstance(given, np.dtype):
-            if state[2:8] != given.__reduce__()[2][2:8]:  # pyright: ignore
+            if state[2:8] != given.__reduce__()[2][2:8]:
                 raise _NotPlain("an array with fields")
-            given.__setstate__(state[:8])  # pyright: ignore
+            given.__setstate__(state[:8])  # pyrefly: ignore[missing-attribute]  # not in its stubs
         elif isinstance(given, np.ndarray):
             _, shape, dtype, _, data = state
             sizes, size = [int(n) for n in shape], _dtype(dtype).itemsize
@@ -204,7 +206,7 @@ class _Reader(pickle._Unpickler):  # pyright: ignore  # the Python one: joblib's
                 raise _NotPlain("an array of another size than its bytes")
             given.__setstate__(state)
 
-    dispatch = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}  # pyright: ignore  # noqa: RUF012
+    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
 
 
 def _torch(path: Path) -> Any:

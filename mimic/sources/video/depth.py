@@ -9,10 +9,6 @@ it, as at the end of a clip.
 Across and up, the arms come from the picture, with perspective.
 """
 
-# ONNX Runtime has no type stubs:
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-
 from __future__ import annotations
 
 from collections import deque

@@ -173,7 +173,7 @@ def _bundled(source: Path, path: Path, full: Path | None = None) -> Path:
     with written_whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
         for name, content in models.items():
             entry = zipfile.ZipInfo(name)
-            start = archive.start_dir + zipfile.sizeFileHeader + len(name)
+            start = archive.start_dir + zipfile.sizeFileHeader + len(name)  # pyrefly: ignore[missing-attribute]
             padding = -(start + 4) % ALIGNMENT  # models are mapped into memory as they lie in the file
             entry.extra = struct.pack("<HH", 0xD935, padding) + bytes(padding)
             archive.writestr(entry, content)

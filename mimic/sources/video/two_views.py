@@ -184,9 +184,8 @@ def _mean(seen: _Lines, other: _Lines, turn: FloatArray) -> _Lines:
 
 def _with_lines(track: PoseTrack, lines: _Lines) -> PoseTrack:
     """Return a track with these lines; what neither view shows stays as it is."""
-    landmarks, valid, score, spread = (
-        np.array(column) for column in (track.landmarks, track.valid, track.score, track.depth_spread)
-    )
+    landmarks, valid, score = np.array(track.landmarks), np.array(track.valid), np.array(track.score)
+    spread = np.array(track.depth_spread)
     for i, side in enumerate(SIDES):
         half, elbow, wrist = 0.5 - i, 2 * i, 2 * i + 1
         shoulder, seen = lines.xyz[:, 6] + half * lines.xyz[:, 4], lines.valid[:, 4] & lines.valid[:, 6]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def linear_step(
     return step, left
 
 
-Asking = Generator[Sequence[Point], FloatArray, "Fit"]
+Asking: TypeAlias = Generator[Sequence[Point], FloatArray, "Fit"]
 """Yields points, is sent their whitened residuals (N, T, C), returns the fit."""
 
 

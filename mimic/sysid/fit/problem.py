@@ -180,7 +180,7 @@ class Problem:
         """Of each row's log: its residuals are divided by it, see `with_equal_logs`."""
         self.pinned: frozenset[Key] = frozenset()
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
-        self.encoder_steps = np.zeros(joints)
+        self.encoder_steps: FloatArray = np.zeros(joints)
         """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""
         self._scales = scales(replay)
         self.correction: FloatArray | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -377,7 +378,8 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         raise CalibrationError(f"the log has {len(log.t)} rows; a calibration needs {SHORTEST:g} s of readings")
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
     if empty:
-        log = replace(log, **dict.fromkeys(empty))
+        nothing: dict[str, Any] = dict.fromkeys(empty)
+        log = replace(log, **nothing)
     if log.tau is not None and not (np.fmax.reduce(log.tau) > np.fmin.reduce(log.tau)).any():
         warnings.append("the measured torque never changes: the drives do not report it; left out")
         log = replace(log, tau=None)

@@ -158,7 +158,7 @@ def at_odd_times(log: JointLog, most: float) -> BoolArray:
 
 def filled(log: JointLog, rows: BoolArray) -> JointLog:
     """Return the log with the readings of some rows (T,) interpolated and masked."""
-    values = {}
+    values: dict[str, Any] = {}
     for name in ("q", "dq", "tau"):
         channel = getattr(log, name)
         if channel is not None:

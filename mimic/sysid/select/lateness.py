@@ -237,7 +237,7 @@ def _solved(normal: Sequence[tuple[FloatArray, FloatArray]]) -> _Estimate:
     bands = np.sum([n[0] for n in normal], axis=0)
     right = np.sum([n[1] for n in normal], axis=0)
     bands[-1] += 1.0
-    value, upper = linalg.solveh_banded(bands, right), linalg.cholesky_banded(bands)
+    value, upper = linalg.solveh_banded(bands, right), np.asarray(linalg.cholesky_banded(bands))
     width, count = bands.shape
     variance, near = np.empty(count), np.zeros((0, 0))
     for j in range(count - 1, -1, -1):  # the inverse near its diagonal (Takahashi et al. 1973)

@@ -403,7 +403,13 @@ class Columns:
         parts = tuple(m.filtered(f(m)) for m in self.motions)
         return Column(name=name, at=(), parts=parts, joint=np.full(parts[0].shape[-1], -1))
 
-    def _by_place(self, name: str, f: Callable[[int, Links, FloatArray], FloatArray], at=(), spread=np.inf) -> Column:
+    def _by_place(
+        self,
+        name: str,
+        f: Callable[[int, Links, FloatArray], FloatArray],
+        at: tuple[float, ...] = (),
+        spread: float = np.inf,
+    ) -> Column:
         """Return a column of which a joint's coefficient enters the torque of its whole chain.
 
         Chains do not influence each other, so all joints with the same place are changed at once.
