@@ -20,6 +20,15 @@ from mimic.records import CommandTrack, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of training and those that write ONNX files: they need the extra 'train'."""
+    training = Path(__file__).parent / "train"
+    for item in items:
+        if item.path.is_relative_to(training) or "constant_onnx" in getattr(item, "fixturenames", ()):
+            item.add_marker("train")
+
+
 @pytest.fixture(scope="session")
 def description() -> RobotDescription:
     return load_description("cyberdog2")

@@ -64,6 +64,7 @@ def test_down_and_forward_of_the_world_are_seen_from_the_base():
     assert np.allclose(np.stack(forward, -1), RANDOM.inv().apply(FORWARD))
 
 
+@pytest.mark.train
 def test_torch_sees_the_same_world_as_numpy():
     torch = pytest.importorskip("torch", reason="needs the extra 'train'")
     parts = quat(RANDOM).T.copy()

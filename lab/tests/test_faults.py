@@ -1,4 +1,4 @@
-"""Faults on the emulated robot in its own time, one for each rule.
+"""Faults on the emulated robot in its own time, of each kind a few.
 
 `python -m lab.faults` plays hundreds of all kinds.
 """
@@ -17,15 +17,12 @@ AFTER = {
     "ctrl_c": {"asked_to_end sit_down"},
     "sender_killed": {"sender sit_down", "sender damp"},
     "encoder_frozen": {"joint_impossible sit_down"},
-    "imu_silent": {"imu_silent damp"},
     "imu_tilted": {"imu_contradiction damp"},
-    "motor_fault": {"motor_failed sit_down"},
     "motor_mute": {"motor_silent sit_down"},
     "policy_nan": {"failure damp"},
-    "sigterm": {"asked_to_end damp"},
     "unplugged": {"bus_errors damp", "motor_silent damp"},
 }
-"""One fault of a standing robot for each rule: the rules that may find it, and what they ask for."""
+"""Faults of a standing robot: the rules that may find each, and what they ask for. `tests/hardware` has others."""
 
 TOLERATED = ("frames_late", "joint_jammed", "target_nan")
 """Faults that may pass without ending the run."""
@@ -33,7 +30,7 @@ TOLERATED = ("frames_late", "joint_jammed", "target_nan")
 FROM_OUTSIDE = (("can", "repeats"), ("can", "master_commands"), ("stock", "host_killed"))
 
 SOON = 0.22
-"""120 ms of a silent IMU or eight readings of an encoder, and the ticks in which it is seen [s]."""
+"""Eight readings of an encoder, and the ticks in which it is seen [s]."""
 
 
 def sound(outcome):

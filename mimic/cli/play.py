@@ -126,8 +126,6 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
-    if pose is not None and pose.also is not None:
-        raise ConfigError("--also gives the second of two videos; a camera is followed by itself: leave it out")
     if retarget is not None and retarget.slow_down != 1.0:
         raise ConfigError("--slow-down stretches a stored motion; a camera is followed in real time: leave it out")
 

@@ -21,6 +21,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mimic.config.text_file import read_text
 from mimic.dynamics.catalogue import effect as find_effect
 from mimic.errors import ConfigError
 from mimic.io.store import written_whole
@@ -124,10 +125,10 @@ def read_effects(path: Path) -> EffectSet:
         ConfigError: If it is no such file, or a value does not fit the catalogue.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(read_text(path))
     except OSError as reason:
         raise ConfigError(f"{path} cannot be read: {reason.strerror or reason}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+    except tomllib.TOMLDecodeError as reason:
         raise ConfigError(f"{path} is not TOML: {reason}") from None
     rows = raw.get("effect")
     if not isinstance(rows, list) or set(raw) != {"effect"}:

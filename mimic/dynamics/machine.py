@@ -121,6 +121,8 @@ def _dropped(model: mujoco.MjModel) -> tuple[str, ...]:
     parts = {
         "activation dynamics (timeconst)": model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE,
         "delays": model.actuator_delay > 0 if hasattr(model, "actuator_delay") else np.zeros(model.nu, dtype=bool),
+        "gains that depend on the state": model.actuator_gaintype != mujoco.mjtGain.mjGAIN_FIXED,
+        "forces of a user's code": model.actuator_biastype == mujoco.mjtBias.mjBIAS_USER,
         "ranges of targets (ctrlrange)": servo & model.actuator_ctrllimited.astype(bool),
         "all, because they act on no joint": model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT,
     }

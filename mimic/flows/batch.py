@@ -16,7 +16,7 @@ from typing import Any
 
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.errors import ConfigError, MimicError, SourceError
-from mimic.flows.motion import InputSettings, load_motion, playable
+from mimic.flows.motion import InputSettings, load_motion, playable, refuse_second_video
 from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -125,6 +125,7 @@ def batch(
     """
     settings, run, effects = settings or InputSettings(), run or RunSettings(), effects or EffectsSettings()
     reporter = reporter or SilentReporter()
+    refuse_second_video(settings, "a folder has many: play its pairs one by one")
     if not folder.is_dir():
         raise SourceError(f"{folder} is not a folder; to play a single file: mimic {folder} --sim")
     if out.exists() and not out.is_dir():

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.flows.camera_record import CameraRecord
-from mimic.flows.motion import InputSettings, fetch_pose_model
+from mimic.flows.motion import InputSettings, fetch_pose_model, refuse_second_video
 from mimic.flows.play import load_robot, play, warn_of_stand_effects
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
 from mimic.flows.run_folder import SavedRun, new_run_folder, save_run
@@ -62,6 +62,7 @@ def follow_camera(
     from mimic.robot.reach import Reach
     from mimic.sources.video.camera import check_camera, open_camera
 
+    refuse_second_video(settings, "a camera is followed by itself")
     fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
     record = CameraRecord(settings)
     retarget = LiveRetarget(Reach(description), settings.retarget, live)

@@ -5,7 +5,6 @@ A new source is a reader in `mimic.sources` and a row in SOURCES.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -22,7 +21,7 @@ from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 from mimic.io.assets import manual, user_cache
-from mimic.io.reading import check_clock
+from mimic.io.reading import check_clock, existing
 from mimic.records import CommandTrack, PoseTrack, TargetTrack, WristTrack
 from mimic.records.table import ShownAsTable
 from mimic.sources.not_read import NOT_READ
@@ -152,23 +151,15 @@ def load_motion(
     reader = next((kind for kind in SOURCES if ending in kind.endings), None)
     if reader is None and ending in NOT_READ:
         raise SourceError(f"{path.name} is {NOT_READ[ending]}. See {manual('motion-formats.md')}")
-    if loading.settings.pose.also is not None and (reader or VIDEO) is not VIDEO:
-        raise ConfigError(f"--also gives the second of two videos; {path.name} is no video: leave it out")
+    if (reader or VIDEO) is not VIDEO:
+        refuse_second_video(loading.settings, f"{path.name} is no video")
     return (reader or VIDEO).read(path, loading)
 
 
-def existing(source: str | Path) -> Path:
-    """Return the path of a source.
-
-    Raises:
-        SourceError: If nothing is there, or it is an address on a network.
-    """
-    path = Path(source)
-    if path.exists():
-        return path
-    if address := re.match(r"(\w{2,}):/+(.*)", str(source)):
-        raise SourceError(f"{address[1]}://{address[2]} is an address; download the file and give its path")
-    raise SourceError(f"there is no file {path}")
+def refuse_second_video(settings: InputSettings, why: str) -> None:
+    """Raise a ConfigError if a second video is given where there is no first one."""
+    if settings.pose.also is not None:
+        raise ConfigError(f"--also gives the second of two videos; {why}: leave it out")
 
 
 def motion_from_text(
@@ -188,6 +179,7 @@ def motion_from_text(
     from mimic.sources.text.planner import describe, plan, uses_model
 
     settings, reporter = input_settings(settings, changes), reporter or SilentReporter()
+    refuse_second_video(settings, "a sentence is none")
     loading = _Loading(settings=settings, reporter=reporter, description=description)
     reach = loading.reach()
     if uses_model(settings.language):
@@ -297,12 +289,8 @@ def as_motion(
     """Return a motion of whatever can be played, retargeted with default settings where that is needed."""
     if isinstance(commands, Motion):
         return commands
-    if isinstance(commands, CommandTrack):
-        return Motion(commands=commands)
-    if isinstance(commands, TargetTrack):
-        return _of_targets(commands)
     loading = _Loading(settings=InputSettings(), reporter=reporter or SilentReporter(), description=description)
-    return _of_pose(commands, loading) if isinstance(commands, PoseTrack) else _of_wrists(commands, loading)
+    return _of_record(commands, loading)
 
 
 def is_video(path: Path) -> bool:
@@ -314,6 +302,17 @@ def playable(path: Path) -> bool:
     """Return whether a file in a folder is meant to be played."""
     ending = path.suffix.lower()
     return any(ending in kind.endings and kind.in_folders(path) for kind in SOURCES)
+
+
+def _of_record(record: CommandTrack | TargetTrack | WristTrack | PoseTrack, loading: _Loading) -> Motion:
+    if isinstance(record, PoseTrack):
+        return _of_pose(record, loading)
+    if isinstance(record, WristTrack):
+        return _of_wrists(record, loading)
+    check_clock(record.t, "the motion", SourceError, apart=SPARSE)
+    if (away := float(np.nanmax(np.abs(record.p_BE), initial=0.0))) > FARTHEST:
+        raise SourceError(f"toes are {away:.3g} m from the base of the robot; give the positions in metres")
+    return Motion(commands=record) if isinstance(record, CommandTrack) else _of_targets(record)
 
 
 def _of_targets(targets: TargetTrack) -> Motion:
@@ -332,6 +331,8 @@ def _of_wrists(wrists: WristTrack, loading: _Loading) -> Motion:
     return _of_targets(targets)
 
 
+SPARSE, FARTHEST = (0.002, 10.0), 2.0
+"""Plausible times between two commands or targets [s], and the farthest that a toe can be from the base [m]."""
 LONGEST, FASTEST = (0.15, 1.6), 20.0
 """Plausible lengths of an arm [m], and the speed that a hand seldom passes [arm lengths/s]: 12 m/s."""
 
@@ -409,15 +410,9 @@ def _read_record(path: Path, loading: _Loading) -> Motion:
     record = store.header(path)["record"]
     if record in ("CommandTrack", "TargetTrack"):
         _refuse_slow_down(loading, "that was retargeted before; slow down what it was made from")
-    if record == "CommandTrack":
-        return Motion(commands=store.load(path, CommandTrack))
-    if record == "TargetTrack":
-        return _of_targets(store.load(path, TargetTrack))
-    if record == "WristTrack":
-        return _of_wrists(store.load(path, WristTrack), loading)
-    if record == "PoseTrack":
-        return _of_pose(store.load(path, PoseTrack), loading)
-    raise SourceError(f"{path} holds a {record}, which cannot be played; expected one of {', '.join(RECORDS)}")
+    if record not in RECORDS:
+        raise SourceError(f"{path} holds a {record}, which cannot be played; expected one of {', '.join(RECORDS)}")
+    return _of_record(store.load(path, RECORDS[record]), loading)
 
 
 def _holds_playable_record(path: Path) -> bool:
@@ -450,7 +445,7 @@ def fetch_pose_model(settings: PoseSettings, reporter: Reporter, check: Callable
     reporter.note(f"pose model   kept in {path}")
 
 
-RECORDS = ("CommandTrack", "PoseTrack", "TargetTrack", "WristTrack")
+RECORDS = {kind.__name__: kind for kind in (CommandTrack, PoseTrack, TargetTrack, WristTrack)}
 """Records that can be played."""
 
 VIDEO = Source("video", (".mp4", ".mkv", ".mov", ".m4v", ".avi", ".webm", ".mpg", ".mpeg", ".wmv", ".gif"), _read_video)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.config.play import DEFAULT_ROBOT, TOE_LAG, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
-from mimic.flows.motion import InputSettings, Motion, as_motion, existing, is_video, load_motion, motion_from_text
+from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -28,6 +28,7 @@ from mimic.flows.run_folder import (
     save_run,
 )
 from mimic.io import store
+from mimic.io.reading import existing
 from mimic.records import (
     CommandTrack,
     HealthLog,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from mimic.config.text_file import read_text
 from mimic.errors import AssetError, ConfigError
 
 T = TypeVar("T")
@@ -21,10 +22,10 @@ def read_file(path: Path, understand: Callable[[Mapping[str, Any]], T]) -> T:
         ConfigError: If it is not TOML, or the function raises it; the message names the file.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(read_text(path))
     except OSError as reason:
         raise AssetError(f"{path} cannot be read: {reason.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+    except tomllib.TOMLDecodeError as reason:
         raise ConfigError(f"{path} is not TOML: {reason}") from None
     try:
         return understand(raw)

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import read_text
 from mimic.errors import CalibrationError
 from mimic.io.assets import manual
-from mimic.io.reading import check_clock, read_text
+from mimic.io.reading import check_clock
 from mimic.io.store import plain, written_whole
 from mimic.records import BoolArray, FloatArray, IntArray
 
@@ -175,11 +176,15 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
 
 FACTORS = {
     "degrees": 180.0 / np.pi,
+    "ticks of 4096 a turn": 4096 / (2 * np.pi),
     "milliradians": 1000.0,
+    "ticks of 16384 a turn": 16384 / (2 * np.pi),
     "centidegrees": 18_000.0 / np.pi,
-    **{f"ticks of {turn} a turn": turn / (2 * np.pi) for turn in (4096, 16384)},
+    "ticks of 65536 a turn": 65536 / (2 * np.pi),
 }
 """Units that angles come in, by their number in a radian."""
+ANGLES, WHOLE = [unit for unit in FACTORS if "ticks" not in unit], [unit for unit in FACTORS if unit != "degrees"]
+"""Those of measured angles, and those of whole numbers: an encoder counts no degrees."""
 
 JUMP, FASTEST = 0.05, 10.0
 """A jump is larger than so much [rad or m], and faster than so much [rad/s or m/s]: see `jump_fault`."""
@@ -208,14 +213,15 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
                     f"{name}.{joint} has steps of 1/{steps}: turns of an encoder, not radians, by a factor of 6.28; "
                     'multiply it by 2 pi, or note "units": "rad" if that is right'
                 )
-            if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 20.0)):
+            if span < 2 * np.pi or not (whole or reach > (3 * bound + 1 if np.isfinite(bound) else 4 * np.pi)):
                 continue
             most = bound if np.isfinite(bound) else 2 * np.pi
-            units = [u for u, factor in FACTORS.items() if whole == ("ticks" in u) and reach <= 1.1 * factor * most]
-            scales = ", ".join(f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units) or "something else"
+            likely = WHOLE if whole else ANGLES
+            units = [unit for unit in likely if reach <= 1.1 * FACTORS[unit] * most][:3]
+            scales = " or ".join(f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units) or "something else"
             limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
-            sign = " with a sign bit" if whole and np.abs(np.diff(x)).max() > 30_000 else ""
-            given = f"encoder ticks{sign}, up to {reach:.0f}" if whole else f"up to {reach:.4g}"
+            sign = ", with a sign bit or from a counter that wraps" if np.abs(np.diff(x)).max() > reach / 2 else ""
+            given = f"whole numbers up to {reach:.0f}{sign}" if whole else f"up to {reach:.4g}"
             return (
                 f"{name}.{joint} is {given}, and {limit}: not radians, by a factor of at least {reach / most:.3g}, but "
                 f'{scales}; convert it, or note "units": "deg" or "rad" if that is right'
@@ -247,13 +253,16 @@ def jump_fault(log: JointLog) -> str | None:
         rows = np.flatnonzero(np.isfinite(log.q[:, j]) & np.isfinite(log.t))
         if len(rows) < 10 or (_whole(log.q[rows, j]) and np.ptp(log.q[rows, j]) > 2 * np.pi):  # ticks
             continue
-        step = np.diff(log.q[rows, j])
-        speed = np.abs(step) / np.maximum(np.diff(log.t[rows]), 1e-6)
-        around = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
-        usual = float(np.quantile(speed, 0.99))
-        found = np.flatnonzero((np.abs(step) > JUMP) & (speed > np.maximum(FASTEST, np.maximum(5 * around, 3 * usual))))
-        if len(found):
-            size, row = float(step[found[0]]), int(rows[found[0] + 1])
+        for over in (1, 2):  # a reading between may be the mean of both
+            step = log.q[rows[over:], j] - log.q[rows[:-over], j]
+            speed = np.abs(step) / np.maximum(log.t[rows[over:]] - log.t[rows[:-over]], 1e-6)
+            none = np.zeros(over)
+            around = np.maximum(np.append(speed[over:], none), np.append(none, speed[:-over]))
+            most = np.maximum(FASTEST, np.maximum(5 * around, 3 * float(np.quantile(speed, 0.99))))
+            found = np.flatnonzero((np.abs(step) > JUMP) & (speed > most))
+            if not len(found):
+                continue
+            size, row = float(step[found[0]]), int(rows[found[0] + over])
             turns = round(size / (2 * np.pi))
             wraps = turns != 0 and abs(size - 2 * np.pi * turns) < 0.5
             why = (
@@ -390,6 +399,7 @@ def _some(columns: Iterable[str]) -> str:
 OURS = ("t", *CHANNELS, "enabled", "unread", "t_send", "t_receive", "temperature", "voltage", "current")
 """Columns with such a name, or with one before a point, are read as numbers or refused; others may be anything."""
 
+_MARKS = ((";", "semicolons"), ("\t", "tabs"), ("|", "bars"))
 _NONE = ("", "nan", "na", "n/a", "null", "none")
 _WORDS = {**dict.fromkeys(_NONE, np.nan), "true": 1.0, "false": 0.0}
 
@@ -404,8 +414,8 @@ def _read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     header = [name.strip() for name in rows[0]]
     if len(rows) == 1:
         raise CalibrationError(f"{path} has a header line, but no rows; a log is a row for each reading")
-    if len(header) == 1 and ";" in header[0]:
-        raise CalibrationError(f"{path} has semicolons between its columns; commas are expected, and points in numbers")
+    if len(header) == 1 and (other := [name for mark, name in _MARKS if mark in header[0]]):
+        raise CalibrationError(f"{path} has {other[0]} between its columns; commas are expected, and points in numbers")
     if twice := [name for name in header if header.count(name) > 1]:
         raise CalibrationError(f"{path} has two columns {twice[0]}")
     for number, row in enumerate(rows[1:], 1):
@@ -441,7 +451,7 @@ def _number(cell: str) -> float:
     except ValueError:
         pass
     try:
-        time = datetime.fromisoformat(word)
+        time = datetime.fromisoformat(cell.strip())
     except ValueError:
         raise ValueError(repr(cell[:40])) from None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
@@ -468,7 +478,7 @@ def _read_parquet(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         if pa.types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
         kind, types = column.type, pa.types
-        if types.is_string(kind) or types.is_large_string(kind):
+        if str(kind) in ("string", "large_string", "string_view"):
             columns |= _numeric({name: column.to_pylist()}, path)
             continue
         try:

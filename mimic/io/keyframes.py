@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.io.reading import read_text
 from mimic.io.store import written_whole
 from mimic.records import FloatArray
 

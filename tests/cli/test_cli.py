@@ -277,6 +277,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(line, prepare, shown, here
     refused(line, shown, here, capsys)
 
 
+@pytest.mark.train
 @pytest.mark.parametrize(("line", "shown"), BAD_TRAINING, ids=[line for line, _ in BAD_TRAINING])
 def test_bad_training_settings_are_reported_in_one_line_and_nothing_is_written(line, shown, here, capsys):
     for library in ("torch", "mujoco_warp", "rsl_rl"):

@@ -478,6 +478,7 @@ def test_large_effects_are_stable_at_steps_of_5_ms(bench, name):
     assert np.abs(made["dq"][late]).max() < 4.0
 
 
+@pytest.mark.train
 def test_numpy_and_pytorch_are_the_same_law(bench):
     torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
     made = bench({name: LARGE[name] for name in IN_LAW})

@@ -67,10 +67,11 @@ def test_who_falls_counts_against_standing_and_in_no_mean():
 
 @pytest.fixture(scope="module")
 def evaluated():
-    few = CalmSettings(episodes=1, seconds=8.0, pushes=(0.3,), pulls=(3.0,), pushed_episodes=1, workers=1)
+    few = CalmSettings(episodes=1, seconds=5.0, pushes=(0.3,), pulls=(3.0,), pushed_episodes=1, workers=1)
     return evaluate_calm(shipped("policies", "stand_track.onnx"), few)
 
 
+@pytest.mark.slow
 def test_the_shipped_policy_stands_and_has_every_figure(evaluated):
     s = evaluated["summary"]
     assert set(s["standing"]) == set(STANDING)

@@ -41,7 +41,7 @@ def test_it_is_short_and_needs_three_libraries():
     assert imported - set(sys.stdlib_module_names) == {"mujoco", "numpy", "onnxruntime"}
 
 
-@pytest.fixture(params=["as shipped", "held, with a clock that never fades"])
+@pytest.fixture(params=["as shipped", pytest.param("held, with a clock that never fades", marks=pytest.mark.train)])
 def policy(request, description, tmp_path) -> Path:
     """The shipped policy, and one with the same weights that is played in another way."""
     path = shipped("policies", "stand_track.onnx")

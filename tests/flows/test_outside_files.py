@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
@@ -14,16 +15,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from mimic.config.pose import MocapSettings, PoseSettings
+from mimic.config.pose import LiveSettings, MocapSettings, PoseSettings
+from mimic.config.values import read_toml
 from mimic.dynamics.machine import read_machine
 from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
+from mimic.flows.batch import batch
 from mimic.flows.calibrate import checked_log
-from mimic.flows.motion import load_motion, retarget, track_video
+from mimic.flows.camera import follow_camera
+from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
 from mimic.io.joint_log import read_log
 from mimic.records import PoseTrack, WristTrack
+from mimic.retargeting.commands import command_track
 from mimic.retargeting.wrists import wrist_track
 from mimic.sources.mocap.load import track_mocap
+from mimic.sources.video.camera import check_camera
 from mimic.sources.video.decoding import missing_bytes, open_video
 
 HERE = Path(__file__).parents[2]
@@ -232,6 +238,15 @@ def test_times_of_another_unit_are_refused(step, word, tmp_path):
         with pytest.raises(SourceError) as error:
             read(tmp_path / name)
         one_line(error, word)
+
+
+def test_a_frame_rate_is_read_under_any_of_its_names_and_shapes(tmp_path):
+    (tmp_path / "a.trc").write_text(trc())
+    names, xyz = read(tmp_path / "a.trc").names, read(tmp_path / "a.trc").landmarks
+    stamps = np.datetime64("2024-05-01", "ns") + (np.arange(ROWS) / 60 * 1e9).astype("timedelta64[ns]")
+    for rate in ({"fps": 60}, {"fps": np.array([60.0])}, {"mocap_framerate": 60}, {"t": stamps}):
+        np.savez(tmp_path / "a.npz", points=xyz, names=names, **rate)
+        assert read(tmp_path / "a.npz").t[-1] == pytest.approx(59 / 60)
 
 
 @pytest.mark.parametrize("fault", ["equal", "float32", "jump"])
@@ -487,6 +502,14 @@ def test_numbers_of_any_type_are_read(kind, tmp_path):
     np.testing.assert_array_equal(log.extra["enabled"], ON)
 
 
+def test_a_table_of_other_marks_than_commas_is_refused(tmp_path):
+    path = csv(tmp_path / "a.csv")
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        path.write_text(path.read_text().replace(",", mark))
+        refused(path, f"has {name} between its columns")
+        path.write_text(path.read_text().replace(mark, ","))
+
+
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
 def test_time_stamps_are_read_as_seconds(unit, tmp_path):
     t = pa.array(SINCE, pa.timestamp("us")).cast(pa.timestamp(unit))
@@ -522,7 +545,7 @@ def test_a_column_of_somebody_else_may_be_text(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_words_and_time_stamps_of_a_table_are_read(encoding, tmp_path):
-    stamps = [datetime.fromtimestamp(us / 1e6, UTC).isoformat() for us in SINCE.tolist()]
+    stamps = [datetime.fromtimestamp(us / 1e6, UTC).isoformat().replace("+00:00", "Z") for us in SINCE.tolist()]
     log = read_log(csv(tmp_path / "a.csv", encoding, t=stamps, enabled=[str(bool(v)) for v in ON]))
     np.testing.assert_array_equal(log.extra["enabled"], ON)
     assert log.t - log.t[0] == pytest.approx(T, abs=1e-5)
@@ -548,7 +571,10 @@ def test_ticks_are_not_called_degrees():
         (1000.0, False, "milliradians (1000 a radian)", " degrees ("),
         (18_000 / np.pi, False, "centidegrees (5730 a radian)", " degrees ("),
         (180 / np.pi, False, "degrees (57.3 a radian)", "something else"),
-        (16384 / (2 * np.pi), True, "ticks of 16384 a turn (2608 a radian)", " degrees ("),
+        (16384 / (2 * np.pi), True, "ticks of 16384 a turn (2608 a radian)", "degrees ("),
+        (65536 / (2 * np.pi), True, "ticks of 65536 a turn (1.043e+04 a radian)", " degrees ("),
+        (1000.0, True, "milliradians (1000 a radian)", "degrees ("),
+        (0.4 * 180 / np.pi, False, "degrees (57.3 a radian)", "something else"),
     ],
 )
 def test_a_unit_is_named_only_where_it_can_be(factor, whole, possible, impossible, tmp_path):
@@ -570,8 +596,10 @@ def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
     read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
 
 
-def test_ticks_with_a_sign_bit_are_said(tmp_path):
-    ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64) & 0xFFFF
+@pytest.mark.parametrize("bits", [10, 16, 32])
+def test_ticks_with_a_sign_bit_are_said(bits, tmp_path):
+    ticks = np.round(ANGLES * 4096 / (2 * np.pi)).astype(np.int64)
+    ticks = np.where(ticks < 0, 2**bits - ticks, ticks)
     refused(parquet(tmp_path / "a.parquet", q__a=ticks[:, 0], q__b=ticks[:, 1]), "sign bit")
 
 
@@ -595,6 +623,11 @@ def test_a_jump_of_any_size_is_refused(size, tmp_path):
     refused(parquet(tmp_path / "a.parquet", q__a=ANGLES[:, 0] + noise + size * (T >= 5)), "q.a jumps by", "row 1001")
 
 
+def test_a_jump_with_a_reading_on_its_way_is_refused(tmp_path):
+    q = ANGLES[:, 0] + 0.6 * np.clip((T - 3.0) / 0.01, 0.0, 1.0)
+    refused(parquet(tmp_path / "a.parquet", q__a=q), "q.a jumps by", "row 603")
+
+
 def test_a_single_reading_that_is_off_and_a_step_of_a_target_are_no_jumps(tmp_path):
     q = np.array(ANGLES[:, 0])
     q[700] += 0.9
@@ -609,7 +642,7 @@ def test_a_clock_of_32_bits_is_refused():
 @pytest.mark.parametrize(
     ("t", "words"),
     [
-        (np.zeros(len(T)), ["equal in 1600 of 1600 rows"]),
+        (np.zeros(len(T)), ["equal in 1600 of 1600 rows; store"]),
         ((1.7e9 + T).astype(np.float32), ["32 bits"]),
         ((9e4 + T).astype(np.float32), ["32 bits step by 0.00781 s"]),
         (T + 3600.0 * (T > 2), ["jump by 3600.0", "row 401"]),
@@ -657,6 +690,7 @@ def test_what_a_replay_drops_of_a_model_is_said(tmp_path):
         ('<position joint="a" kp="8" ctrlrange="-1 1"/>', "", "ranges of targets (ctrlrange) of the actuators a"),
         ('<general joint="a" dyntype="filter" dynprm=".1"/>', "", "activation dynamics (timeconst) of the actuators a"),
         ('<motor name="jet" site="s" gear="0 0 1 0 0 0"/>', "", "act on no joint of the actuators jet"),
+        ('<damper joint="a" kv="2" ctrlrange="0 1"/>', "", "gains that depend on the state of the actuators a"),
         ('<motor joint="a"/>', '<sensor><jointpos joint="a"/><gyro site="s"/></sensor>', "2 sensors"),
     ],
 )
@@ -676,10 +710,31 @@ def test_the_range_of_a_motor_bounds_its_torque(tmp_path):
 
 
 @pytest.mark.parametrize("address", ["https://somewhere.example/dance.mp4", "rtsp://192.168.0.2/stream"])
-def test_an_address_as_source_says_what_to_do(address):
+@pytest.mark.parametrize("open_it", [load_motion, check_camera])
+def test_an_address_as_source_says_what_to_do(address, open_it):
     with pytest.raises(SourceError) as error:
-        load_motion(address)
+        open_it(address)
     one_line(error, "address", "download")
+
+
+def test_a_second_video_is_refused_where_there_is_no_first_one(tmp_path):
+    two = InputSettings(pose=PoseSettings(also=Path("side.mp4")))
+    (tmp_path / "a.bvh").write_text(bvh())
+    for play in (
+        lambda: load_motion(tmp_path / "a.bvh", two),
+        lambda: motion_from_text("wave the left hand", two),
+        lambda: batch(tmp_path, tmp_path / "out", two),
+        lambda: follow_camera("0", two, LiveSettings()).__enter__(),
+    ):
+        with pytest.raises(ConfigError) as error:
+            play()
+        one_line(error, "--also gives the second of two videos", "leave it out")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_settings_are_read_in_any_encoding(encoding, tmp_path):
+    (tmp_path / "a.toml").write_text("[retarget]\nrate = 0.2\n", encoding=encoding)
+    assert read_toml(tmp_path / "a.toml") == {"retarget": {"rate": 0.2}}
 
 
 # ---------------------------------------------------------------------- tracks from a program
@@ -707,6 +762,19 @@ def test_wrists_in_another_unit_are_refused(scale, said):
     with pytest.raises(SourceError) as error:
         retarget(wrists(scale))
     one_line(error, said, "divide them by the length of the arm")
+
+
+def test_stored_targets_in_another_unit_are_refused():
+    targets = retarget(wrists())
+    for wrong, said in (
+        (replace(targets, t=1e3 * targets.t), "milliseconds"),
+        (replace(targets, t=targets.t / 60), "another unit"),
+        (replace(targets, p_BE=1e3 * targets.p_BE), "in metres"),
+    ):
+        for track in (wrong, command_track(wrong)):
+            with pytest.raises(SourceError) as error:
+                as_motion(track)
+            one_line(error, said)
 
 
 @pytest.mark.parametrize(("rate", "said"), [(0.05, "20 s apart"), (1e6, "1e-06 s apart")])

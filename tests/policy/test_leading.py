@@ -37,6 +37,7 @@ def test_it_backs_away_from_a_pull_from_behind_and_turns_its_back_to_it(angle, t
     assert rate * turn > 0.0 or (turn == 0 and rate == pytest.approx(0.0, abs=1e-9))
 
 
+@pytest.mark.train
 def test_it_answers_in_torch_as_in_numpy():
     torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
     pulls = np.random.default_rng(3).uniform(-6.0, 6.0, size=(200, 2))

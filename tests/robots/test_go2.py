@@ -129,6 +129,7 @@ def test_goals_are_drawn_in_its_boxes(go2):
 
 
 @pytest.mark.slow
+@pytest.mark.train
 def test_training_worlds_build_and_step_on_a_cpu(go2):
     torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
     from mimic.train.stand_track import StandTrackEnv

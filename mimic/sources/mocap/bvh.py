@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -15,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.pose import MocapSettings
+from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.io.reading import read_text
 from mimic.records import FloatArray
-from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.points import Points, clock
 
 _CHANNELS = {f"{axis}{kind}": (kind, i) for kind in ("position", "rotation") for i, axis in enumerate("xyz")}
 
@@ -51,15 +52,10 @@ class _Words:
 
     def number(self, expected: str, word: str | None = None) -> float:
         word = word or self.next(expected)
-        try:
+        with suppress(ValueError):
             if math.isfinite(value := float(word)):
                 return value
-        except ValueError:
-            pass
         raise self.wrong(repr(word), expected)
-
-    def no_bvh(self) -> SourceError:
-        return SourceError(f"{self._name}, line 1: not a BVH file (it must start with HIERARCHY)")
 
     def wrong(self, given: str, expected: str) -> SourceError:
         return SourceError(f"{self._name}, line {self.line}: expected {expected}, got {given}; export the BVH again")
@@ -72,6 +68,8 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
         SourceError: If the file is no BVH, or ends early.
     """
     words = _Words(read_text(path), path.name)
+    if next(iter(words), "").upper() != "HIERARCHY":
+        raise SourceError(f"{path.name}, line 1: not a BVH file (it must start with HIERARCHY)")
     joints = _hierarchy(words)
     announced, step = _header(words)
     width = sum(len(joint.channels) for joint in joints)
@@ -85,14 +83,8 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
     if frames != announced or len(values) % width:
         warnings.append(f"{path.name} announces {announced} frames and holds {len(values) / width:g}")
     values = values[: frames * width].reshape(frames, width)
-    if settings.fps:
-        step = 1.0 / settings.fps
-    if step <= 0.0:
-        raise SourceError(
-            f"{path.name} gives a frame time of {step:g} s; give the frame rate as [mocap] fps in --config"
-        )
     return Points(
-        t=step * np.arange(frames),
+        t=clock(frames, 1.0 / step if step else np.inf, settings, path),
         xyz=_positions(joints, values),
         score=np.ones((frames, len(joints))),
         names=tuple(joint.name for joint in joints),
@@ -101,8 +93,6 @@ def read_bvh(path: Path, settings: MocapSettings) -> Points:
 
 
 def _hierarchy(words: _Words) -> list[_Joint]:
-    if next(iter(words), "").upper() != "HIERARCHY":
-        raise words.no_bvh()
     joints: list[_Joint] = []
     open_ones: list[int] = []
     end_site = -1
@@ -163,38 +153,19 @@ def _numbers(words: _Words, width: int) -> list[float]:
 
 def _positions(joints: list[_Joint], values: FloatArray) -> FloatArray:
     """Return the joints' positions (T, N, 3) in the file's axes."""
-    frames, at = len(values), 0
-    turned: list[FloatArray] = []
-    places = np.empty((frames, len(joints), 3))
+    from scipy.spatial.transform import Rotation
+
+    places = np.empty((len(values), len(joints), 3))
+    columns, turned = iter(values.T), list[Rotation]()
     for index, joint in enumerate(joints):
-        moved = np.tile(joint.offset, (frames, 1))
-        given = {channel: values[:, at + k] for k, channel in enumerate(joint.channels)}
-        at += len(joint.channels)
-        shifts = [given.get(("position", axis)) for axis in range(3)]
-        if any(shift is not None for shift in shifts):  # a position takes the place of the offset
-            moved = np.stack(
-                [np.full(frames, joint.offset[axis]) if s is None else s for axis, s in enumerate(shifts)], -1
-            )
-        turn = np.tile(np.eye(3), (frames, 1, 1))
+        moved, turn = np.tile(joint.offset, (len(values), 1)), Rotation.identity(len(values))
         for kind, axis in joint.channels:
-            if kind == "rotation":
-                turn = turn @ _about(axis, np.radians(given[kind, axis]))
-        if joint.parent < 0:
-            places[:, index], whole = moved, turn
-        else:
-            before = turned[joint.parent]
-            places[:, index] = places[:, joint.parent] + np.einsum("tij,tj->ti", before, moved)
-            whole = before @ turn
-        turned.append(whole)
+            column = next(columns)
+            if kind == "position":  # it takes the place of the offset
+                moved[:, axis] = column
+            else:
+                turn = turn * Rotation.from_rotvec(np.radians(column)[:, None] * np.eye(3)[axis])
+        before = turned[joint.parent] if joint.parent >= 0 else Rotation.identity(len(values))
+        places[:, index] = before.apply(moved) + (places[:, joint.parent] if joint.parent >= 0 else 0.0)
+        turned.append(before * turn)
     return places
-
-
-def _about(axis: int, angle: FloatArray) -> FloatArray:
-    """Return rotations about a coordinate axis (T, 3, 3)."""
-    c, s = np.cos(angle), np.sin(angle)
-    one, other = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.zeros((len(angle), 3, 3))
-    turn[:, axis, axis] = 1.0
-    turn[:, one, one] = turn[:, other, other] = c
-    turn[:, one, other], turn[:, other, one] = -s, s
-    return turn

@@ -12,7 +12,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import MissingExtra, SourceError
-from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, UPS, Points, clock
 
 LARGEST = 1_000_000_000
 """Largest file [bytes]."""
@@ -38,23 +38,20 @@ def read_c3d(path: Path, settings: MocapSettings) -> Points:
         point = data["parameters"]["POINT"]
         xyz = np.array(data["data"]["points"], dtype=np.float64)[:3].transpose(2, 1, 0)
         names = tuple(str(name).strip() for name in _labels(point))
-        rate = settings.fps or float(_value(point, "RATE") or 0.0)
     except Exception as error:  # ezc3d raises what its C++ throws
         raise SourceError(f"{path.name} cannot be read as C3D: {' '.join(str(error).split())[:120]}") from None
     if not len(xyz) or xyz.shape[1] == 0 or len(names) < xyz.shape[1]:
         raise SourceError(f"{path.name} has {len(names)} labels for {xyz.shape[1]} markers in {len(xyz)} frames")
-    if not rate > 0.0:
-        raise SourceError(f"{path.name} has no frame rate; give it as [mocap] fps in --config")
     unit = str(_value(point, "UNITS") or "").strip().lower()
     screen = str(_value(point, "Y_SCREEN") or "").strip().lower().removeprefix("+")
     xyz[(xyz == 0.0).all(axis=-1)] = np.nan
     return Points(
-        t=np.arange(len(xyz)) / rate,
+        t=clock(len(xyz), _value(point, "RATE"), settings, path),
         xyz=xyz,
         score=np.ones(xyz.shape[:2]),
         names=names[: xyz.shape[1]],
         unit=unit if unit in UNITS else None,
-        up=screen if screen in ("x", "y", "z", "-x", "-y", "-z") else None,
+        up=screen if screen in UPS else None,
     )
 
 

@@ -6,7 +6,7 @@ A reader for each format returns `Points`; all later steps are shared.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,11 @@ import numpy as np
 from mimic.config.pose import MocapSettings, PoseSettings
 from mimic.errors import ConfigError, SourceError
 from mimic.io.reading import check_clock
-from mimic.records import FloatArray, PoseTrack
+from mimic.records import SIDES, FloatArray, PoseTrack
 from mimic.sources.mocap.bvh import read_bvh
 from mimic.sources.mocap.c3d import read_c3d
 from mimic.sources.mocap.npz import read_npz
-from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, UPS, Points
 from mimic.sources.mocap.skeletons import NEEDED, Columns, read_names, recognise
 from mimic.sources.mocap.smpl import read_parameters
 from mimic.sources.mocap.trc import read_trc
@@ -47,14 +47,7 @@ MIRRORED = (
     "names of left and right are exchanged instead, the robot moves the wrong leg: play it with --mirror"
 )
 
-_UP = {
-    "x": (1.0, 0.0, 0.0),
-    "y": (0.0, 1.0, 0.0),
-    "z": (0.0, 0.0, 1.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "-z": (0.0, 0.0, -1.0),
-}
+_UP: dict[str, FloatArray] = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,10 +79,8 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     Raises:
         SourceError: If the file cannot be read, names no shoulders and wrists, or shows them too seldom.
     """
-    if not path.is_file():
-        raise SourceError(f"there is no file {path}")
     points = READERS[path.suffix.lower()](path, mocap)
-    if len(points.t) < 2 or points.t[-1] - points.t[0] < settings.min_duration:
+    if len(points.t) < 2 or 0.0 < points.t[-1] - points.t[0] < settings.min_duration:
         raise SourceError(
             f"{path.name} has {len(points.t)} rows in {np.ptp(points.t) if len(points.t) else 0:.2f} s; a motion needs "
             f"at least two and {settings.min_duration:g} s"
@@ -99,19 +90,19 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
     )
     scheme, skeletons = recognise(points.names, read_names(mocap.names))
     named, others = _person(points, skeletons, settings.person, path)
+    t, named = _present(points.t, named)
     up, notes = _up(named, mocap.up if mocap.up != "auto" else None, points.up, path)
     unit, length, doubts = _unit(named, points.unit)
-    xyz = length * named.xyz @ _camera_axes(up).T
     origin = named.middle("hip")
     origin = named.middle("shoulder") if origin is None else origin
     assert origin is not None  # shoulders were found
-    xyz = xyz - (length * origin @ _camera_axes(up).T)[:, None]
+    xyz = length * (named.xyz - origin[:, None]) @ _camera_axes(up).T
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
     if _mirrored(named.names, xyz):
         xyz, notes = xyz * (-1.0, 1.0, 1.0), (*notes, MIRRORED)
     track = PoseTrack(
-        t=points.t - points.t[0],
-        landmarks=_smoothed(points.t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
+        t=t,
+        landmarks=_smoothed(t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
         image=np.full((*xyz.shape[:2], 2), np.nan),
         score=np.where(valid, named.score, 0.0),
         valid=valid,
@@ -147,14 +138,18 @@ def _person(
     return people[chosen - 1], (note,) * (len(people) > 1)
 
 
+def _present(t: FloatArray, named: _Named) -> tuple[FloatArray, _Named]:
+    """Return times and landmarks from the first to the last row in which somebody is seen."""
+    seen = np.flatnonzero(np.isfinite(named.xyz).any(axis=(1, 2)))
+    rows = slice(seen[0], seen[-1] + 1) if len(seen) else slice(None)
+    return t[rows] - t[rows][0], replace(named, xyz=named.xyz[rows], score=named.score[rows])
+
+
 def _apart(one: _Named, other: _Named) -> bool:
     """Return whether two skeletons have their wrists at different places."""
-    wrists, shoulders = (
-        [[who.xyz[:, who.names.index(f"{side}_{part}")] for side in ("left", "right")] for who in (one, other)]
-        for part in ("wrist", "shoulder")
-    )
-    gap = np.linalg.norm(np.subtract(wrists[0], wrists[1]), axis=-1)
-    width = np.linalg.norm(np.subtract(shoulders[0][0], shoulders[0][1]), axis=-1)
+    arms = [who.xyz[:, [who.names.index(name) for name in NEEDED]] for who in (one, other)]
+    gap = np.linalg.norm(arms[0][:, 2:] - arms[1][:, 2:], axis=-1)
+    width = np.linalg.norm(arms[0][:, 0] - arms[0][:, 1], axis=-1)
     known = np.isfinite(gap)
     return not known.any() or float(np.median(gap[known])) > 0.1 * float(np.nanmedian(width))
 
@@ -220,23 +215,14 @@ def _mirrored(names: tuple[str, ...], xyz: FloatArray) -> bool:
         xyz: Camera axes (T, N, 3), where y is down.
     """
 
-    def mean(*parts: str) -> FloatArray | None:
-        there = [names.index(part) for part in parts if part in names]
-        return xyz[:, there].mean(axis=1) if len(there) == len(parts) else None
+    def mean(*parts: str) -> FloatArray:
+        return xyz[:, [names.index(part) for part in parts]].mean(axis=1)
 
-    shoulders = [xyz[:, names.index(f"{side}_shoulder")] for side in ("left", "right")]
-    left = shoulders[0] - shoulders[1]
-    front = np.stack([left[:, 2], -left[:, 0]], -1)
-    votes = []
-    for ahead, behind in (
-        (mean("nose"), mean("left_ear", "right_ear")),
-        (mean("left_foot_index"), mean("left_ankle")),
-        (mean("right_foot_index"), mean("right_ankle")),
-    ):
-        if ahead is not None and behind is not None:
-            votes.append(((ahead - behind)[:, [0, 2]] * front).sum(axis=1))
-    known = np.concatenate(votes) if votes else np.zeros(0)
-    known = known[np.isfinite(known)]
+    left = mean("left_shoulder") - mean("right_shoulder")
+    pairs = [("nose", "left_ear", "right_ear"), *((f"{side}_foot_index", f"{side}_ankle") for side in SIDES)]
+    ahead = [mean(front) - mean(*behind) for front, *behind in pairs if {front, *behind} <= set(names)]
+    votes = np.concatenate([np.zeros(0), *(line[:, 0] * left[:, 2] - line[:, 2] * left[:, 0] for line in ahead)])
+    known = votes[np.isfinite(votes)]
     return bool(len(known)) and float((known < 0).mean()) > 0.8
 
 
@@ -246,11 +232,9 @@ def _unit(named: _Named, given: str | None) -> tuple[str, float, tuple[str, ...]
     Last comes what the user should know about that.
     """
     joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
-    arms = []
-    for side in ("left", "right"):
-        chain = named.xyz[:, [named.names.index(f"{side}_{part}") for part in joints]]
-        arms.append(np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1))
-    known = np.concatenate(arms)[np.isfinite(np.concatenate(arms))]
+    chains = [[named.names.index(f"{side}_{part}") for part in joints] for side in SIDES]
+    arms = np.linalg.norm(np.diff(named.xyz[:, chains], axis=2), axis=-1).sum(axis=2)
+    known = arms[np.isfinite(arms)]
     if not len(known):
         return given or "m", UNITS[given or "m"], ()
     length = float(np.quantile(known, 0.9))
@@ -270,10 +254,10 @@ def _smoothed(t: FloatArray, xyz: FloatArray, cutoff_hz: float) -> FloatArray:
 
 
 def _check_person(track: PoseTrack, path: Path, settings: PoseSettings) -> None:
-    seen = [
-        track.valid[:, track.index(f"{side}_{part}")] for part in ("shoulder", "wrist") for side in ("left", "right")
-    ]
-    share = float((seen[0] & seen[1] & (seen[2] | seen[3])).mean())
+    shoulders, wrists = (
+        track.valid[:, [track.index(f"{side}_{part}") for side in SIDES]] for part in ("shoulder", "wrist")
+    )
+    share = float((shoulders.all(axis=1) & wrists.any(axis=1)).mean())
     if share < settings.min_person_share:
         raise SourceError(
             f"{path.name} shows both shoulders and a wrist in {share:.0%} of its rows, "

@@ -11,9 +11,9 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.points import UPS, Points, clock
 from mimic.sources.mocap.skeletons import layout_of
-from mimic.sources.mocap.smpl import KEYS, has_rotations, points_of_rotations
+from mimic.sources.mocap.smpl import KEYS, RATES, has_rotations, points_of_rotations
 
 POINTS = ("points", "joints", "xyz", "keypoints_3d")
 """Names of the array of positions; the first that is there counts."""
@@ -22,7 +22,7 @@ _READ = {*POINTS, *VISIBILITY, *KEYS, "t", "names", "layout", "up"}
 """Arrays that are read; others are left where they are."""
 LARGEST = 500_000_000
 """Most bytes of the arrays that are read."""
-_UPS = ("x", "y", "z", "-x", "-y", "-z")
+_NONE = (ValueError, OSError, EOFError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
 
 
 def read_npz(path: Path, settings: MocapSettings) -> Points:
@@ -50,8 +50,8 @@ def read_npz(path: Path, settings: MocapSettings) -> Points:
     if score.shape != (rows, count):
         raise SourceError(f"the visibilities in {path.name} have shape {score.shape}; expected ({rows}, {count})")
     up = str(arrays["up"]) if "up" in arrays else None
-    if up is not None and up not in _UPS:
-        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(_UPS)}")
+    if up is not None and up not in UPS:
+        raise SourceError(f"'up' in {path.name} is {up!r}; expected one of {', '.join(UPS)}")
     return Points(
         t=_times(arrays, rows, settings, path),
         xyz=xyz,
@@ -67,15 +67,7 @@ def _arrays(path: Path) -> dict[str, Any]:
         with np.load(path, allow_pickle=False) as file:
             found = {key: file[key] for key in file.files if key in _READ}
             return found or dict.fromkeys(file.files)
-    except (
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        MemoryError,
-        zlib.error,
-        zipfile.BadZipFile,
-    ):  # NumPy's own words advise to load pickles, which is not safe
+    except _NONE:  # NumPy's own words advise to load pickles, which is not safe
         raise SourceError(
             f"{path.name} cannot be read as NPZ: it is no archive of plain arrays; write it with numpy.savez, without "
             "Python objects"
@@ -104,15 +96,10 @@ def _names(arrays: dict[str, Any], count: int, settings: MocapSettings, path: Pa
 
 
 def _times(arrays: dict[str, Any], rows: int, settings: MocapSettings, path: Path) -> np.ndarray:
-    if settings.fps:
-        return np.arange(rows) / settings.fps
-    if "t" in arrays:
-        t = np.array(arrays["t"], dtype=np.float64)
-        if t.shape != (rows,):
-            raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
-        return t
-    if "fps" in arrays and np.ndim(arrays["fps"]) == 0 and float(arrays["fps"]) > 0:
-        return np.arange(rows) / float(arrays["fps"])
-    raise SourceError(
-        f"{path.name} has no times; store 't' (T,) in seconds or a number 'fps', or give [mocap] fps in --config"
-    )
+    if "t" not in arrays or settings.fps:
+        return clock(rows, next((arrays[name] for name in RATES if name in arrays), None), settings, path)
+    t = arrays["t"]
+    if t.shape != (rows,):
+        raise SourceError(f"'t' in {path.name} has shape {t.shape}; expected ({rows},), a time for each row")
+    stamps = t.dtype.kind == "M"
+    return t.astype("datetime64[ns]").astype(np.int64) / 1e9 if stamps else np.array(t, dtype=np.float64)

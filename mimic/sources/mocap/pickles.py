@@ -58,25 +58,24 @@ class _NotPlain(Exception):
 
 def _unpacked(path: Path) -> bytes:
     """Return the bytes of a file, unpacked if joblib packed them."""
-    with open(path, "rb") as file:
-        start = file.read(6)
-    openers: tuple[tuple[bytes, Callable[..., Any]], ...] = (
-        (b"\x1f\x8b", gzip.open),
-        (b"BZh", bz2.open),
-        (b"\xfd7zXZ", lzma.open),
-    )
     if path.stat().st_size > LARGEST:
         raise SourceError(f"{path.name} has more than {LARGEST} bytes")
-    if start[:1] == b"\x78":
-        unpacker = zlib.decompressobj()
-        data = unpacker.decompress(path.read_bytes(), LARGEST + 1)
-    else:
-        opener = next((own for magic, own in openers if start.startswith(magic)), open)
-        with opener(path, "rb") as file:
+    data = path.read_bytes()
+    if data[:1] == b"\x78":
+        data = zlib.decompressobj().decompress(data, LARGEST + 1)
+    elif opener := next((own for magic, own in _OPENERS.items() if data.startswith(magic)), None):
+        with opener(path) as file:
             data = file.read(LARGEST + 1)
     if len(data) > LARGEST:
         raise SourceError(f"{path.name} unpacks to more than {LARGEST} bytes")
     return data
+
+
+_OPENERS: dict[bytes, Callable[[Path], Any]] = {
+    b"\x1f\x8b": gzip.open,
+    b"BZh": bz2.open,
+    b"\xfd7zXZ": lzma.open,
+}
 
 
 class _JoblibArray:
@@ -94,33 +93,24 @@ class _JoblibArray:
         return np.frombuffer(data, dtype=dtype, count=size // dtype.itemsize).reshape(shape, order=order)
 
 
-class _Tensor:
-    """Rebuilds PyTorch tensors as arrays."""
+_STORAGES = {
+    **{"FloatStorage": np.float32, "DoubleStorage": np.float64, "HalfStorage": np.float16, "BoolStorage": np.bool_},
+    **{"LongStorage": np.int64, "IntStorage": np.int32, "ShortStorage": np.int16, "CharStorage": np.int8},
+    "ByteStorage": np.uint8,
+}
+"""NumPy's types of PyTorch's storages."""
 
-    DTYPES = {  # noqa: RUF012 - a table
-        "FloatStorage": np.float32,
-        "DoubleStorage": np.float64,
-        "HalfStorage": np.float16,
-        "LongStorage": np.int64,
-        "IntStorage": np.int32,
-        "ShortStorage": np.int16,
-        "CharStorage": np.int8,
-        "ByteStorage": np.uint8,
-        "BoolStorage": np.bool_,
-    }
 
-    @staticmethod
-    def rebuild(
-        storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
-    ) -> np.ndarray:
-        offset, size, stride = int(offset), tuple(map(int, size)), tuple(map(int, stride))  # NumPy's would overflow
-        last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-        if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
-            raise ValueError("a tensor is larger than its storage")
-        if np.prod(size, dtype=object) * storage.itemsize > LARGEST:
-            raise ValueError("a tensor is too large")
-        strides = tuple(step * storage.itemsize for step in stride)
-        return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
+def _tensor(storage: np.ndarray, offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any) -> np.ndarray:
+    """Rebuild a tensor as an array."""
+    offset, size, stride = int(offset), tuple(map(int, size)), tuple(map(int, stride))  # NumPy's would overflow
+    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+    if min((*size, *stride, offset, 0)) < 0 or (0 not in size and last >= len(storage)):
+        raise ValueError("a tensor is larger than its storage")
+    if np.prod(size, dtype=object) * storage.itemsize > LARGEST:
+        raise ValueError("a tensor is too large")
+    strides = tuple(step * storage.itemsize for step in stride)
+    return np.lib.stride_tricks.as_strided(storage[offset:], size, strides).copy()
 
 
 class _NdArray:
@@ -158,7 +148,7 @@ _KNOWN: dict[str, Any] = {
     "builtins.float": float,
     "_codecs.encode": lambda text, encoding: text.encode("latin1"),
     "joblib.numpy_pickle.NumpyArrayWrapper": _JoblibArray,
-    "torch._utils._rebuild_tensor_v2": _Tensor.rebuild,
+    "torch._utils._rebuild_tensor_v2": _tensor,
 }
 for _module in ("numpy.core", "numpy._core"):
     _KNOWN[f"{_module}.multiarray._reconstruct"] = _rebuild_array
@@ -221,8 +211,8 @@ def _torch(path: Path) -> Any:
 
         def storage(pid: Any) -> np.ndarray:
             _, kind, key, _, count = pid
-            if kind not in _Tensor.DTYPES:
+            if kind not in _STORAGES:
                 raise _NotPlain(f"torch.{kind}")
-            return np.frombuffer(archive.read(f"{folder}data/{key}"), dtype=_Tensor.DTYPES[kind], count=count)
+            return np.frombuffer(archive.read(f"{folder}data/{key}"), dtype=_STORAGES[kind], count=count)
 
         return _Reader(io.BytesIO(archive.read(main)), storage).load()

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from mimic.config.pose import MocapSettings
+from mimic.errors import SourceError
 from mimic.records import FloatArray
 
+UPS = ("x", "y", "z", "-x", "-y", "-z")
+"""Axes that may point up."""
 UNITS = {"m": 1.0, "dm": 0.1, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 """Length of each unit that a file may use [m]."""
 
@@ -28,3 +36,19 @@ class Points:
     """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+
+
+def clock(rows: int, rate: Any, settings: MocapSettings, path: Path) -> FloatArray:
+    """Return the times of rows with the frame rate that was asked for, else with that of the file (T,) [s].
+
+    Raises:
+        SourceError: If there is none.
+    """
+    try:
+        hz = settings.fps or float(np.asarray(rate).reshape(-1)[0])
+    except (ValueError, TypeError, IndexError):
+        hz = 0.0
+    if not 0.0 < hz < np.inf:
+        given = f"the frame rate {rate!r}" if rate is not None else "no times and no frame rate"
+        raise SourceError(f"{path.name} has {given}; give the frame rate as [mocap] fps in --config")
+    return np.arange(rows) / hz

@@ -35,6 +35,10 @@ vroid        L R        {}UpperArm {}LowerArm {}Hand {}UpperLeg {}LowerLeg {}Foo
 optitrack    L R        {}UArm {}FArm {}Hand {}Thigh {}Shin {}Foot {}Toe
 unreal       l r        upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{} ball_{}
 rigify       L R        upper_arm{} forearm{} hand{} thigh{} shin{} foot{} toe{}
+rigify_fk    L R        upper_arm_fk{} forearm_fk{} hand_fk{} thigh_fk{} shin_fk{} foot_fk{} toe_fk{}
+auto-rig_pro l r        arm_stretch{} forearm_stretch{} hand{} thigh_stretch{} leg_stretch{} foot{} toes_01{}
+suffixes     L R        Arm{} ForeArm{} Hand{} UpLeg{} Leg{} Foot{} ToeBase{}
+suffixed     Left Right Arm{} ForeArm{} Hand{} UpLeg{} Leg{} Foot{} ToeBase{}
 smpl         L R        {}_Shoulder {}_Elbow {}_Wrist {}_Hip {}_Knee {}_Ankle {}_Toe
 openpose     L R        {}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle {}BigToe
 kinect       Left Right Shoulder{} Elbow{} Wrist{} Hip{} Knee{} Ankle{} Foot{}

@@ -19,7 +19,7 @@ import numpy as np
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
 from mimic.records import FloatArray
-from mimic.sources.mocap.points import Points
+from mimic.sources.mocap.points import Points, clock
 from mimic.sources.mocap.skeletons import LAYOUTS
 
 JOINTS = LAYOUTS["smpl24"][:22]
@@ -85,7 +85,7 @@ def points_of_rotations(arrays: Mapping[str, Any], settings: MocapSettings, path
         turned.append(turned[parent] @ turns[:, joint])
     note = "joint rotations on a generic skeleton, without a body model"
     return Points(
-        t=np.arange(len(xyz)) / _rate(arrays, settings, path),
+        t=clock(len(xyz), arrays.get(_first(arrays, RATES) or ""), settings, path),
         xyz=xyz,
         score=np.ones(xyz.shape[:2]),
         names=JOINTS,
@@ -100,24 +100,23 @@ def _first(arrays: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
 
 def _rotations(arrays: Mapping[str, Any], path: Path) -> FloatArray:
     """Return the rotations of the 22 joints relative to their parents (T, 22, 3, 3)."""
-    root, body = _first(arrays, ROOTS), _first(arrays, BODIES)
+    root, body, whole = (_first(arrays, names) for names in (ROOTS, BODIES, WHOLE))
     if root is not None and body is not None:
-        first, rest = _matrices(arrays[root], root, path), _matrices(arrays[body], body, path)
-        if len(first) != len(rest) or first.shape[1] != 1 or rest.shape[1] < len(JOINTS) - 1:
+        parts = [_matrices(arrays[name], name, path) for name in (root, body)]
+        if len(parts[0]) != len(parts[1]) or parts[0].shape[1] != 1 or parts[1].shape[1] < len(JOINTS) - 1:
             shapes = f"{np.shape(arrays[root])} and {np.shape(arrays[body])}"
             raise SourceError(
                 f"{path.name}: '{root}' and '{body}' have shapes {shapes}; expected (T, 3) and (T, 63) or more"
             )
-        return np.concatenate([first, rest], axis=1)[:, : len(JOINTS)]
-    name = _first(arrays, WHOLE)
-    assert name is not None  # has_rotations
-    given = np.shape(arrays[name])
+        return np.concatenate(parts, axis=1)[:, : len(JOINTS)]
+    assert whole is not None  # has_rotations
+    given = np.shape(arrays[whole])
     if len(given) == 2 and given[1] not in _WIDTHS:
         known = ", ".join(f"{width} ({what})" for width, what in _WIDTHS.items())
-        raise SourceError(f"{path.name}: '{name}' has shape {given}; expected (T, W) with a width W of {known}")
-    turns = _matrices(arrays[name], name, path)
+        raise SourceError(f"{path.name}: '{whole}' has shape {given}; expected (T, W) with a width W of {known}")
+    turns = _matrices(arrays[whole], whole, path)
     if turns.shape[1] < len(JOINTS):
-        raise SourceError(f"{path.name}: '{name}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
+        raise SourceError(f"{path.name}: '{whole}' has {turns.shape[1]} joints; expected at least {len(JOINTS)}")
     return turns[:, : len(JOINTS)]
 
 
@@ -133,39 +132,20 @@ def _matrices(given: Any, name: str, path: Path) -> FloatArray:
             f"{path.name}: '{name}' has shape {array.shape}; expected axis angles (T, 3 N) or matrices (T, N, 3, 3)"
         )
     array = np.asarray(array, dtype=np.float64)
-    if not np.isfinite(array).all():
-        row = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
-        raise SourceError(f"{path.name}: '{name}' is not a number in row {row + 1}; cut these rows")
+    if len(rows := np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))):
+        raise SourceError(f"{path.name}: '{name}' is not a number in row {rows[0] + 1}; cut these rows")
     if matrices:
         return array
-    flat = array.reshape(len(array), -1, 3)
-    return Rotation.from_rotvec(flat.reshape(-1, 3)).as_matrix().reshape(*flat.shape, 3)
-
-
-def _rate(arrays: Mapping[str, Any], settings: MocapSettings, path: Path) -> float:
-    if settings.fps:
-        return settings.fps
-    name = _first(arrays, RATES)
-    if name is None:
-        raise SourceError(f"{path.name} has no frame rate; give that of the recording as [mocap] fps in --config")
-    try:
-        rate = float(np.asarray(arrays[name]).reshape(-1)[0])
-    except (ValueError, TypeError, IndexError):
-        rate = 0.0
-    if not 0.0 < rate <= 10_000.0:
-        raise SourceError(
-            f"{path.name}: '{name}' is {arrays[name]!r}; expected a frame rate in Hz, or give [mocap] fps in --config"
-        )
-    return rate
+    return Rotation.from_rotvec(array.reshape(-1, 3)).as_matrix().reshape(len(array), -1, 3, 3)
 
 
 # ---------------------------------------------------------------------- what programs store besides arrays
 
 
 def read_parameters(path: Path, settings: MocapSettings) -> Points:
-    """Return the person in a .pkl or .pt file of GVHMR, WHAM, 4D-Humans, AIST++, or of a dictionary of parameters.
+    """Return the people in a .pkl or .pt file of GVHMR, WHAM, 4D-Humans, AIST++, or of a dictionary of parameters.
 
-    Of several people the one in most frames is taken. Nothing in the file is executed.
+    Points of one person of several have the person's name before their own. Nothing in the file is executed.
 
     Raises:
         SourceError: If the file cannot be read, or holds no parameters of the SMPL family.
@@ -173,91 +153,78 @@ def read_parameters(path: Path, settings: MocapSettings) -> Points:
     from mimic.sources.mocap.pickles import read_pickle
 
     data = read_pickle(path)
-    for program, reader in _PROGRAMS:
-        found = reader(data)
-        if found is not None:
-            arrays, note = found
-            points = points_of_rotations(arrays, settings, path)
-            return Points(
-                t=points.t if "frames" not in arrays else _frame_times(arrays["frames"], points.t),
-                xyz=points.xyz,
-                score=points.score,
-                names=points.names,
-                unit=points.unit,
-                warnings=(f"parameters of {program}{note}", *points.warnings),
-            )
-    keys = ", ".join(str(key)[:40] for key in list(data)[:8]) if isinstance(data, dict) else type(data).__name__
-    raise SourceError(
-        f"{path.name} holds {keys or 'nothing'}; expected what GVHMR (hmr4d_results.pt), WHAM (wham_output.pkl), "
-        "4D-Humans (demo_….pkl) or AIST++ write, or a dictionary with global_orient and body_pose, or poses"
+    found = ((name, reader(data)) for name, reader in _PROGRAMS) if isinstance(data, dict) else ()
+    program, people = next(((name, people) for name, people in found if people), ("", {}))
+    if not people:
+        keys = ", ".join(str(key)[:40] for key in list(data)[:8]) if isinstance(data, dict) else type(data).__name__
+        raise SourceError(
+            f"{path.name} holds {keys or 'nothing'}; expected what GVHMR (hmr4d_results.pt), WHAM (wham_output.pkl), "
+            "4D-Humans (demo_….pkl) or AIST++ write, or a dictionary with global_orient and body_pose, or poses"
+        )
+    each = [points_of_rotations(arrays, settings, path) for arrays in people.values()]
+    frames = [_frames(arrays, len(own.t)) for arrays, own in zip(people.values(), each, strict=True)]
+    rows = np.unique(np.concatenate(frames))
+    xyz = np.full((len(rows), len(each), len(JOINTS), 3), np.nan)
+    for i, (own, at) in enumerate(zip(each, frames, strict=True)):
+        xyz[np.searchsorted(rows, at), i] = own.xyz
+    first = each[0]
+    return Points(
+        t=(rows - rows[0]) * float(first.t[1] if len(first.t) > 1 else 1.0),
+        xyz=xyz.reshape(len(rows), -1, 3),
+        score=np.ones((len(rows), len(each) * len(JOINTS))),
+        names=tuple(f"{key}:{joint}" for key in people for joint in JOINTS),
+        unit=first.unit,
+        warnings=(f"parameters of {program}", *first.warnings),
     )
 
 
-def _frame_times(frames: Any, t: FloatArray) -> FloatArray:
-    """Return times of rows that lie at frames with gaps between them."""
-    numbers = np.asarray(frames, dtype=np.float64).reshape(-1)
-    if len(numbers) != len(t) or len(t) < 2:
-        return t
-    return (numbers - numbers[0]) * float(t[1] - t[0])
+def _frames(arrays: Mapping[str, Any], count: int) -> FloatArray:
+    """Return the numbers of the frames of somebody (T,), which may have gaps."""
+    numbers = np.asarray(arrays.get("frames", ()), dtype=np.float64).reshape(-1)
+    return numbers if len(np.unique(numbers)) == count else np.arange(count, dtype=np.float64)
 
 
-_Found = tuple[dict[str, Any], str] | None
+_People = Mapping[Any, Mapping[str, Any]]
 
 
-def _gvhmr(data: Any) -> _Found:
-    if isinstance(data, dict) and isinstance(data.get("smpl_params_global"), dict):
-        return (dict(data["smpl_params_global"]), "") if has_rotations(data["smpl_params_global"]) else None
-    return None
+def _plain(data: dict[Any, Any]) -> _People:
+    return {0: data} if has_rotations(data) else {}
 
 
-def _wham(data: Any) -> _Found:
-    if not isinstance(data, dict):
-        return None
-    people = {
-        key: person
-        for key, person in data.items()
-        if isinstance(person, dict) and ("pose_world" in person or "pose" in person) and "trans" in person
+def _gvhmr(data: dict[Any, Any]) -> _People:
+    own = data.get("smpl_params_global")
+    return _plain(own) if isinstance(own, dict) else {}
+
+
+def _wham(data: dict[Any, Any]) -> _People:
+    return {
+        key: {"poses": one.get("pose_world", one.get("pose")), "frames": one.get("frame_ids", ())}
+        for key, one in data.items()
+        if isinstance(one, dict) and "trans" in one and one.keys() & {"pose_world", "pose"}
     }
-    if not people:
-        return None
-    key = max(people, key=lambda name: len(people[name].get("pose_world", people[name].get("pose", ()))))
-    person = people[key]
-    arrays = {"poses": person.get("pose_world", person.get("pose"))}
-    if "frame_ids" in person:
-        arrays["frames"] = person["frame_ids"]
-    return arrays, f": person {key} of {len(people)}, the one in most frames" if len(people) > 1 else ""
 
 
-def _humans4d(data: Any) -> _Found:
+def _humans4d(data: dict[Any, Any]) -> _People:
     """Frames as PHALP stores them: for each picture the identities and, for each, matrices of pelvis and body."""
-    if not isinstance(data, dict):
-        return None
-    tracks: dict[Any, list[tuple[int, Any, Any]]] = {}
-    frames = [frame for frame in data.values() if isinstance(frame, dict)]
-    if not frames or not any("smpl" in frame and "tid" in frame for frame in frames):
-        return None
-    for number, frame in enumerate(frames):
-        smpl, ids = frame.get("smpl"), frame.get("tid")
-        for identity, body in zip(ids if ids is not None else (), smpl if smpl is not None else (), strict=False):
+    tracks: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
+    for number, frame in enumerate(frame for frame in data.values() if isinstance(frame, dict)):
+        ids, bodies = (frame.get(key) for key in ("tid", "smpl"))
+        for who, body in zip(ids if ids is not None else (), bodies if bodies is not None else (), strict=False):
             if isinstance(body, dict) and {"global_orient", "body_pose"} <= body.keys():
-                tracks.setdefault(identity, []).append((number, body["global_orient"], body["body_pose"]))
-    if not tracks:
-        return None
-    best = max(tracks, key=lambda identity: len(tracks[identity]))
-    rows = tracks[best]
-    arrays = {
-        "global_orient": np.stack([np.asarray(root).reshape(1, 3, 3) for _, root, _ in rows]),
-        "body_pose": np.stack([np.asarray(body).reshape(-1, 3, 3) for _, _, body in rows]),
-        "frames": [number for number, _, _ in rows],
+                tracks.setdefault(who, []).append((number, body))
+    return {
+        who: {
+            "frames": [number for number, _ in rows],
+            **{
+                part: np.stack([np.asarray(body[part]).reshape(-1, 3, 3) for _, body in rows])
+                for part in ("global_orient", "body_pose")
+            },
+        }
+        for who, rows in tracks.items()
     }
-    return arrays, f": person {best} of {len(tracks)}, the one in most frames" if len(tracks) > 1 else ""
 
 
-def _plain(data: Any) -> _Found:
-    return (data, "") if isinstance(data, dict) and has_rotations(data) else None
-
-
-_PROGRAMS: tuple[tuple[str, Callable[[Any], _Found]], ...] = (
+_PROGRAMS: tuple[tuple[str, Callable[[dict[Any, Any]], _People]], ...] = (
     ("GVHMR", _gvhmr),
     ("WHAM", _wham),
     ("4D-Humans", _humans4d),

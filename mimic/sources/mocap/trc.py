@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from mimic.config.pose import MocapSettings
+from mimic.config.text_file import read_text
 from mimic.errors import SourceError
-from mimic.io.reading import read_text
-from mimic.sources.mocap.points import UNITS, Points
+from mimic.sources.mocap.points import UNITS, Points, clock
 
 _HEADER = 5
 """Lines before the table; an empty one may follow them."""
@@ -38,23 +38,22 @@ def read_trc(path: Path, settings: MocapSettings) -> Points:
     table = _table(lines, path, 2 + 3 * len(names))
     xyz = table[:, 2:].reshape(len(table), len(names), 3)
     xyz[(xyz == 0.0).all(axis=-1)] = np.nan
-    t = np.arange(len(table)) / settings.fps if settings.fps else table[:, 1]
+    t = clock(len(table), None, settings, path) if settings.fps else table[:, 1]
     return Points(t=t, xyz=xyz, score=np.ones(xyz.shape[:2]), names=names, unit=unit)
 
 
 def _table(lines: list[str], path: Path, width: int) -> np.ndarray:
     rows = []
     for number, line in enumerate(lines[_HEADER:], _HEADER + 1):
-        if not line.strip():
-            continue
-        cells = [cell.strip() for cell in line.rstrip().split("\t")]
+        cells = line.rstrip().split("\t") if line.strip() else []
         if len(cells) > width:
             raise SourceError(
                 f"{path.name}, line {number}: {len(cells)} cells; expected {width}, for the names in line 4"
             )
-        cells += [""] * (width - len(cells))
         try:
-            rows.append([float(cell) if cell else np.nan for cell in cells[:width]])
+            rows += (
+                [[float(cell.strip() or "nan") for cell in cells] + [np.nan] * (width - len(cells))] if cells else []
+            )
         except ValueError:
             raise SourceError(
                 f"{path.name}, line {number}: expected numbers separated by tabs, got {line[:60]!r}"

@@ -11,6 +11,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,8 @@ CORRECTIONS = 3
 """How often a model may correct its answer."""
 LONGEST_SENTENCE, LARGEST_BODY = 2000, 4_000_000  # characters of a sentence; bytes of an endpoint's response
 REPORTED = 12  # at most this many errors go back at once
+
+_FAULTS = (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError)
 
 Chat = Callable[[list[dict[str, str]]], str]
 
@@ -192,15 +195,7 @@ def _chat(settings: LanguageSettings, model: str) -> Chat:
     def chat(messages: list[dict[str, str]]) -> str:
         try:
             return _within(settings.llm_timeout, lambda: ask(messages))
-        except (
-            openai.OpenAIError,
-            OSError,
-            AttributeError,
-            LookupError,
-            TypeError,
-            ValueError,
-            RecursionError,
-        ) as error:
+        except (openai.OpenAIError, *_FAULTS) as error:
             text = next(text for kind, text in failures if isinstance(error, kind))
             raise SourceError(text.replace("%s", " ".join(str(error).split())[:200])) from None
 
@@ -239,19 +234,13 @@ def _within(seconds: float, work: Callable[[], str]) -> str:
     Raises:
         TimeoutError: If it takes longer.
     """
-    outcome: list[str | BaseException] = []
+    outcome: Future[str] = Future()
 
     def run() -> None:
         try:
-            outcome.append(work())
+            outcome.set_result(work())
         except BaseException as error:
-            outcome.append(error)
+            outcome.set_exception(error)
 
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not outcome:
-        raise TimeoutError
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
-    return outcome[0]
+    threading.Thread(target=run, daemon=True).start()
+    return outcome.result(seconds)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -27,8 +26,10 @@ cut-off is 0.01 Hz; over a frame interval this long they keep less than 0.2 % of
 """
 
 
-class BlazePose:
-    """The detector, which tracks one person from frame to frame; use it in a ``with`` block."""
+class _Landmarker:
+    """mediapipe's landmarker of poses; use it in a ``with`` block."""
+
+    mode, most = "VIDEO", 1
 
     def __init__(self, model: Path) -> None:
         """Take the bundle of models that `mimic.sources.video.pose_model` returns."""
@@ -41,7 +42,9 @@ class BlazePose:
 
             self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
             options = vision.PoseLandmarkerOptions(
-                base_options=BaseOptions(model_asset_path=str(self._model)), running_mode=vision.RunningMode.VIDEO
+                base_options=BaseOptions(model_asset_path=str(self._model)),
+                running_mode=vision.RunningMode[self.mode],
+                num_poses=self.most,
             )
             try:
                 self._pose: Any = vision.PoseLandmarker.create_from_options(options)
@@ -52,11 +55,16 @@ class BlazePose:
                 ) from None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with quiet_stderr():
             self._pose.close()
+
+    def _picture(self, rgb: np.ndarray) -> Any:
+        return self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
+
+
+class BlazePose(_Landmarker):
+    """The detector, which tracks one person from frame to frame."""
 
     def forget(self) -> None:
         """Forget who was followed: in the next frame it looks for anybody."""
@@ -73,16 +81,26 @@ class BlazePose:
             Mid-hip -> landmark (33, 3), camera axes [m]; image coordinates (33, 2), fractions of width and
             height; visibility (33,), 0 to 1.
         """
-        picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
         with nullcontext() if self._seen else quiet_stderr():  # it writes messages up to the first person
-            found = self._pose.detect_for_video(picture, self._frames * _STEP_MS)
+            found = self._pose.detect_for_video(self._picture(rgb), self._frames * _STEP_MS)
         self._frames += 1
         if not found.pose_world_landmarks:
             return None
         self._seen = True
-        world, image = found.pose_world_landmarks[0], found.pose_landmarks[0]
-        return (
-            np.array([(p.x, p.y, p.z) for p in world]),
-            np.array([(p.x, p.y) for p in image]),
-            np.array([p.visibility for p in image]),
-        )
+        world = np.array([(p.x, p.y, p.z) for p in found.pose_world_landmarks[0]])
+        return world, *_in_picture(found.pose_landmarks[0])
+
+
+class Everybody(_Landmarker):
+    """Finds up to five people in a picture by itself."""
+
+    mode, most = "IMAGE", 5
+
+    def __call__(self, rgb: np.ndarray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return image coordinates (33, 2), fractions of width and height, and visibility (33,) of each."""
+        with quiet_stderr():
+            return [_in_picture(pose) for pose in self._pose.detect(self._picture(rgb)).pose_landmarks]
+
+
+def _in_picture(pose: Any) -> tuple[FloatArray, FloatArray]:
+    return np.array([(p.x, p.y) for p in pose]), np.array([p.visibility for p in pose])

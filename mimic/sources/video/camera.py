@@ -22,7 +22,9 @@ import numpy as np
 
 from mimic.config.pose import LiveSettings, PoseSettings
 from mimic.errors import SourceError
+from mimic.io.reading import existing
 from mimic.records import BoolArray, FloatArray
+from mimic.sources.video.decoding import picture_size, square
 from mimic.sources.video.left_right import LiveSides, swap_sides
 from mimic.sources.video.pose_model import pose_model
 from mimic.sources.video.quiet import quiet_stderr
@@ -170,8 +172,8 @@ def _is_device(camera: str) -> bool:
         SourceError: If it is no file either.
     """
     device = camera.isdigit() or camera.startswith("/dev/")
-    if not device and not Path(camera).is_file():
-        raise SourceError(f"there is no camera and no file {camera!r}; give a number such as 0, or a video")
+    if not device and existing(camera, "camera and no file '{}'; give a number such as 0, or a video").is_dir():
+        raise SourceError(f"{camera} is a folder; give the number of a camera, such as 0, or a video")
     return device
 
 
@@ -244,7 +246,7 @@ def _run_camera(
         os.nice(LOW_PRIORITY)
     import cv2
 
-    from mimic.sources.video.blazepose import BlazePose
+    from mimic.sources.video.blazepose import BlazePose, Everybody
     from mimic.sources.video.depth import LiveDepth
     from mimic.sources.video.people import People
 
@@ -256,14 +258,15 @@ def _run_camera(
     latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
     assert isinstance(pose.pose_model, Path)
     hint = "let one person stand before the camera"
-    with BlazePose(pose.pose_model) as detect, People(pose.pose_model, None, camera, hint) as people:
+    with BlazePose(pose.pose_model) as detect, Everybody(pose.pose_model) as everybody:
+        people = People(everybody, None, camera, hint)
         detect(people.show(0.0, cv2.cvtColor(first, cv2.COLOR_BGR2RGB)))  # warm-up: the first detection is slow
         pipe.send(True)
         if not device:
             threading.Thread(target=_wait_for_begin, args=(pipe, go), daemon=True).start()
         grab = _read_camera if device else _play_file
         threading.Thread(target=grab, args=(capture, first, latest, go), daemon=True).start()
-        _detect(latest, detect, people, depth, pose, pipe, previews)
+        _detect(latest, detect, people, depth, pose, pipe, previews, picture_size(capture, first))
 
 
 def _wait_for_begin(pipe: Connection, go: threading.Event) -> None:
@@ -312,6 +315,7 @@ def _detect(
     pose: PoseSettings,
     pipe: Connection,
     previews: bool,
+    picture: tuple[int, int],
 ) -> None:
     """Detect the person in the newest frame and send a row, until there are no more frames."""
     import cv2
@@ -321,6 +325,7 @@ def _detect(
     while (item := latest.take()) is not None:
         t, bgr, skipped = item
         started = time.monotonic()
+        bgr = square(bgr, picture)
         rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
         if t - began > look:  # it takes as long as some frames: seldom
             look *= 2

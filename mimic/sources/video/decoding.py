@@ -87,9 +87,7 @@ def open_video(path: Path) -> Iterator[Video]:
                 "with a picture track (mp4, mkv, mov, gif, …); check that a video player shows it"
             )
         frame_count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        shape = capture.get(cv2.CAP_PROP_SAR_NUM) or 1.0, capture.get(cv2.CAP_PROP_SAR_DEN) or 1.0
-        turned = int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 180 == 90
-        size = _upright(first.shape[1], first.shape[0], shape[1 if turned else 0] / shape[0 if turned else 1])
+        size = picture_size(capture, first)
         frame, thumbnail = _frame(first, capture.get(cv2.CAP_PROP_POS_MSEC), None, size)
         thread = threading.Thread(
             target=_decode_into, args=(capture, decoded, stop, thumbnail, size), name="decode", daemon=True
@@ -109,16 +107,28 @@ def check_video(path: Path) -> None:
         pass
 
 
-def _upright(width: int, height: int, pixel: float) -> tuple[int, int]:
-    """Return the size that shows the picture with square pixels; none gets less of them.
+def picture_size(capture: Any, frame: np.ndarray) -> tuple[int, int]:
+    """Return the width and height that show the frames of an open capture with square pixels; none gets less of them.
 
-    Args:
-        width: As stored.
-        height: As stored.
-        pixel: Width of a stored pixel over its height; what no video has counts as square.
+    A shape of the pixels that no video has counts as square.
     """
+    import cv2
+
+    shape = capture.get(cv2.CAP_PROP_SAR_NUM) or 1.0, capture.get(cv2.CAP_PROP_SAR_DEN) or 1.0
+    turned = int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 180 == 90
+    pixel = shape[turned] / shape[not turned]
     pixel = pixel if 0.25 <= pixel <= 4.0 else 1.0
-    return round(width * max(pixel, 1.0)), round(height / min(pixel, 1.0))
+    return round(frame.shape[1] * max(pixel, 1.0)), round(frame.shape[0] / min(pixel, 1.0))
+
+
+def square(bgr: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a frame with the sides of `picture_size`, shrunk where one is longer than MAX_SIDE."""
+    import cv2
+
+    shrink = min(1.0, MAX_SIDE / max(size))
+    wanted = round(size[0] * shrink), round(size[1] * shrink)
+    same = wanted == (bgr.shape[1], bgr.shape[0])
+    return bgr if same else cv2.resize(bgr, wanted, interpolation=cv2.INTER_LINEAR)
 
 
 def _frame(
@@ -131,11 +141,7 @@ def _frame(
     stride = max(1, min(height, width) // 96)
     thumbnail = cv2.resize(bgr[::stride, ::stride], _THUMBNAIL, interpolation=cv2.INTER_AREA).astype(np.int16)
     change = 0.0 if previous is None else float(np.abs(thumbnail - previous).mean())
-    shrink = min(1.0, MAX_SIDE / max(size))
-    wanted = round(size[0] * shrink), round(size[1] * shrink)
-    if wanted != (width, height):
-        bgr = cv2.resize(bgr, wanted, interpolation=cv2.INTER_LINEAR)
-    return Frame(stamp_ms, cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), change), thumbnail
+    return Frame(stamp_ms, cv2.cvtColor(square(bgr, size), cv2.COLOR_BGR2RGB), change), thumbnail
 
 
 def _decode_into(

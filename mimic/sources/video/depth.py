@@ -22,6 +22,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mimic.io.assets import shipped
 from mimic.records import LANDMARKS, SIDES, FloatArray, IntArray
+from mimic.sources.video.screening import spread_of
 from mimic.sources.video.smoothing import segments
 
 RATE_HZ = 15.0
@@ -282,12 +283,8 @@ def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int])
     """Return how far shoulders and hips are spread [m, px], and their right -> left line [m] (T, 5)."""
     first, last = [_SHOULDERS[0], _HIPS[0]], [_SHOULDERS[1], _HIPS[1]]
     line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
-    drawn = np.maximum(_spread(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
-    return np.column_stack([_spread(landmarks[:, _TRUNK, :2]), drawn, line])
-
-
-def _spread(points: FloatArray) -> FloatArray:
-    return np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=1))
+    drawn = np.maximum(spread_of(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
+    return np.column_stack([spread_of(landmarks[:, _TRUNK, :2]), drawn, line])
 
 
 def _scale(slow: FloatArray) -> FloatArray:

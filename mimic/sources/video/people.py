@@ -11,24 +11,19 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Literal
 
 import numpy as np
 
 from mimic.errors import SourceError
 from mimic.records import LANDMARKS, BoolArray, FloatArray, IntArray
-from mimic.sources.video.quiet import quiet_stderr
+from mimic.sources.video.blazepose import Everybody
 from mimic.sources.video.shots import OTHER_COLOUR, clothes_colour
 
 Choice = Literal["left", "right", "largest"] | int
 
 SOONEST, LATEST = 0.5, 3.0
-"""Times between two looks for everybody [s]: half of the time since the beginning, but the first where one person was
-chosen."""
-MOST = 5
-"""At most this many people are found."""
+"""Times between two looks for everybody [s]: all since the beginning, but the first where one person was chosen."""
 VISIBLE = 0.6
 """Both shoulders of a person must be at least this visible."""
 SMALLEST = 0.25
@@ -139,25 +134,19 @@ def squares(width: int, height: int) -> list[tuple[int, int, int]]:
 
 
 class People:
-    """Finds everybody now and then, and shows the detector only a chosen person; use it in a ``with`` block."""
+    """Finds everybody now and then, and shows the detector only a chosen person."""
 
-    def __init__(
-        self,
-        model: Path,
-        choice: Choice | None,
-        name: str,
-        hint: str = CHOOSE,
-    ) -> None:
+    def __init__(self, everybody: Everybody, choice: Choice | None, name: str, hint: str = CHOOSE) -> None:
         """Prepare.
 
         Args:
-            model: Bundle of models of the pose detector.
+            everybody: Finds the people in a picture.
             choice: Who is followed: by place in the first picture with several people, or by size. None leaves that to
                 the detector.
             name: Of the video, for messages.
             hint: What to do about several people.
         """
-        self._model, self._name, self._hint = model, name, hint
+        self._everybody, self._name, self._hint = everybody, name, hint
         self._choice: Choice | None = choice
         self._next, self._aspect = -np.inf, 1.0
         self._known: list[Person] = []
@@ -170,26 +159,6 @@ class People:
         self._since_look = 0
         self.astray = False
         """Whether the detector follows somebody else, and must forget them."""
-
-    def __enter__(self) -> Self:
-        with quiet_stderr():
-            import mediapipe
-            from mediapipe.tasks.python import BaseOptions, vision
-
-            self._image, self._format = mediapipe.Image, mediapipe.ImageFormat.SRGB
-            options = vision.PoseLandmarkerOptions(
-                base_options=BaseOptions(model_asset_path=str(self._model)),
-                running_mode=vision.RunningMode.IMAGE,
-                num_poses=MOST,
-            )
-            self._everybody: Any = vision.PoseLandmarker.create_from_options(options)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        with quiet_stderr():
-            self._everybody.close()
 
     def choose(self, frames: Iterable[tuple[float, np.ndarray]]) -> None:
         """Choose the person from the first seconds: not everybody is found in every picture.
@@ -233,7 +202,7 @@ class People:
         """Return what the detector may see of a frame at time t [s]: all of it, or the chosen person."""
         self._aspect = rgb.shape[1] / rgb.shape[0]
         if t >= self._next:
-            self._next = t + (float(np.clip(t / 2, SOONEST, LATEST)) if self._choice is None else SOONEST)
+            self._next = t + (float(np.clip(t, SOONEST, LATEST)) if self._choice is None else SOONEST)
             self.look(t, rgb)
         if self._choice is None or self._place is None:
             return rgb
@@ -334,11 +303,7 @@ class People:
 
     def _poses_in(self, rgb: np.ndarray) -> list[FloatArray]:
         """Return landmarks (33, 2) of everybody in a picture, fraction of its width and height."""
-        with quiet_stderr():
-            picture = self._image(image_format=self._format, data=np.ascontiguousarray(rgb))
-            found = self._everybody.detect(picture).pose_landmarks
-        seen = [pose for pose in found if min(pose[i].visibility for i in _SHOULDERS) >= VISIBLE]
-        return [np.array([(p.x, p.y) for p in pose]) for pose in seen]
+        return [image for image, score in self._everybody(rgb) if score[_SHOULDERS].min() >= VISIBLE]
 
     def sentences(self) -> list[str]:
         """Return what is to be said about several people in view.

@@ -19,13 +19,14 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
+from io import BytesIO
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 
 from mimic.errors import AssetError
 from mimic.io.assets import user_cache
 from mimic.io.store import written_whole
-from mimic.sources.video.registry import RegistryError, download_package, download_wheel
+from mimic.sources.video.registry import RegistryError, download
 from mimic.sources.video.tflite import ALIGNMENT, with_normalisation
 
 Progress = Callable[[int, int | None], None]
@@ -92,10 +93,10 @@ def pose_model(given: Model = None, *, progress: Progress | None = None) -> Path
     """
     folder = user_cache("models")
     if given is None:
-        wheel = partial(download_wheel, "mediapipe", RELEASE, progress=progress)
+        wheel = partial(download, f"mediapipe=={RELEASE}", progress=progress)
         return _cached(folder / BUNDLE, _WHEELS, WHEEL, wheel)
     if given == "heavy":
-        archive = partial(download_package, HEAVY_PACKAGE, HEAVY_RELEASE, progress=progress)
+        archive = partial(download, f"{HEAVY_PACKAGE}@{HEAVY_RELEASE}", npm=True, progress=progress)
         return _cached(folder / HEAVY_BUNDLE, HEAVY_ARCHIVE, HEAVY_ARCHIVE, archive, pose_model(progress=progress))
     if not given.is_file():
         raise AssetError(f"there is no pose model {given}; give a .task file, {WHEEL}, or heavy")
@@ -185,8 +186,8 @@ def _model(source: Path, member: str, digest: str) -> bytes:
         if source.is_dir():
             content = (source / member).read_bytes()
         elif source.suffix == ".tgz":
-            with tarfile.open(source) as archive:
-                content = _whole(archive.extractfile(member))
+            with tarfile.open(source) as archive, archive.extractfile(member) or BytesIO() as file:
+                content = file.read()
         else:
             with zipfile.ZipFile(source) as archive:
                 content = archive.read(member)
@@ -197,7 +198,3 @@ def _model(source: Path, member: str, digest: str) -> bytes:
     if hashlib.sha256(content).hexdigest() != digest:
         raise AssetError(f"{member} in {source.name} is not that of mediapipe {RELEASE}; give {WHEEL}")
     return content
-
-
-def _whole(file: IO[bytes] | None) -> bytes:
-    return file.read() if file else b""

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PYTHON, _PIP_PLATFORM, _UV_PLATFORM = "3.12", "manylinux2014_x86_64", "x86_64-manylinux2014"
@@ -22,84 +22,71 @@ class RegistryError(Exception):
 
 
 @contextmanager
-def download_wheel(
-    name: str, version: str, *, progress: Callable[[int, int | None], None] | None = None
+def download(
+    package: str, *, npm: bool = False, progress: Callable[[int, int | None], None] | None = None
 ) -> Iterator[Path]:
-    """Yield the wheel of a release, or the folder of its content; it is removed after the block.
+    """Yield the wheel of a release, the folder of its content, or npm's archive (.tgz); it is removed after the block.
 
-    pip and uv read the user's own settings of registries, proxies and certificates.
+    The programs read the user's own settings of registries, proxies and certificates.
 
     Args:
-        name, version: The release.
+        package: Name and release, as the program takes them.
+        npm: Whether it is in npm's registry; otherwise in that of pip and uv.
         progress: Called with the megabytes that are there, and None.
 
     Raises:
-        RegistryError: If neither pip nor uv can download it.
+        RegistryError: If no program can download it.
     """
     reasons = []
-    for program, command in _programs():
+    for program, command in _npm() if npm else _programs():
         with tempfile.TemporaryDirectory(prefix="mimic-") as folder:
-            place = Path(folder) / "wheel"
-            error = _run([*command, str(place), f"{name}=={version}"], Path(folder), progress)
+            error = _run([*command, package], Path(folder), progress)
             if error is None:
-                yield next(place.glob("*.whl"), place)
+                place = Path(folder) / "wheel"
+                yield next(Path(folder).glob("*.tgz"), next(place.glob("*.whl"), place))
                 return
             reasons.append(f"{program}: {error}")
-    raise RegistryError("; ".join(reasons) or "neither pip nor uv is in this environment or on the path")
+    lacking = "npm, which comes with Node.js, is not on the path" if npm else "neither pip nor uv is here"
+    raise RegistryError("; ".join(reasons) or lacking)
 
 
-@contextmanager
-def download_package(
-    name: str, version: str, *, progress: Callable[[int, int | None], None] | None = None
-) -> Iterator[Path]:
-    """Yield the archive (.tgz) of a release in npm's registry; it is removed after the block.
-
-    Raises:
-        RegistryError: If npm is not there, or cannot download it.
-    """
-    npm = shutil.which("npm")
-    if npm is None:
-        raise RegistryError("npm, which comes with Node.js, is not on the path")
-    with tempfile.TemporaryDirectory(prefix="mimic-") as folder:
-        error = _run([npm, "pack", "--silent", f"{name}@{version}"], Path(folder), progress)
-        if error is not None:
-            raise RegistryError(f"npm: {error}")
-        yield next(Path(folder).glob("*.tgz"))
+def _npm() -> Iterator[tuple[str, list[str]]]:
+    if npm := shutil.which("npm"):
+        yield "npm", [npm, "pack", "--silent"]
 
 
 def _programs() -> Iterator[tuple[str, list[str]]]:
-    """Yield the programs that are here and their commands up to the folder; first the one that runs this Python."""
+    """Yield the programs that are here and their commands up to the package; first the one that runs this Python."""
     uv = os.environ.get("UV") or shutil.which("uv") or shutil.which("uv", path=str(Path(sys.executable).parent))
-    uv_first = "UV" in os.environ
     found = {}
     if importlib.util.find_spec("pip") is not None:
         found["pip"] = [
             *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
             *("--disable-pip-version-check", "--no-input", "--no-cache-dir", "--implementation", "cp"),
-            *("--python-version", _PYTHON, "--platform", _PIP_PLATFORM, "--dest"),
+            *("--python-version", _PYTHON, "--platform", _PIP_PLATFORM, "--dest", "wheel"),
         ]
     if uv is not None:
         found["uv"] = [
             *(uv, "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:", "--no-cache"),
-            *("--python", sys.executable, "--python-version", _PYTHON, "--python-platform", _UV_PLATFORM, "--target"),
+            *("--python", sys.executable, "--python-version", _PYTHON),
+            *("--python-platform", _UV_PLATFORM, "--target", "wheel"),
         ]
-    yield from sorted(found.items(), reverse=uv_first)
+    yield from sorted(found.items(), reverse="UV" in os.environ)
 
 
 def _run(command: list[str], folder: Path, progress: Callable[[int, int | None], None] | None) -> str | None:
     """Run a command in a folder, away from any project's own versions; return the reason if it failed."""
-    environment = {**os.environ, "TMPDIR": str(folder)}
     output = folder / "output"
+    where = {"env": {**os.environ, "TMPDIR": str(folder)}, "cwd": folder}
     with (
         open(output, "w") as stream,
-        subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, env=environment, cwd=folder
-        ) as process,
+        subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, **where) as process,
     ):
         try:
             while process.poll() is None:
                 if progress is not None:
-                    progress(_megabytes(folder), None)
+                    with suppress(OSError):  # a file was moved meanwhile
+                        progress(sum(file.lstat().st_size for file in folder.rglob("*")) // 1_000_000, None)
                 time.sleep(0.1)
         except BaseException:
             process.terminate()
@@ -108,14 +95,3 @@ def _run(command: list[str], folder: Path, progress: Callable[[int, int | None],
         return None
     lines = [line.strip() for line in output.read_text(errors="replace").splitlines()]
     return next((line for line in reversed(lines) if line.lower().startswith("error")), (lines or ["it failed"])[-1])
-
-
-def _megabytes(folder: Path) -> int:
-    total = 0
-    for place, _, names in os.walk(folder):
-        for name in names:
-            try:
-                total += os.lstat(os.path.join(place, name)).st_size
-            except OSError:  # moved meanwhile
-                continue
-    return total // 1_000_000

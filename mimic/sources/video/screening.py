@@ -68,12 +68,12 @@ def jump_share(
     wrists_moved = np.linalg.norm(np.diff(wrists, axis=0), axis=-1)
     pixels = image[rows][:, _TRUNK] * np.asarray(size, dtype=np.float64)
     metres = landmarks[rows][:, _TRUNK, :2]
-    scale = np.median(_spread(metres) / np.maximum(_spread(pixels), 1e-9))
+    scale = np.median(spread_of(metres) / np.maximum(spread_of(pixels), 1e-9))
     body_moved = scale * np.linalg.norm(np.diff(pixels[:, :2].mean(axis=1), axis=0), axis=-1)
     return float(((wrists_moved > limit[:, None]).any(axis=1) | (body_moved > limit)).mean())
 
 
-def _spread(points: FloatArray) -> FloatArray:
+def spread_of(points: FloatArray) -> FloatArray:
     """Return the root mean square distance of points (T, N, 2) from their mean (T,)."""
     return np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=1))
 

@@ -16,7 +16,7 @@ from mimic.config.pose import PoseSettings
 from mimic.errors import SourceError
 from mimic.io.store import plain, sha256_of
 from mimic.records import BoolArray, FloatArray, PoseTrack
-from mimic.sources.video.blazepose import BlazePose
+from mimic.sources.video.blazepose import BlazePose, Everybody
 from mimic.sources.video.decoding import Video, missing_bytes, open_video, true_times
 from mimic.sources.video.left_right import decide_sides, swap_sides
 from mimic.sources.video.people import People
@@ -26,7 +26,7 @@ from mimic.sources.video.shots import clothes_colour, describe, find_changes, li
 
 log = logging.getLogger(__name__)
 
-ALGORITHM = 11
+ALGORITHM = 12
 """Version of the algorithm; a change that alters tracks raises it, so that cached tracks are computed again."""
 
 MAX_SWAP_SHARE = 0.05
@@ -55,6 +55,10 @@ class _Detections:
     repaired: int
     people: list[str]
     """What is to be said about several people in view."""
+
+    def blank(self, rows: slice | BoolArray) -> None:
+        """Make gaps of rows that show somebody else."""
+        self.landmarks[rows], self.image[rows], self.score[rows] = np.nan, np.nan, 0.0
 
 
 def track_video(
@@ -93,6 +97,9 @@ def track_video(
         detections.clothes,
         detections.size,
     )
+    for row in (change.row for change in changes if change.other_person and settings.person is not None):
+        lost = np.flatnonzero(np.isnan(detections.landmarks[row:, 0, 0]))  # then whoever is found was recognised
+        detections.blank(slice(row, row + lost[0] if len(lost) else None))
     shots = np.array([change.row for change in changes], dtype=np.int64)
     swapped = decide_sides(t, detections.landmarks, shots)
     landmarks, image, score = (
@@ -144,7 +151,8 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
     stamps, change, light, clothes, rows = [], [], [], [], []
     no_person = np.full((33, 3), np.nan), np.full((33, 2), np.nan), np.zeros(33)
     model = pose_model(settings.pose_model)
-    with open_video(path) as video, BlazePose(model) as detect, People(model, settings.person, path.name) as people:
+    with open_video(path) as video, BlazePose(model) as detect, Everybody(model) as everybody:
+        people = People(everybody, settings.person, path.name)
         if settings.person is not None:
             with open_video(path) as beginning:
                 people.choose(_timed(beginning))
@@ -164,11 +172,11 @@ def _detect(path: Path, settings: PoseSettings, progress: Callable[[int, int | N
                 progress(len(rows), video.frame_count)
     t, repaired = true_times(np.array(stamps))
     landmarks, image, score = (np.array(column) for column in zip(*rows, strict=True))
-    other = ~people.followed_rows()
-    landmarks[other], image[other], score[other] = no_person
     looks = np.array(change), np.array(light), np.array(clothes)
-    said = people.sentences()
-    return _Detections(path.name, t, landmarks, image, score, *looks, video.size, missing_bytes(path), repaired, said)
+    more = video.size, missing_bytes(path), repaired, people.sentences()
+    found = _Detections(path.name, t, landmarks, image, score, *looks, *more)
+    found.blank(~people.followed_rows())
+    return found
 
 
 def _timed(video: Video) -> Iterator[tuple[float, np.ndarray]]:

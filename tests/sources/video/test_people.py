@@ -142,6 +142,17 @@ def test_where_the_chosen_person_is_gone_there_are_gaps_and_nobody_else(clip, tm
 
 
 @pytest.mark.slow
+def test_who_stands_at_the_place_of_the_chosen_person_after_a_cut_is_a_gap(clip, tmp_path):
+    one, other = (frames(clip(f"real/{name}.mkv"), 640) for name in ("01_asl_walk", "03_asl_please"))
+    cut = side_by_side(tmp_path / "cut.mp4", one[:36] + other[36:], other[:36] + one[36:])
+    pose = track_video(cut, PoseSettings(person="left"))
+    seen = np.isfinite(pose.landmarks[:, 0, 0])
+    assert seen[:36].all()
+    left = pose.image[36:][seen[36:], pose.index("nose"), 0] < 0.5
+    assert not left.any()
+
+
+@pytest.mark.slow
 def test_a_third_person_of_two_is_refused(two):
     with pytest.raises(SourceError, match="shows 2 people at most"):
         track_video(two, PoseSettings(person=3))
