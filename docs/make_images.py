@@ -56,7 +56,7 @@ BOXING = (0.5, 2.3, 4.1, 5.9, 7.7, 9.5, 11.3)
 def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
     """Write moments of a run as a row of pictures."""
     ticks = [int(np.argmin(np.abs(log.t - begin - t))) for t in times]
-    with RobotFilm(log, load_description(), width=260, height=320) as film:
+    with RobotFilm(log, load_description("cyberdog2"), width=260, height=320) as film:
         pictures = [film.picture(tick) for tick in ticks]
     cv2.imwrite(str(path), cv2.cvtColor(np.hstack(pictures), cv2.COLOR_RGB2BGR))
 
@@ -83,11 +83,11 @@ def words(folder: Path, images: Path) -> None:
 
 def live(folder: Path, images: Path) -> None:
     """Take a picture of the live window while a clip stands in for the camera."""
-    description = load_description()
+    description = load_description("cyberdog2")
     with ExitStack() as stack:
         window = stack.enter_context(LiveView(description, path=folder / "live.rrd"))
         run = RunSettings()
-        how = {"view": window, "zero": run.stand_up}
+        how = {"view": window, "description": description, "zero": run.stand_up}
         targets, _ = stack.enter_context(
             follow_camera(str(CLIPS / "boxing.mp4"), InputSettings(), LiveSettings(), **how)
         )

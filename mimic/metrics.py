@@ -14,8 +14,9 @@ from mimic.robot.description import RobotDescription
 UPRIGHT_COSINE = 0.9
 """Standing means: base x within this cosine of the wanted direction; the paper's gate."""
 
-UPRIGHT_HEIGHT = 0.35
-"""… and the base at least this high [m], where height is measured; the paper's factor is 1 from here on."""
+UPRIGHT_SHARE = 0.8
+"""… and the base at least this share of its upright height high, in whole centimetres, where height is measured; the
+paper's factor is 1 from here on."""
 
 PARTS = ("sampling", "clamp", "speed_limit", "policy", "lag")
 """What lies between the motion of a person and that of the toes, in this order."""
@@ -31,8 +32,8 @@ def uprightness(quat_WB: FloatArray, description: RobotDescription) -> FloatArra
 def standing(log: RunLog, description: RobotDescription) -> np.ndarray:
     """Return for each tick whether the robot stands upright; height counts where it is measured."""
     ok = uprightness(log.quat_WB, description) > UPRIGHT_COSINE
-    height = log.p_WB[:, 2]
-    return ok & (np.isnan(height) | (height > UPRIGHT_HEIGHT))
+    height, least = log.p_WB[:, 2], round(UPRIGHT_SHARE * description.pose_height["upright"], 2)
+    return ok & (np.isnan(height) | (height > least))
 
 
 def stand_up_time(log: RunLog, description: RobotDescription) -> float:

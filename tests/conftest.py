@@ -31,7 +31,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def description() -> RobotDescription:
-    return load_description()
+    return load_description("cyberdog2")
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +83,7 @@ def constant_onnx(contract: PolicyContract) -> Callable[..., Path]:
 
 
 FORGIVING = replace(
-    limits_for(load_description()),
+    limits_for(load_description("cyberdog2")),
     turn_mismatch=10.0,
     toes_apart=10.0,
     toes_apart_moving=10.0,

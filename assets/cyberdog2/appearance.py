@@ -2,13 +2,11 @@
 
 Own primitives that follow the outline of the real robot: a deep chest and a narrow waist in dark grey, silver flanks,
 a rising neck, a narrow head with a dark face and two pointed ears, round black motor housings, slim legs, rubber toes.
-Given for the front left leg; x mirrors at hind legs where ``mirror_x`` is set, y always mirrors on the right.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import asin, atan2, cos, dist, sin
+from outline import Shape, both, disc, ellipsoid, rod
 
 MATERIALS: dict[str, dict[str, str]] = {
     "shell": {"rgba": "0.27 0.29 0.33 1", "specular": "0.5", "shininess": "0.6"},
@@ -20,85 +18,6 @@ MATERIALS: dict[str, dict[str, str]] = {
     "lens": {"rgba": "0.02 0.03 0.05 1", "specular": "1", "shininess": "1"},
     "light": {"rgba": "0.45 0.85 1.0 1", "emission": "0.9"},
 }
-
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """One primitive of the outline: sizes are MuJoCo's, positions in the link frame [m], angles about x, y, z [rad]."""
-
-    type: str
-    size: tuple[float, ...]
-    pos: Point = (0.0, 0.0, 0.0)
-    euler: Point = (0.0, 0.0, 0.0)
-    material: str = "shell"
-    front_material: str = ""
-    """Material on a front leg; empty takes the same."""
-    mirror_x: bool = False
-
-    def attributes(self, f: int, s: int) -> dict[str, str]:
-        """Return the MJCF attributes for a leg at the front (f = 1) or rear (-1), left (s = 1) or right (-1)."""
-        x, y, z = self.pos
-        roll, pitch, yaw = self.euler
-        fx = f if self.mirror_x else 1
-        quat = _quat(roll * s, pitch * fx, yaw * s * fx)
-        return {
-            "type": self.type,
-            "size": " ".join(f"{v:.6g}" for v in self.size),
-            "pos": " ".join(f"{v + 0.0:.6g}" for v in (x * fx, y * s, z)),
-            "quat": " ".join(f"{v + 0.0:.8g}" for v in quat),
-            "material": self.front_material if self.front_material and f > 0 else self.material,
-        }
-
-
-def _quat(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    cr, sr, cp, sp = cos(roll / 2), sin(roll / 2), cos(pitch / 2), sin(pitch / 2)
-    cy, sy = cos(yaw / 2), sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-QUARTER = 1.5707963267948966
-
-
-def ellipsoid(x: float, y: float, z: float, at: Point, material: str = "shell", **more: object) -> Shape:
-    """Return an ellipsoid of half axes x, y, z [m]."""
-    return Shape(type="ellipsoid", size=(x, y, z), pos=at, material=material, **more)  # type: ignore[arg-type]
-
-
-def rod(one: Point, other: Point, radius: float, material: str = "shell", type: str = "capsule") -> Shape:
-    """Return a capsule or cylinder between two points [m]."""
-    length = dist(one, other)
-    x, y, z = ((b - a) / length for a, b in zip(one, other, strict=True))
-    middle = tuple((a + b) / 2 for a, b in zip(one, other, strict=True))
-    turn = (-asin(y), atan2(x, z), 0.0)
-    return Shape(type=type, size=(radius, length / 2), pos=middle, euler=turn, material=material)  # type: ignore[arg-type]
-
-
-def disc(radius: float, y: float, thickness: float, material: str, x: float = 0.0, z: float = 0.0) -> Shape:
-    """Return a disc that faces y, from y outwards [m]."""
-    return Shape(
-        type="cylinder",
-        size=(radius, thickness / 2),
-        pos=(x, y + thickness / 2, z),
-        euler=(QUARTER, 0, 0),
-        material=material,
-    )
-
-
-def both(*shapes: Shape) -> tuple[Shape, ...]:
-    """Return the shapes of the left and their mirror images on the right."""
-    right = []
-    for shape in shapes:
-        (x, y, z), (roll, pitch, yaw) = shape.pos, shape.euler
-        right.append(replace(shape, pos=(x, -y, z), euler=(-roll, pitch, -yaw)))
-    return (*shapes, *right)
-
 
 SHAPES: dict[str, tuple[Shape, ...]] = {
     "body": (

@@ -99,9 +99,9 @@ class DrakePlant:
             drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet(shapes))
         )
         self._joints = [plant.GetJointByName(name) for name in JOINTS]
-        for joint in self._joints:
+        for joint, armature in zip(self._joints, description.armature, strict=True):
             motor = plant.AddJointActuator(joint.name(), joint)
-            motor.set_default_rotor_inertia(description.armature)
+            motor.set_default_rotor_inertia(armature)
             motor.set_default_gear_ratio(1.0)
         plant.Finalize()
         self.plant = plant
@@ -268,7 +268,7 @@ def main(argv: list[str] | None = None) -> int:
         print("Drake is not installed; install it beside mimic: pip install drake", file=sys.stderr)
         return 2
     logging.getLogger("drake").setLevel(logging.ERROR)  # a warning for each MJCF attribute that it does not read
-    description = load_description()
+    description = load_description("cyberdog2")
     policy = Policy(options.policy, description)
     few = max(options.robots // 5, 1)
     table2 = replace(Randomisation(), restitution=NOMINAL.restitution)

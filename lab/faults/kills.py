@@ -45,7 +45,7 @@ class Scene:
     """An emulated robot in a thread."""
 
     def __init__(self, robot: str, seed: int) -> None:
-        description, settings = load_description(), EmulateSettings(zeroed=True, placement=0.02, seed=seed)
+        description, settings = load_description("cyberdog2"), EmulateSettings(zeroed=True, placement=0.02, seed=seed)
         self.server: Any
         if robot == "can":
             self.robot: Any = EmulatedRobot(description, load_wiring(), settings)

@@ -139,7 +139,7 @@ def play(
     if CASES[kind].place == "robot":
         fault = random_fault(seed, start=(start, start), after_release=True, kinds=(kind,))
         fault = fault if at is None else replace(fault, until=np.inf)
-    description = load_description()
+    description = load_description("cyberdog2")
     scene = SCENES[robot](description, rng, seed, fault)
     policies = [load_policy(None, description), load_policy(None, description, task="sit_down")]
     recorder = FullDisk(folder, policies[0].contract.observation_size, {"dt": description.dt})

@@ -338,7 +338,7 @@ def _rule(run: Path) -> str:
 
 def targets(path: Path) -> Path:
     """Write three seconds of hands that sway."""
-    contract = load_policy(None, load_description()).contract
+    contract = load_policy(None, load_description("cyberdog2")).contract
     t = 0.02 * np.arange(150)
     toes = np.array(contract.neutral_toes).reshape(2, 3) + 0.04 * np.sin(3 * t)[:, None, None]
     yes, no = np.ones((150, 2), dtype=bool), np.zeros((150, 2), dtype=bool)

@@ -215,7 +215,7 @@ def stood(log: RunLog | None, row: int) -> bool:
     """Return whether the robot stood at a row, the last before its fault."""
     if log is None or not len(log.t):
         return False
-    return bool(standing(log, load_description())[min(max(row, 0), len(log.t) - 1)])
+    return bool(standing(log, load_description("cyberdog2"))[min(max(row, 0), len(log.t) - 1)])
 
 
 def report(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -41,7 +41,7 @@ def disagreement(scenario: Scenario, timestep: float = 0.0005) -> tuple[FloatArr
     built = build(scenario)
     truth = simulate(built.machine, built.motion, built.seed)
     log = JointLog(joints=JOINTS, t=truth.t, q=truth.q, q_des=truth.q_des)
-    robot = hung_robot(load_description())
+    robot = hung_robot(load_description("cyberdog2"))
     replay = Replay(robot, log, timestep=timestep, threads=1)
     left = []
     for hidden in (False, True):

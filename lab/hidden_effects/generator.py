@@ -142,7 +142,7 @@ class Machine:
 
 def robot_numbers(description: RobotDescription | None = None) -> dict[str, Any]:
     """Return the tables of robot.toml; the generator reads masses there by itself, independent of mimic's MJCF."""
-    folder = (description or load_description()).folder
+    folder = (description or load_description("cyberdog2")).folder
     return tomllib.loads((folder / "robot.toml").read_text(encoding="utf-8"))
 
 
@@ -244,7 +244,7 @@ FINE_RATE = 1000.0
 
 def simulate(machine: Machine, motion: Excitation, seed: int, step: float = STEP, rate_hz: float = RATE) -> Truth:
     """Return the motion of the machine at so many rows a second; seed draws what is random in it."""
-    description = load_description()
+    description = load_description("cyberdog2")
     rng = np.random.default_rng((seed, 1))
     par = np.zeros((4, 3, len(ph.COLUMNS)))
 

@@ -195,7 +195,7 @@ def build(scenario: Scenario) -> Built:
             effects.append(hidden_effect(small[0], one, machine, rng))
             text = f"a little {small[0]} beside it"
     machine = replace(machine, hidden=EffectSet(tuple(effects)), aliens=tuple(aliens), other_laws=other)
-    ranges = hung_ranges(load_description())
+    ranges = hung_ranges(load_description("cyberdog2"))
     motion = probe_targets(*ranges, seconds=scenario.seconds, seed=seed % 100_000, kind=scenario.kind)
     return Built(machine=machine, motion=motion, seed=seed, where=where, differs=text, small=small)
 

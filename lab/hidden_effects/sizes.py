@@ -52,7 +52,7 @@ class Rig:
     """One machine with middling baseline values, one motion, and what its baseline values can absorb."""
 
     def __init__(self) -> None:
-        self.motion = probe_targets(*hung_ranges(load_description()), seconds=SECONDS, seed=SEED)
+        self.motion = probe_targets(*hung_ranges(load_description("cyberdog2")), seconds=SECONDS, seed=SEED)
         half = np.full(12, 0.5)
         self.machine = Machine(
             friction=0.03 + 0.09 * half, damping=0.02 + 0.08 * half, mass=0.9 + 0.25 * half, delay=0.0125

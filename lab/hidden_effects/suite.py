@@ -59,7 +59,7 @@ def calibrate_log(log: JointLog) -> Calibration:
 
 def legs_mjcf(joints: Sequence[str]) -> str:
     """Return the MJCF of the robot hung up, with the legs of these joints only and without motors."""
-    spec = read_model(load_description())
+    spec = read_model(load_description("cyberdog2"))
     remove_free_joint(spec)
     for group in (spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.actuators):
         for item in list(group):
@@ -73,7 +73,7 @@ def legs_mjcf(joints: Sequence[str]) -> str:
 
 def hung(joints: Sequence[str]) -> MachineModel:
     """Return the robot hung up, with the legs of these joints only."""
-    robot = hung_robot(load_description())
+    robot = hung_robot(load_description("cyberdog2"))
     if set(joints) == set(robot.joints):
         return robot
     with tempfile.TemporaryDirectory() as folder:

@@ -25,6 +25,7 @@ from mimic.flows.motion import track_video
 from mimic.records import LANDMARKS, PoseTrack
 from mimic.retargeting.targets import target_track
 from mimic.retargeting.wrists import torso_heading, wrist_track
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.video.depth import with_depth
 from mimic.sources.video.two_views import merge_views
@@ -135,7 +136,7 @@ def main() -> None:
     parser.add_argument("--pose-model", default=None)
     options = parser.parse_args()
     settings = PoseSettings(depth=False, pose_model=options.pose_model)
-    reach = Reach()
+    reach = Reach(load_description("cyberdog2"))
     print("| clip | true heading, off | detector alone: r, gain, RMSE, targets apart | with depth |\n|---|---|---|---|")
     figures, errors, views = {"people": [], "rendered": []}, {"people": [], "rendered": []}, {}
     for path in [clip for given in options.clips for clip in (sorted(given.glob("*.mp4")) or [given])]:

@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--policy", default=None)
     parser.add_argument("--early", type=float, default=TOE_LAG, help="see RunSettings.early")
     options = parser.parse_args()
-    description = load_description()
+    description = load_description("cyberdog2")
     policy = load_policy(options.policy, description)
     lines = [
         "| clip | length | toe error mean / p95 | lag | without lag "

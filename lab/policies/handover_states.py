@@ -44,13 +44,13 @@ def rows_of(log: RunLog) -> np.ndarray:
 
 def play(seed: int, policy: str) -> dict[str, np.ndarray]:
     """Return the rows of one episode; of three seeds one is pushed hard."""
-    description = load_description()
+    description = load_description("cyberdog2")
     pushed = seed % 3 == 0
     rng = np.random.default_rng([seed, 83])
     track = command_script(description, SECONDS - TIMING.stand_up - TIMING.blend, rng)
     ranges = HARD_PUSH if pushed else TRAINING_RANDOMISATION
     plant = SimulatedPlant(description, ranges=ranges, seed=100_000 + seed, samples=False)
-    log = play_episode(plant, cached_policy(policy), track, TIMING).log
+    log = play_episode(plant, cached_policy(policy, "cyberdog2"), track, TIMING).log
     rows, up = rows_of(log), up_cosine(*log.quat_WB.T)
     since = (log.t - HARD_PUSH.push_interval) % HARD_PUSH.push_interval
     falling = pushed & (log.t > HARD_PUSH.push_interval) & (since < 0.8) & (up < 0.95) & (up > HOPELESS_COSINE)

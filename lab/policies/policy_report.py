@@ -153,8 +153,8 @@ def main() -> None:
     parser.add_argument("--robustness", type=Path, help="JSON of mimic evaluate POLICY robustness")
     parser.add_argument("--write", type=Path, help="folder of both pages; their measured parts are replaced")
     given = parser.parse_args()
-    cached_policy(str(given.policy))
-    report(given, load_description().name)
+    cached_policy(str(given.policy), "cyberdog2")
+    report(given, load_description("cyberdog2").name)
 
 
 def report(given: argparse.Namespace, robot: str) -> None:
@@ -176,7 +176,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
     )
     rise = stored(given.stand_up, "summary") if given.stand_up else evaluate_stand_up(given.policy, StandUpSettings())
     calm = stored(given.calm, "summary") if given.calm else evaluate_calm(given.policy, CalmSettings())
-    fastest = cached_policy(str(given.policy)).contract.velocity_max[0]
+    fastest = cached_policy(str(given.policy), "cyberdog2").contract.velocity_max[0]
     episodes, points = len(next(iter(table["episodes"].values()))["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [

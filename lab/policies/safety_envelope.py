@@ -58,9 +58,9 @@ def longest_repeat(quat: np.ndarray, omega: np.ndarray) -> int:
 
 
 def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
-    description = load_description()
+    description = load_description("cyberdog2")
     job = SitDownEpisode(seed=seed, seconds=10.0, ranges=Randomisation())
-    result, _ = play_policy_switch(job, cached_policy(tracker), cached_policy(sit_down))
+    result, _ = play_policy_switch(job, cached_policy(tracker, "cyberdog2"), cached_policy(sit_down, "cyberdog2"))
     if result.fell_at is not None or not lies(final_pose(result.log, description)):
         return None
     log = result.log
@@ -95,7 +95,7 @@ def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
 
 def seconds_to_rest(description, tracker: str) -> float:
     """Return how long an upright robot that is only damped takes to come to rest."""
-    policy = cached_policy(tracker)
+    policy = cached_policy(tracker, "cyberdog2")
     neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
     plant = SimulatedPlant(description, ranges=NOMINAL)
     track = CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=neutral)
@@ -119,7 +119,7 @@ def main() -> None:
         for name in kept[0][phase]:
             values = np.array([r[phase][name] for r in kept])
             print(f"  {name:22s} min {values.min():8.4f}  median {np.median(values):8.4f}  max {values.max():8.4f}")
-    print(f"damped upright robot at rest after {seconds_to_rest(load_description(), tracker):.2f} s")
+    print(f"damped upright robot at rest after {seconds_to_rest(load_description('cyberdog2'), tracker):.2f} s")
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ def leg_case(key: str) -> Case:
     """Return one leg of a machine of the suite, and the same leg in another motion."""
     scenario = Scenario.of(key)
     built = build(scenario)
-    again = probe_targets(*hung_ranges(load_description()), seconds=10.0, seed=built.seed % 1000 + 7, kind="random")
+    again = probe_targets(
+        *hung_ranges(load_description("cyberdog2")), seconds=10.0, seed=built.seed % 1000 + 7, kind="random"
+    )
     fitted = measured(simulate(built.machine, built.motion, built.seed), built.seed).of(built.leg)
     test = measured(simulate(built.machine, again, built.seed + 1), built.seed + 1).of(built.leg)
     title = f"leg, {' + '.join(scenario.names).replace('_', ' ') or 'nothing'} hidden"

@@ -17,6 +17,7 @@ from pathlib import Path
 from lab.sentences.checks import SENTENCES, does, sentences
 from mimic.config.pose import LanguageSettings
 from mimic.errors import SourceError
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.text.planner import plan
 
@@ -38,7 +39,7 @@ def main() -> None:
         llm_timeout=options.llm_timeout,
         llm_tokens=options.llm_tokens,
     )
-    reach = Reach()
+    reach = Reach(load_description("cyberdog2"))
     counts: dict[str, Counter[str]] = {"seen": Counter(), "held out": Counter()}
     rows = []
     for sentence in sentences(options.list):

@@ -118,7 +118,7 @@ def cycles(heard: list[tuple[str, float, bytes]]) -> list[tuple[float, Any, Any,
 
 def compare(folder: Path, work: Path) -> dict[str, Any]:
     """Return how far the emulated rules are from the firmware, over all cycles of the script."""
-    description = load_description()
+    description = load_description("cyberdog2")
     order = load_board().index
     sign = np.tile([1.0, -1.0, -1.0], 4)
     low, high = np.empty(12), np.empty(12)

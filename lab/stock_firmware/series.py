@@ -78,7 +78,7 @@ def command(source: Path, out: Path, *more: str) -> list[str]:
 
 def robot(seed: int, work: Path) -> tuple[Path, list[str]]:
     """Write the model of a robot of Table II, and return it with the options of the bench that belong to it."""
-    description = load_description()
+    description = load_description("cyberdog2")
     variation = draw_variation(Randomisation(), description.timestep, np.random.default_rng(seed))
     nominal, model = load_model(description, visuals=False), load_model(description, visuals=False)
     vary_model(model, nominal, variation)
@@ -138,7 +138,7 @@ def play_one(folder: Path, work: Path, source: Path, seed: int, case: str = "pla
 def simulated_toe(source: Path, seed: int) -> float | None:
     """Return the mean toe error [cm] of the same robot in simulation, undisturbed."""
     ranges = Randomisation(push=(0.0, 0.0))
-    plant = SimulatedPlant(load_description(), ranges=ranges, seed=seed)
+    plant = SimulatedPlant(load_description("cyberdog2"), ranges=ranges, seed=seed)
     return metrics_toe(play(store.load(source, TargetTrack), plant=plant).metrics)
 
 

@@ -47,7 +47,7 @@ from mimic.records import JOINTS, LEGS
 from mimic.robot.description import load_description
 from mimic.sysid.result import Calibration, Errors, Stage, Traces, UnexplainedResidual
 
-DESCRIPTION = load_description()
+DESCRIPTION = load_description("cyberdog2")
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
 MOTION = probe_targets(LOW, HIGH, CENTRE, seconds=10.0, seed=1)
 COARSE = 4 * STEP

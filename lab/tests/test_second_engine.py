@@ -13,8 +13,8 @@ from mimic.robot.description import load_description
 
 
 def test_the_plain_robot_has_the_masses_joints_and_collision_shapes_of_the_whole_one() -> None:
-    plain = mujoco.MjModel.from_xml_string(plain_mjcf(load_description().mjcf))
-    whole = load_model(load_description(), visuals=False)
+    plain = mujoco.MjModel.from_xml_string(plain_mjcf(load_description("cyberdog2").mjcf))
+    whole = load_model(load_description("cyberdog2"), visuals=False)
     assert plain.nu == 0
     assert [plain.joint(i).name for i in range(1, plain.njnt)] == list(JOINTS)
     np.testing.assert_allclose(plain.body_mass.sum(), whole.body_mass.sum())

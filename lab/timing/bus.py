@@ -53,7 +53,7 @@ def cycles(
 
     ``mark`` is called before the first period and after the last.
     """
-    middle = load_description().poses["four"]
+    middle = load_description("cyberdog2").poses["four"]
     for bus, motor in zip(wiring.bus, wiring.motor, strict=True):
         link.send(int(bus), CODEC.encode(HostMessage(Kind.ENABLE, int(motor), host=wiring.host)))
     link.sleep(0.1)
@@ -93,7 +93,7 @@ def loads() -> None:
     )
     for buses, rate in ((1, 50.0), (1, 100.0), (1, 200.0), (2, 200.0), (4, 200.0)):
         wiring = with_imu(load_wiring(buses=buses), rate)
-        robot = EmulatedRobot(load_description(), wiring, EmulateSettings(zeroed=True, suspended=True))
+        robot = EmulatedRobot(load_description("cyberdog2"), wiring, EmulateSettings(zeroed=True, suspended=True))
         link = EmulatedLink(robot)
         link.sleep(0.1)
         marks: list[tuple[float, list[int]]] = []

@@ -38,7 +38,7 @@ def real_time_factor() -> float:
     from mimic.robot.description import load_description
     from mimic.simulation.plant import SimulatedPlant
 
-    description = load_description()
+    description = load_description("cyberdog2")
     policy = load_policy(None, description)
     track = command_script(description, 20.0, np.random.default_rng(0), speed=0.0, turn=0.0)
     plant = SimulatedPlant(description)

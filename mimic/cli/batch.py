@@ -22,7 +22,7 @@ def batch(
     export: Literal["lerobot"] | None = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "seed", "early")] = None,
-    robot: Annotated[o.Effects, o.only("robot", "effects")] = None,
+    robot: Annotated[o.Effects, o.only("robot", "robot_model", "effects")] = None,
     pose: Annotated[o.Pose, o.only("pose", "person", "pose_model")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
 ) -> int:

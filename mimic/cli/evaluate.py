@@ -40,7 +40,7 @@ def evaluate(
     Parameters
     ----------
     policy
-        ONNX file with its contract inside, or a shipped policy: stand_track, sit_down.
+        ONNX file with its contract inside, or a shipped policy of the robot: stand_track, sit_down.
     kind
         Another evaluation. table: the columns of the paper's Table III, next to the paper's. stand-up: 500 lying
         starts, and standing still for 20 s. calm: standing for 60 s, with and without noise; pushes, pulls. lead: led
@@ -61,15 +61,18 @@ def evaluate(
         Processes; 0: one per core.
     """
     from mimic.cli.console import ConsoleReporter
-    from mimic.flows.evaluate import KINDS, policy_path, task_of
+    from mimic.flows.evaluate import KINDS
     from mimic.flows.evaluate import evaluate as run
+    from mimic.flows.play import load_policy, load_robot
+    from mimic.policy.runtime import find_policy
 
     given = {"episodes": episodes, "seconds": seconds, "seed": seed, "workers": workers, "robot": robot}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    path = policy_path(policy)
     what = kind or "stand_track"
     settings: Any = KINDS[what][0](**options)
-    if kind is None and task_of(path) == "sit_down":
+    model = load_robot(settings.robot.robot_model)
+    path = find_policy(policy, model.name)
+    if kind is None and load_policy(path, model).contract.task == "sit_down":
         what, settings = "sit_down", KINDS["sit_down"][0](**options)
     file = out or Path(f"{kind or 'evaluation'}-{path.stem}.json")
     result = run(path, settings, out=file, reporter=ConsoleReporter())

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE
+from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def play(
     view: o.View = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
     run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
-    model: Annotated[o.Effects, o.only("model", "effects")] = None,
+    model: Annotated[o.Effects, o.only("model", "robot_model", "effects")] = None,
     pose: Annotated[o.Pose, o.only("pose", "person", "pose_model", "also")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
     language: Annotated[o.Language, o.only("language")] = None,
@@ -187,7 +188,7 @@ def retarget(
     /,
     *,
     out: o.RequiredOut,
-    robot_model: Path | None = None,
+    robot_model: str = DEFAULT_ROBOT,
     retarget: o.Retarget = None,
     pose: o.Pose = None,
     stored: o.Stored = None,
@@ -201,7 +202,7 @@ def retarget(
     out
         Parquet file to write.
     robot_model
-        Folder of another robot, with its robot.toml and its MJCF; the targets stay in its workspace.
+        cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF; targets stay in its workspace.
     """
     from mimic.cli.console import ConsoleReporter, table
     from mimic.cli.rows import target_rows
@@ -210,8 +211,7 @@ def retarget(
 
     given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
     settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
-    robot = None if robot_model is None else load_robot(robot_model)
-    motion = save_targets(source, out, settings, description=robot, reporter=ConsoleReporter())
+    motion = save_targets(source, out, settings, description=load_robot(robot_model), reporter=ConsoleReporter())
     table("Targets", target_rows(motion.targets) | {"written": str(out)})
     return DONE
 

@@ -10,6 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from mimic.cli.exit_status import DONE
+from mimic.config.play import DEFAULT_ROBOT
 
 
 def train(
@@ -18,6 +19,7 @@ def train(
     *,
     recipe: str = "stand_track",
     set: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+    robot_model: str = DEFAULT_ROBOT,
     resume: Path | None = None,
 ) -> int:
     """Train the low-level policy: minutes on a GPU; on a CPU with few worlds to try it out.
@@ -32,6 +34,8 @@ def train(
         Settings: stand_track, sit_down, or a TOML file; missing settings are those of stand_track.
     set
         NAME=VALUE for single settings, such as minutes=9 worlds=4096 rewards.slip=-0.4 effects=effects.toml.
+    robot_model
+        cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF.
     resume
         Checkpoint (.pt) to continue from, or a policy (.onnx), with a new critic.
     """
@@ -56,7 +60,8 @@ def train(
         length = f"{learn.minutes:g} minutes" if learn.updates == ENDLESS else f"at most {learn.updates} updates"
         note(f"{mdp.worlds} worlds, {length}; TensorBoard: tensorboard --logdir {out}")
     reporter = ConsoleReporter() if first else SilentReporter()
-    path = train_policy(out, mdp, learn, resume=resume, report=report, reporter=reporter)
+    path = train_policy(out, mdp, learn, robot=robot_model, resume=resume, report=report, reporter=reporter)
     if first:
-        note(f"wrote {path}; evaluate it with: mimic evaluate {path}")
+        robot = "" if robot_model == DEFAULT_ROBOT else f" --robot-model {robot_model}"
+        note(f"wrote {path}; evaluate it with: mimic evaluate {path}{robot}")
     return DONE

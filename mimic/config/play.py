@@ -8,6 +8,9 @@ from typing import Literal
 
 from mimic.config.ranges import check_range
 
+DEFAULT_ROBOT = "cyberdog2"
+"""The robot where none is named."""
+
 TOE_LAG = 0.06
 """How far the toes of the shipped policy lag behind their commands [s].
 
@@ -46,8 +49,10 @@ class RunSettings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EffectsSettings:
-    """Calibrated effects of the simulated robot."""
+    """Which robot is simulated, and its calibrated effects."""
 
+    robot_model: str = DEFAULT_ROBOT
+    """cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF."""
     effects: str | None = None
     """effects.toml of a calibration; default: no effects."""
     timestep: float = 0.0025

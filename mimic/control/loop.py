@@ -198,7 +198,7 @@ def _ramp(run: Run, contract: PolicyContract) -> None:
         done = 2.0 * (tick + 1) / ticks
         gain, share = min(done, 1.0), float(np.clip(done - 1.0, 0.0, 1.0))
         q_des = begin + smoothstep(share) * (lie - begin)
-        kp, kd = np.full(12, gain * contract.kp), np.full(12, gain * contract.kd)
+        kp, kd = gain * np.array(contract.kp), gain * np.array(contract.kd)
         run.hold(JointCommand(q_des=q_des, dq_des=np.zeros(12), kp=kp, kd=kd, tau_ff=np.zeros(12)), LIE)
 
 

@@ -119,9 +119,9 @@ class Run:
             return self.decide(FAILURE, SafetyMode.DAMP, "the policy returned something that is not a number")
         builder.acted(action)
         q_des, zeros = joint_command(contract, action), np.zeros(12)
-        gains = np.full(12, contract.kp), np.full(12, contract.kd)
+        kp, kd = np.array(contract.kp), np.array(contract.kd)
         ramp = contract.dt if contract.interpolate else 0.0
-        command = JointCommand(q_des=q_des, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros, ramp=ramp)
+        command = JointCommand(q_des=q_des, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros, ramp=ramp)
         clamped += int(np.count_nonzero(np.abs(action) > contract.action_clip))
         asked = {"v_des": v_des, "heading_des": desired.heading, "p_BE_des": p_BE_des}
         seen = np.full(self._width, np.nan)

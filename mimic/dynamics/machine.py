@@ -13,7 +13,7 @@ import numpy as np
 
 from mimic.dynamics.law import UNLIMITED, Drives
 from mimic.errors import AssetError, ConfigError
-from mimic.records import JOINTS, FloatArray, IntArray
+from mimic.records import FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import read_model, remove_free_joint
 
@@ -61,15 +61,8 @@ def hung_robot(description: RobotDescription) -> MachineModel:
     """Return the robot hung up by its trunk: base fixed, belly down, in the air."""
     spec = read_model(description)
     remove_free_joint(spec)
-    one = np.ones(len(JOINTS))
-    return _machine(
-        spec,
-        kp=description.kp * one,
-        kd=description.kd * one,
-        torque=description.torque_max * one,
-        flat=description.speed_flat * one,
-        speed=description.speed_max * one,
-    )
+    d = description
+    return _machine(spec, kp=d.kp, kd=d.kd, torque=d.torque_max, flat=d.speed_flat, speed=d.speed_max)
 
 
 def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineModel:

@@ -264,7 +264,7 @@ class EmulatedBoard:
             if joint in dead or joint in failed:
                 self.body.drive(joint, FREE, self.now)
                 continue
-            self.body.drive(joint, Drive(*framed[place], limit=self._d.torque_max), self.now)
+            self.body.drive(joint, Drive(*framed[place], limit=float(self._d.torque_max[joint])), self.now)
 
     @property
     def err_flag(self) -> int:

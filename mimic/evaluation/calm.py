@@ -21,9 +21,9 @@ from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, standing_track, stands_at_end
 from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
 from mimic.jobs.local import Progress
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SETTLED = 2.0
@@ -100,7 +100,7 @@ def winding_heat(tau: FloatArray, description: RobotDescription) -> FloatArray:
     """
     constant = description.voltage / description.speed_max
     resistance = (description.voltage - constant * description.speed_flat) * constant / description.torque_max
-    return resistance * np.square(np.asarray(tau) / constant).sum(axis=-1)
+    return (resistance * np.square(np.asarray(tau) / constant)).sum(axis=-1)
 
 
 def fast_share(values: FloatArray, rate_hz: float, above: float = HIGH) -> float:
@@ -135,8 +135,8 @@ def still_figures(
     }
 
 
-def _play(job: _Job, policy_path: str) -> dict[str, Any]:
-    description, policy, s = load_description(), cached_policy(policy_path), job.settings
+def _play(job: _Job, policy: Policy) -> dict[str, Any]:
+    description, s = policy.description, job.settings
     ranges = replace(s.randomisation, push=(job.push, job.push), push_interval=PUSHED_AT)
     stands = job.kind == "standing"
     options: dict[str, Any] = plant_options(s.robot)

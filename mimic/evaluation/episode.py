@@ -78,7 +78,7 @@ def play_episode(
 
 
 def play_all(
-    play: Callable[[J, str], R],
+    play: Callable[[J, Policy], R],
     jobs: Sequence[J],
     policy: Path,
     settings: EpisodeSettings,
@@ -98,12 +98,11 @@ def play_all(
         ConfigError: If the effects of the robot cannot be used.
     """
     cached_policy.cache_clear()  # by now another policy may be in the file
-    cached_policy(str(policy))
+    given = str(policy), settings.robot.robot_model
+    cached_policy(*given)
     plant_options(settings.robot)
-    return run_all(
-        partial(_with_policy, play=play, policy=str(policy)), jobs, workers=settings.workers, progress=progress
-    )
+    return run_all(partial(_with_policy, play=play, given=given), jobs, workers=settings.workers, progress=progress)
 
 
-def _with_policy(job: J, play: Callable[[J, str], R], policy: str) -> R:
-    return play(job, policy)
+def _with_policy(job: J, play: Callable[[J, Policy], R], given: tuple[str, str]) -> R:
+    return play(job, cached_policy(*given))

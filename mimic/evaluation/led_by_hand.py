@@ -16,9 +16,8 @@ from mimic.evaluation.episode import play_all
 from mimic.evaluation.leading import lead_robot
 from mimic.evaluation.policy import stands_at_end
 from mimic.jobs.local import Progress
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import SIDES
-from mimic.robot.description import load_description
 from mimic.simulation.hand import Hand
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -59,9 +58,9 @@ def lead_figures(result: RunResult, hand: Hand, settings: HandSettings) -> dict[
     }
 
 
-def _play(job: tuple[int, LeadSettings], policy_path: str) -> dict[str, Any]:
+def _play(job: tuple[int, LeadSettings], policy: Policy) -> dict[str, Any]:
     seed, settings = job
-    description, policy = load_description(), cached_policy(policy_path)
+    description = policy.description
     rng = np.random.default_rng([seed, 37])
     hand = replace(settings.hand, direction=float(rng.uniform(-180.0, 180.0)), toe=SIDES[int(rng.integers(2))])
     ranges: Randomisation = replace(settings.randomisation, push=(0.0, 0.0))

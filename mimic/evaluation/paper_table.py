@@ -34,9 +34,9 @@ from mimic.evaluation.senses import SENSES, SensingPolicy
 from mimic.evaluation.walking import evaluate_walking
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, LEGS, CommandTrack, FloatArray, RunLog
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 TIMING = RunSettings(stand_up=1.0, blend=0.1, hold_last=0.0)
@@ -166,10 +166,10 @@ def statue(track: CommandTrack, first: RunLog, steps: int, description: RobotDes
     return RunLog(**columns, metadata=first.metadata), facts
 
 
-def _play(job: _Job, policy_path: str) -> list[tuple[int, str, dict[str, Episode]]]:
+def _play(job: _Job, given: Policy) -> list[tuple[int, str, dict[str, Episode]]]:
     """Return the group, the row and the figures of an episode; the statue is asked what the first senses are."""
-    description = load_description()
-    policy = SensingPolicy(cached_policy(policy_path), SENSES[job.senses], job.seed)
+    description = given.description
+    policy = SensingPolicy(given, SENSES[job.senses], job.seed)
     steps = round(job.settings.seconds / description.dt)
     rng = np.random.default_rng([job.seed, 5])
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)

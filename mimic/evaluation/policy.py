@@ -16,9 +16,9 @@ from mimic.evaluation.episode import play_all, play_episode
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import run_metrics, standing
-from mimic.policy.runtime import Policy, cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import CommandTrack, FloatArray, RunLog
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -117,7 +117,8 @@ class _Job:
     robot: EffectsSettings
 
 
-def _play(job: _Job, policy: Policy, description: RobotDescription) -> RunResult:
+def _play(job: _Job, policy: Policy) -> RunResult:
+    description = policy.description
     rng = np.random.default_rng([job.seed, 5])
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
@@ -137,13 +138,15 @@ def stands_at_end(result: RunResult, description: RobotDescription, *, ground: F
     p_WB[:, 2] -= ground
     log = replace(result.log, p_WB=p_WB)
     last = standing(log, description)[-round(1.0 / description.dt) :]
-    return bool(result.fell_at is None and last.mean() > 0.5 and p_WB[-1, 2] > 0.3)
+    return bool(
+        result.fell_at is None
+        and last.mean() > 0.5
+        and p_WB[-1, 2] > round(0.7 * description.pose_height["upright"], 2)
+    )
 
 
-def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
-    description = load_description()
-    policy = cached_policy(policy_path)
-    result = _play(job, policy, description)
+def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
+    description, result = policy.description, _play(job, policy)
     log = result.log
     figures = run_metrics(log, description) | {"kind": job.kind, "seed": job.seed}
     figures["stands_at_end"] = stands_at_end(result, description)

@@ -24,9 +24,8 @@ from mimic.evaluation.disturbance_axes import AXES, START, World, all_at_once
 from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, command_script, stands_at_end
 from mimic.jobs.local import Progress
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import SIDES
-from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 REQUIRED = 0.95
@@ -91,8 +90,8 @@ def _jobs(settings: RobustnessSettings) -> list[_Job]:
     return jobs
 
 
-def _survives(job: _Job, policy_path: str) -> bool:
-    description, policy = load_description(), cached_policy(policy_path)
+def _survives(job: _Job, policy: Policy) -> bool:
+    description = policy.description
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
     track = command_script(description, seconds, np.random.default_rng([job.seed, 5]))
     ranges, disturbance = job.world

@@ -98,7 +98,7 @@ def lies(end: dict[str, float]) -> bool:
 
 def play_policy_switch(job: SitDownEpisode, tracker: Policy, sit_down: Policy) -> tuple[RunResult, ContactRecorder]:
     """Play one episode: stand up, track random commands for a random time, sit down."""
-    description = load_description()
+    description = tracker.description
     rng = np.random.default_rng([job.seed, 7])
     seconds = rng.uniform(EARLIEST, job.seconds) - TIMING.stand_up - TIMING.blend
     track = command_script(description, max(seconds, 2 * description.dt), rng)
@@ -109,9 +109,9 @@ def play_policy_switch(job: SitDownEpisode, tracker: Policy, sit_down: Policy) -
     return play_episode(plant, tracker, track, TIMING, sit_down=sit_down), recorder
 
 
-def _figures(job: SitDownEpisode, tracker: str, sit_down: str) -> dict[str, Any]:
-    description = load_description()
-    result, recorder = play_policy_switch(job, cached_policy(tracker), cached_policy(sit_down))
+def _figures(job: SitDownEpisode, tracker: Policy, sit_down: str) -> dict[str, Any]:
+    description = tracker.description
+    result, recorder = play_policy_switch(job, tracker, cached_policy(sit_down, job.robot.robot_model))
     log = result.log
     begin = float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))])
     touchdown, end = recorder.touchdown(begin), final_pose(log, description)
@@ -137,7 +137,7 @@ def evaluate_sit_down(
     Raises:
         AssetError, ContractError: If a policy cannot be run on this robot, or does something else.
     """
-    description = load_description()
+    description = load_description(settings.robot.robot_model)
     tracker = load_policy(settings.tracker, description).path
     load_policy(policy_path, description, task="sit_down")
     jobs = [

@@ -16,8 +16,8 @@ from mimic.evaluation.policy import STOOD_WITHIN, TIMING, standing_track, stands
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import stand_up_time
-from mimic.policy.runtime import cached_policy
-from mimic.robot.description import load_description
+from mimic.policy.runtime import Policy
+from mimic.robot.description import RobotDescription, load_description
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SETTLED = 2.0
@@ -36,9 +36,9 @@ class _Job:
     robot: EffectsSettings
 
 
-def _figures(job: _Job, policy_path: str) -> dict[str, Any]:
+def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
     """Play a run whose only commands are neutral toes."""
-    description, policy = load_description(), cached_policy(policy_path)
+    description = policy.description
     plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **plant_options(job.robot))
     result = play_episode(plant, policy, standing_track(policy, job.seconds), TIMING)
     log, samples = result.log, result.samples
@@ -71,13 +71,12 @@ def evaluate_stand_up(
         )
         for i in range(count)
     ]
-    rows = play_all(_figures, jobs, policy_path, settings, progress)
-    return {"policy": policy_path.name, "summary": summarise(rows), "episodes": rows}
+    rows, description = play_all(_figures, jobs, policy_path, settings, progress), load_description(s.robot.robot_model)
+    return {"policy": policy_path.name, "summary": summarise(rows, description), "episodes": rows}
 
 
-def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(rows: list[dict[str, Any]], description: RobotDescription) -> dict[str, Any]:
     """Return the main figures of all episodes."""
-    description = load_description()
     rise = [r for r in rows if r["kind"] == "rise"]
     still = [r for r in rows if r["kind"] == "still"]
     names = ("stand_up_s", "stands_at_end", "joint_speed_max_rad_s", "torque_max_nm")
@@ -93,9 +92,9 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "stand_up_median_s": float(np.median(time)),
         "stand_up_p95_s": float(np.quantile(time, 0.95, method="nearest")),
         "joint_speed_max_rad_s": float(speed.max()),
-        "joint_speed_limit_rad_s": description.speed_max,
+        "joint_speed_limit_rad_s": float(description.speed_max.max()),
         "torque_max_nm": float(torque.max()),
-        "torque_limit_nm": description.torque_max,
+        "torque_limit_nm": float(description.torque_max.max()),
         "still_episodes": len(still),
         "still_drift_mean_m": over(np.mean, "drift_m"),
         "still_drift_max_m": over(np.max, "drift_m"),

@@ -16,9 +16,9 @@ from mimic.evaluation.episode import play_all, play_episode
 from mimic.evaluation.policy import TIMING, command_script, forward_speed
 from mimic.geometry import heading_from_quat
 from mimic.jobs.local import Progress
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import Policy
 from mimic.records import LEGS, CommandTrack, FloatArray, RunLog
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SPEEDS = (-0.6, -0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45, 0.6)
@@ -95,8 +95,8 @@ def _asked(job: _Job, description: RobotDescription, neutral: FloatArray) -> Com
     return replace(track, p_BE=np.broadcast_to(neutral, track.p_BE.shape).copy())
 
 
-def _play(job: _Job, policy_path: str) -> dict[str, Any]:
-    described, policy = load_description(), cached_policy(policy_path)
+def _play(job: _Job, policy: Policy) -> dict[str, Any]:
+    described = policy.description
     beyond = replace(described.commands, velocity=np.array([max(SPEEDS), 0.0]))
     description = replace(described, commands=beyond)  # or faster commands would be clamped to the trained ones
     neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)

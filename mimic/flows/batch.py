@@ -17,7 +17,7 @@ from typing import Any
 from mimic.config.play import EffectsSettings, RunSettings
 from mimic.errors import ConfigError, MimicError, SourceError
 from mimic.flows.motion import InputSettings, load_motion, playable, refuse_second_video
-from mimic.flows.play import play, settings_of
+from mimic.flows.play import load_robot, play, settings_of, shipped_sit_down
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import METRICS, TARGETS, save_logs
@@ -197,13 +197,14 @@ def settings_key(settings: InputSettings, run: RunSettings, robot: EffectsSettin
         AssetError, ConfigError, ContractError: If policy or effects cannot be used.
     """
     from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
     from mimic.simulation.plant import plant_options
 
     plant_options(robot)
-    description = load_description()
-    policies = (load_policy(run.policy, description), load_policy(None, description, task="sit_down"))
-    files = [policy.path for policy in policies] + ([] if robot.effects is None else [Path(robot.effects)])
+    description = load_robot(robot.robot_model)
+    policies = (load_policy(run.policy, description), shipped_sit_down(description, SilentReporter()))
+    files = [policy.path for policy in policies if policy is not None] + (
+        [] if robot.effects is None else [Path(robot.effects)]
+    )
     parts = [__version__, store.plain(settings), store.plain(run), store.plain(robot), *map(store.sha256_of, files)]
     return json.dumps(parts, sort_keys=True)
 

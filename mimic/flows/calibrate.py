@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.config.sysid import CalibrateSettings
 from mimic.errors import AssetError, CalibrationError, ConfigError
+from mimic.flows.play import load_robot
 from mimic.flows.provenance import COMMAND, provenance
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
 from mimic.io import store
@@ -212,9 +213,7 @@ def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]
     if isinstance(model, MachineModel):
         return with_gains(model, gains)
     if model is None:
-        from mimic.robot.description import load_description
-
-        return with_gains(hung_robot(load_description()), gains)
+        return with_gains(hung_robot(load_robot()), gains)
     path = Path(model)
     if not path.is_file():
         raise AssetError(f"there is no model {path}; give an MJCF whose base is held")

@@ -15,12 +15,13 @@ from mimic.config.play import EffectsSettings, RunSettings
 from mimic.config.pose import LiveSettings
 from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, fetch_pose_model, refuse_second_video
-from mimic.flows.play import play, warn_of_stand_effects
+from mimic.flows.play import load_robot, play, warn_of_stand_effects
 from mimic.flows.reporter import Activity, Reporter, SilentReporter
 from mimic.flows.run_folder import SavedRun, new_run_folder, save_run
 
 if TYPE_CHECKING:
     from mimic.retargeting.live import LiveRetarget, LiveTargets
+    from mimic.robot.description import RobotDescription
     from mimic.sources.video.camera import CameraStream
     from mimic.view.scene.live import LiveView
 
@@ -37,6 +38,7 @@ def follow_camera(
     live: LiveSettings,
     *,
     view: LiveView | None = None,
+    description: RobotDescription,
     zero: float = 0.0,
     low_priority: bool = False,
     reporter: Reporter | None = None,
@@ -48,6 +50,7 @@ def follow_camera(
         settings: How landmarks become targets.
         live: How a camera is followed.
         view: Also shows what is seen.
+        description: The robot.
         zero: Time of the robot when the first command is asked for [s]; the clock of ``view``.
         low_priority: Whether pose estimation gives way to the control loop when the computer is busy.
         reporter: Receives the latency while it runs.
@@ -62,14 +65,14 @@ def follow_camera(
     refuse_second_video(settings, "a camera is followed by itself")
     fetch_pose_model(settings.pose, reporter or SilentReporter(), partial(check_camera, camera))
     record = CameraRecord(settings)
-    retarget = LiveRetarget(Reach(), settings.retarget, live)
+    retarget = LiveRetarget(Reach(description), settings.retarget, live)
     with open_camera(camera, settings.pose, live, previews=view is not None, low_priority=low_priority) as stream:
 
         def begin() -> None:
             record.began = time.monotonic()
             stream.begin()
 
-        targets = LiveTargets(Reach(), live, begin=begin)
+        targets = LiveTargets(Reach(description), live, begin=begin)
         thread = threading.Thread(
             target=_follow, args=(stream, retarget, targets, record, view, zero), name="follow", daemon=True
         )
@@ -146,14 +149,13 @@ def play_camera(
         SourceError: If the camera cannot be opened.
     """
     from mimic.control.real_time import PacedPlant
-    from mimic.robot.description import load_description
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
     settings, live, run = settings or InputSettings(), live or LiveSettings(), run or RunSettings()
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
     folder = new_run_folder(camera_name(camera), out)
     warn_of_stand_effects(effects, reporter)
-    description = load_description()
+    description = load_robot(effects.robot_model)
     plant = PacedPlant(SimulatedPlant(description, seed=run.seed, **plant_options(effects)))
     reporter.note("Ctrl-C ends it; the robot then sits down")
     with ExitStack() as stack:
@@ -163,7 +165,9 @@ def play_camera(
 
             view = stack.enter_context(LiveView(description))
         targets, record = stack.enter_context(
-            follow_camera(camera, settings, live, view=view, zero=run.stand_up, reporter=reporter)
+            follow_camera(
+                camera, settings, live, view=view, description=description, zero=run.stand_up, reporter=reporter
+            )
         )
         sink = None if view is None else view.tick
         done = play(targets, plant=plant, settings=run, effects=effects, sink=sink)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
+from mimic.flows.play import load_robot
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import LOG
 from mimic.io import store
@@ -89,9 +90,8 @@ def zero_robot(
     from mimic.hardware.can.zeros import uneven
     from mimic.hardware.robot.checks import refuse
     from mimic.hardware.session import open_session
-    from mimic.robot.description import load_description
 
-    description = load_description()
+    description = load_robot()
     (operator or Operator()).confirm("Keep your hands off it from here on.")
     with open_session(bus_url, bus or WiringSettings(), zeros=True) as robot:
         known, motor_bus = None if again else robot.homing, robot.motor_bus()
@@ -116,9 +116,8 @@ def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[bool, s
     from mimic.hardware.can.driver import CanDriver
     from mimic.hardware.robot.sender import Sender
     from mimic.hardware.session import open_session
-    from mimic.robot.description import load_description
 
-    description = load_description()
+    description = load_robot()
     with open_session(bus_url, bus or WiringSettings(), zeros=False, locked=False) as robot, undisturbed():
         driver = CanDriver(robot.link, robot.wiring, description)
         ending = Sender(driver, description).run()
@@ -133,9 +132,8 @@ def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: boo
     """
     from mimic.hardware.robot.driver import CheckOptions
     from mimic.hardware.session import open_robot
-    from mimic.robot.description import load_description
 
-    description = load_description()
+    description = load_robot()
     with open_robot(bus_url, bus or LookSettings(), description) as driver:
         return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
@@ -173,14 +171,13 @@ def probe_robot(
     from mimic.hardware.session import robot_session, wiring_of
     from mimic.hardware.stock.wiring import BOARDS
     from mimic.io.joint_log import write_log
-    from mimic.robot.description import load_description
 
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"--out is {out}; expected a file name that ends with .parquet or .csv")
     settings, bus = settings or ProbeSettings(), bus or DriveSettings()
     operator, reporter = operator or Operator(), reporter or SilentReporter()
     store.check_writable(out.parent)
-    description, signals = load_description(), Signals()
+    description, signals = load_robot(), Signals()
     if motion is None:
         targets = probe_motion(description, settings)
     else:

@@ -15,7 +15,7 @@ from mimic.config.emulator import EmulateSettings
 from mimic.config.play import EffectsSettings
 from mimic.control.priority import EMULATOR, real_time
 from mimic.errors import ConfigError
-from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 
 if TYPE_CHECKING:
@@ -106,7 +106,6 @@ def serve_robot(
     from mimic.emulator.robot import EmulatedRobot
     from mimic.emulator.server import EmulatorServer
     from mimic.hardware.can.wiring import load_wiring
-    from mimic.robot.description import load_description
 
     options, settings = options or ServeOptions(), settings or EmulateSettings()
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
@@ -118,7 +117,7 @@ def serve_robot(
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
     emulated = EmulatedRobot(
-        load_description(),
+        load_robot(effects.robot_model),
         load_wiring(options.wiring, buses=options.buses),
         settings,
         effects=_effects(effects, settings, reporter),
@@ -203,7 +202,6 @@ def serve_board(
     from mimic.emulator.faults import parse_fault, random_fault
     from mimic.hardware.stock.lcm_bus import check_network
     from mimic.hardware.stock.wiring import load_board
-    from mimic.robot.description import load_description
 
     options, settings = options or ServeOptions(), settings or EmulateSettings()
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
@@ -213,7 +211,7 @@ def serve_board(
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=FAULTS))
     board = EmulatedBoard(
-        load_description(),
+        load_robot(effects.robot_model),
         wiring,
         settings,
         effects=_effects(effects, settings, reporter),

@@ -16,7 +16,8 @@ from mimic.config.evaluation import (
     StandUpSettings,
     TableSettings,
 )
-from mimic.flows.play import warn_of_stand_effects
+from mimic.config.play import DEFAULT_ROBOT
+from mimic.flows.play import load_policy, load_robot, warn_of_stand_effects
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
@@ -59,11 +60,13 @@ def evaluate(
         AssetError, ContractError: If the policy cannot be run on this robot.
         ConfigError: If the effects cannot be used.
     """
+    from mimic.policy.runtime import find_policy
     from mimic.simulation.plant import plant_options
 
     reporter = reporter or SilentReporter()
-    path = policy_path(policy)
-    settings = settings or KINDS[task_of(path)][0]()  # type: ignore[call-arg]
+    description = load_robot(DEFAULT_ROBOT if settings is None else settings.robot.robot_model)
+    path = find_policy("stand_track" if policy is None else policy, description.name)
+    settings = settings or KINDS[load_policy(path, description).contract.task][0]()  # type: ignore[call-arg]
     if out is not None:
         store.check_writable(out.parent)
     warn_of_stand_effects(settings.robot, reporter)
@@ -77,26 +80,3 @@ def evaluate(
         inputs |= {} if settings.robot.effects is None else {"effects": Path(settings.robot.effects)}
         store.save_json({**result, "provenance": provenance(settings, inputs)}, out)
     return result
-
-
-def policy_path(policy: str | Path | None) -> Path:
-    """Return the file of a policy: a path, or the name of a shipped one, such as stand_track.
-
-    Raises:
-        AssetError: If there is no such policy.
-    """
-    from mimic.policy.runtime import find_policy
-
-    return find_policy("stand_track" if policy is None else policy)
-
-
-def task_of(policy: Path) -> str:
-    """Return what a policy was trained to do: stand_track or sit_down.
-
-    Raises:
-        AssetError, ContractError: If it cannot be run on this robot.
-    """
-    from mimic.policy.runtime import Policy
-    from mimic.robot.description import load_description
-
-    return Policy(policy, load_description()).contract.task

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ConfigError
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import LOG, SCRIPT
@@ -108,8 +109,7 @@ def _motion(log: RunLog, form: Format, folder: Path) -> dict[str, Any]:
     from mimic.flows.motion_layouts import gmr_motion, mjlab_motion
     from mimic.robot.description import load_description
 
-    name = str(log.metadata.get("robot", "cyberdog2"))
-    description = load_description(name)
+    description = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
     fps = _rate(log, folder)
     ticks = _even_ticks(log, fps)
     log = fill_dropouts(log, description)
@@ -188,7 +188,7 @@ def _export_dataset(folders: list[Path], out: Path, *, video: bool, reporter: Re
 
     logs = [store.load(folder / LOG, RunLog) for folder in folders]
     rates = {_rate(log, folder) for log, folder in zip(logs, folders, strict=True)}
-    robots = {str(log.metadata.get("robot", "cyberdog2")) for log in logs}
+    robots = {str(log.metadata.get("robot", DEFAULT_ROBOT)) for log in logs}
     if len(rates) > 1 or len(robots) > 1:
         raise ConfigError(f"a dataset has one robot and one rate; these runs have {robots} at {rates} Hz")
     fps, robot = rates.pop(), robots.pop()
@@ -240,7 +240,7 @@ def _film(
     seen: list[np.ndarray] = []
 
     def pictures() -> Iterator[np.ndarray]:
-        robot = load_description(str(log.metadata.get("robot", "cyberdog2")))
+        robot = load_description(str(log.metadata.get("robot", DEFAULT_ROBOT)))
         with RobotFilm(log, robot, width=width, height=height) as film:
             for tick in ticks:
                 picture = film.picture(int(tick))

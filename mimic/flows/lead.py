@@ -12,7 +12,7 @@ import numpy as np
 from mimic.config.leading import HandSettings, LeadingSettings
 from mimic.config.play import AS_DESCRIBED, EffectsSettings
 from mimic.errors import MimicError
-from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
 from mimic.records import RunLog
@@ -68,13 +68,12 @@ def lead(
     from mimic.evaluation.leading import lead_robot
     from mimic.evaluation.led_by_hand import lead_figures
     from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
     from mimic.simulation.hand import Hand
     from mimic.simulation.plant import SimulatedPlant, plant_options
 
     reporter, hand, leading = reporter or SilentReporter(), hand or HandSettings(), leading or LeadingSettings()
     warn_of_stand_effects(robot, reporter)
-    description = load_description()
+    description = load_robot(robot.robot_model)
     player = load_policy(policy, description)
     if film is not None:
         store.check_writable(film.parent)
@@ -101,7 +100,7 @@ def lead(
 
         rows = np.clip(np.searchsorted(pull.t, result.log.t), 0, max(len(pull.t) - 1, 0))
         held = (result.log.t >= hand.begin) & (result.log.t < hand.end)
-        at, force = (np.where(held[:, None], np.array(v)[rows], 0.0) for v in (pull.at, pull.force))
+        at, force = (np.where(held[:, None], np.array([*v, np.zeros(3)])[rows], 0.0) for v in (pull.at, pull.force))
         save_leading_film(film, log=result.log, description=description, at=at, force=force)
     return Led(figures=lead_figures(result, pull, hand), log=result.log, fell_at=result.fell_at)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from mimic.config.sysid import LogSettings
 from mimic.errors import ConfigError
 from mimic.flows.calibrate import checked_log, machine_of
+from mimic.flows.play import load_robot
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io import store
@@ -145,7 +146,6 @@ def simulate_log(
     from mimic.dynamics.effect_set import EffectSet, read_effects
     from mimic.dynamics.excitation import hung_ranges, probe_targets
     from mimic.io.joint_log import write_log
-    from mimic.robot.description import load_description
     from mimic.sysid.predict import simulate_log as simulate
 
     motion, settings = motion or LogMotion(), settings or LogSettings()
@@ -160,7 +160,7 @@ def simulate_log(
             raise ConfigError(f"{name} is {value:g}; a gain is a number of at least 0")
     machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
     if model is None:
-        low, high, centre = hung_ranges(load_description())
+        low, high, centre = hung_ranges(load_robot())
     else:
         low, high = np.asarray(machine.low), np.asarray(machine.high)
         unlimited = [j for j, a, b in zip(machine.joints, low, high, strict=True) if not np.isfinite(b - a)]

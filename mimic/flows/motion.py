@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mimic.config.play import DEFAULT_ROBOT
 from mimic.config.pose import LanguageSettings, MocapSettings, PoseSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.errors import AssetError, ConfigError, SourceError
@@ -93,9 +94,10 @@ class _Loading:
     """Robot whose workspace the targets are clamped to; None for the shipped one."""
 
     def reach(self) -> Reach:
+        from mimic.robot.description import load_description
         from mimic.robot.reach import Reach
 
-        return Reach(self.description)
+        return Reach(self.description or load_description(DEFAULT_ROBOT))
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,12 +281,15 @@ def retarget(
 
 
 def as_motion(
-    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack, *, reporter: Reporter | None = None
+    commands: Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack,
+    *,
+    description: RobotDescription | None = None,
+    reporter: Reporter | None = None,
 ) -> Motion:
     """Return a motion of whatever can be played, retargeted with default settings where that is needed."""
     if isinstance(commands, Motion):
         return commands
-    loading = _Loading(settings=InputSettings(), reporter=reporter or SilentReporter(), description=None)
+    loading = _Loading(settings=InputSettings(), reporter=reporter or SilentReporter(), description=description)
     return _of_record(commands, loading)
 
 

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mimic.config.play import TOE_LAG, EffectsSettings, RunSettings
+from mimic.config.play import DEFAULT_ROBOT, TOE_LAG, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from mimic.robot.description import RobotDescription
 
 
-def load_robot(name: str | Path = "cyberdog2") -> RobotDescription:
+def load_robot(name: str | Path = DEFAULT_ROBOT) -> RobotDescription:
     """Return the description of a robot: joints, limits, poses, motors, each number with its source.
 
     Args:
@@ -74,12 +74,14 @@ def load_policy(policy: str | Path | None = None, robot: RobotDescription | None
     """
     from mimic.policy.runtime import Policy, find_policy
 
-    return Policy(find_policy("stand_track" if policy is None else policy), robot or load_robot())
+    robot = robot or load_robot()
+    return Policy(find_policy("stand_track" if policy is None else policy, robot.name), robot)
 
 
 def play(
     commands: str | Path | Motion | CommandTrack | TargetTrack | WristTrack | PoseTrack | LiveCommands,
     *,
+    robot: str | Path | None = None,
     plant: Plant | None = None,
     policy: Policy | str | Path | None = None,
     sit_down: Policy | None = None,
@@ -93,7 +95,8 @@ def play(
 
     Args:
         commands: A file, a motion, a track at any stage (it is retargeted as needed), or live commands.
-        plant: Robot that plays them; by default the simulated CyberDog 2. It is closed at the end.
+        robot: Which robot is simulated, such as "go2" (see `load_robot`); by default that of the effects.
+        plant: Robot that plays them instead; it is closed at the end.
         policy: Low-level policy or its ONNX file; by default the shipped one.
         sit_down: Policy that brings the robot down at the end; by default the shipped one.
         settings: Times of the phases, seed of the simulated start; its ``policy`` counts where none is given.
@@ -120,24 +123,26 @@ def play(
         raise ConfigError(
             f"play takes RunSettings; to give {type(settings).__name__}: play(load_motion(source, settings))"
         )
+    if robot is not None:
+        effects = replace(effects, robot_model=str(robot))
+    description = load_robot(effects.robot_model) if plant is None else plant.description
     if isinstance(commands, str | Path):
         if not Path(commands).exists():
             raise SourceError(f"there is no file {commands}; to play a sentence: play(motion_from_text(sentence))")
-        commands = load_motion(commands, reporter=reporter)
+        commands = load_motion(commands, description=description, reporter=reporter)
     motion: Motion | None = None
     asked: CommandTrack | LiveCommands
     if isinstance(commands, LiveCommands):
         asked = commands
     else:
-        motion = as_motion(commands, reporter=reporter)
+        motion = as_motion(commands, description=description, reporter=reporter)
         asked = motion.commands
     if settings.early is None or motion is None:
         settings = replace(settings, early=0.0 if motion is None else TOE_LAG)
-    description = load_robot() if plant is None else plant.description
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)
-    sit_down = sit_down or policy_for(None, description, task="sit_down")
-    inputs = {"policy": policy.path, "sit_down": sit_down.path}
+    sit_down = sit_down or shipped_sit_down(description, reporter)
+    inputs = {"policy": policy.path} | ({} if sit_down is None else {"sit_down": sit_down.path})
     if plant is None:
         from mimic.simulation.plant import SimulatedPlant, plant_options
 
@@ -149,6 +154,17 @@ def play(
             plant, policy, asked, settings, sit_down=sit_down, safety=safety, sink=sink, progress=progress
         )
     return Run(motion=motion, result=result, description=description, inputs=inputs)
+
+
+def shipped_sit_down(description: RobotDescription, reporter: Reporter) -> Policy | None:
+    """Return the shipped policy that brings a robot down; None, with a warning, for a robot that has none."""
+    from mimic.policy.runtime import load_policy as policy_for
+
+    try:
+        return policy_for(None, description, task="sit_down")
+    except AssetError:
+        reporter.warn(f"there is no shipped sit_down policy for {description.name}; it stands at the end of the run")
+        return None
 
 
 def play_source(
@@ -191,7 +207,7 @@ def play_source(
 
             footage = stack.enter_context(start_footage(file))
         check_playable(run, effects)
-        motion = load_source(source, settings, PreloadingReporter(reporter))
+        motion = load_source(source, settings, PreloadingReporter(reporter), load_robot(effects.robot_model))
         done = play(motion, settings=run, effects=effects, reporter=reporter)
         parts = settings_of(settings) | {"run": run, "robot": effects}
         return save_run(done, folder, reporter, settings=parts, source=file, film=film, footage=footage)
@@ -235,7 +251,8 @@ def load_run(folder: str | Path) -> SavedRun:
         fell_at=log.metadata.get("fell_at"),
         interrupted=metrics["interrupted"],
     )
-    run = Run(motion=motion, result=result, description=load_robot())
+    description = load_robot(str(log.metadata.get("robot", DEFAULT_ROBOT)))
+    run = Run(motion=motion, result=result, description=description)
     return SavedRun(run=run, folder=folder, metrics=metrics)
 
 
@@ -272,11 +289,11 @@ def save_targets(
     return motion
 
 
-def load_source(source: Path | str, settings: InputSettings, reporter: Reporter) -> Motion:
+def load_source(source: Path | str, settings: InputSettings, reporter: Reporter, robot: RobotDescription) -> Motion:
     """Return the motion of a file (Path) or a sentence (str)."""
     if isinstance(source, Path):
-        return load_motion(source, settings, reporter=reporter)
-    return motion_from_text(source, settings, reporter=reporter)
+        return load_motion(source, settings, description=robot, reporter=reporter)
+    return motion_from_text(source, settings, description=robot, reporter=reporter)
 
 
 def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
@@ -289,7 +306,7 @@ def check_playable(run: RunSettings, effects: EffectsSettings) -> None:
     from mimic.simulation.plant import plant_options
 
     plant_options(effects)
-    policy_for(run.policy, load_robot())
+    policy_for(run.policy, load_robot(effects.robot_model))
 
 
 def settings_of(settings: InputSettings) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from mimic.flows.camera import camera_name, follow_camera
 from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.operator import Operator, undisturbed
-from mimic.flows.play import load_source, play
+from mimic.flows.play import load_robot, load_source, play
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
@@ -130,7 +130,6 @@ def play_on_robot(
     from mimic.hardware.session import robot_session, wiring_of
     from mimic.hardware.stock.wiring import BOARDS
     from mimic.policy.runtime import load_policy
-    from mimic.robot.description import load_description
 
     settings, live, run, bus = (
         settings or InputSettings(),
@@ -139,7 +138,7 @@ def play_on_robot(
         bus or BusSettings(),
     )
     operator, reporter = operator or Operator(), reporter or SilentReporter()
-    description = load_description()
+    description = load_robot()
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy.contract, reporter)
@@ -158,7 +157,9 @@ def play_on_robot(
         if camera is not None:  # opened before anything moves
             zero = bus.start_ramp + run.stand_up
             commands, record = stack.enter_context(
-                follow_camera(camera, settings, live, zero=zero, low_priority=True, reporter=reporter)
+                follow_camera(
+                    camera, settings, live, description=description, zero=zero, low_priority=True, reporter=reporter
+                )
             )
         hold = None if bus.hold is None else stack.enter_context(hold_to_run(bus.hold))
         recorder = RunRecorder(folder, observation_width(policy, sit_down), {"dt": policy.contract.dt})

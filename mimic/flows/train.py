@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from mimic.config.play import EffectsSettings
+from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.config.values import expected, fitted, read_toml
 from mimic.errors import AssetError, ConfigError, MissingExtra
-from mimic.flows.play import warn_of_stand_effects
+from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.io.assets import shipped
 
@@ -91,6 +91,7 @@ def train(
     mdp: MdpSettings | None = None,
     learn: LearnSettings | None = None,
     *,
+    robot: str | Path = DEFAULT_ROBOT,
     resume: Path | None = None,
     report: Callable[[int, dict[str, float]], None] | None = None,
     reporter: Reporter | None = None,
@@ -101,6 +102,7 @@ def train(
         out: Folder for checkpoints, TensorBoard files, settings.json and policy.onnx.
         mdp: The worlds, rewards and randomisation; by default those of stand_track. See `training_settings`.
         learn: PPO and the length of the training.
+        robot: Which robot is trained: its name, or its folder (see `load_robot`).
         resume: Checkpoint (.pt) or policy (.onnx) to go on from.
         report: Called after each update with its number and its figures.
         reporter: Receives warnings.
@@ -118,4 +120,4 @@ def train(
     warn_of_stand_effects(EffectsSettings(effects=mdp.effects or None), reporter or SilentReporter())
     if resume is not None and not resume.is_file():
         raise AssetError(f"there is no checkpoint {resume}")
-    return learn_policy(out, mdp, learn, resume=resume, report=report)
+    return learn_policy(out, mdp, learn, load_robot(robot), resume=resume, report=report)

@@ -12,6 +12,7 @@ import numpy as np
 
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
+from mimic.flows.play import load_robot
 from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
 
@@ -93,10 +94,9 @@ def _shown_in(scene: bool | Path, show: Show) -> Iterator[Show]:
     if not scene:
         yield show
         return
-    from mimic.robot.description import load_description
     from mimic.view.scene.live import LiveView
 
-    description = load_description()
+    description = load_robot()
     with LiveView(description, path=scene if isinstance(scene, Path) else None) as view:
 
         def both(seen: Watched) -> None:
@@ -199,9 +199,8 @@ def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: 
     """Show what a stock robot says; nothing is sent."""
     from mimic.hardware.session import driver_settings
     from mimic.hardware.stock.driver import open_stock_driver
-    from mimic.robot.description import load_description
 
-    driver = open_stock_driver(driver_settings(bus_url, bus, load_description()))
+    driver = open_stock_driver(driver_settings(bus_url, bus, load_robot()))
     begin = driver.now()
 
     def counts() -> dict[str, int]:

@@ -140,7 +140,7 @@ def robot_session(
         BusError: If a bus fails before anything was switched on.
     """
     if settings.torque_limit is not None:
-        check_range("torque-limit", settings.torque_limit, 1.0, description.torque_max, "N m")
+        check_range("torque-limit", settings.torque_limit, 1.0, float(description.torque_max.min()), "N m")
     board = bus_url in BOARDS
     if board and dry_run:
         raise ConfigError("--dry-run is for motors on CAN; to listen to a stock robot: mimic robot watch, or check")

@@ -108,6 +108,9 @@ def term_columns(terms: tuple[tuple[str, int], ...], *names: str) -> IntArray:
 METADATA_KEY = "mimic_contract"
 """Key of the contract in the ONNX file's metadata."""
 
+BY_JOINT = ("kp", "kd", "torque_max", "speed_flat", "speed_max")
+"""Fields with a value for each joint; a file may have one for all."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyContract:
@@ -127,10 +130,10 @@ class PolicyContract:
     """Commanded joint positions are clipped to these [rad]."""
     q_max: tuple[float, ...]
     """… and these [rad]."""
-    kp: float
-    """Position gain [N m/rad]."""
-    kd: float
-    """Velocity gain [N m s/rad]."""
+    kp: tuple[float, ...]
+    """Position gain of each motor [N m/rad]."""
+    kd: tuple[float, ...]
+    """Velocity gain of each motor [N m s/rad]."""
     dt: float
     """Control step [s]."""
     history: int
@@ -151,12 +154,12 @@ class PolicyContract:
     """Lowest target of the left toe (3,), base axes [m]."""
     toe_high: tuple[float, ...]
     """Highest target of the left toe (3,), base axes [m]."""
-    torque_max: float
-    """Peak torque of a motor [N m]."""
-    speed_flat: float
-    """Joint speed up to which a motor gives it [rad/s]."""
-    speed_max: float
-    """Joint speed at which a motor gives no driving torque [rad/s]."""
+    torque_max: tuple[float, ...]
+    """Peak torque of each motor [N m]."""
+    speed_flat: tuple[float, ...]
+    """Joint speed up to which it gives it [rad/s]."""
+    speed_max: tuple[float, ...]
+    """Joint speed at which it gives no driving torque [rad/s]."""
     delay: float
     """From a command to its effect [s]."""
     task: str
@@ -202,9 +205,7 @@ class PolicyContract:
             ContractError: If it is no JSON or a field is missing or unknown.
         """
         try:
-            data: dict[str, Any] = json.loads(text)
-            for sentences in ("formulas", "how_to_play"):
-                data.pop(sentences, None)
+            data = stored_fields(text)
             missing = [f.name for f in fields(PolicyContract) if f.default is MISSING and f.name not in data]
             if missing:
                 raise ValueError(f"it lacks {', '.join(missing)}")
@@ -233,6 +234,7 @@ class PolicyContract:
             ("control step", self.dt, description.dt),
             ("number of action scales", len(self.action_scale), len(JOINTS)),
             ("number of default positions", len(self.default_q), len(JOINTS)),
+            ("number of gains", (len(self.kp), len(self.kd)), (len(JOINTS), len(JOINTS))),
         )
         for what, given, expected in pairs:
             if given != expected:
@@ -252,9 +254,12 @@ class PolicyContract:
             ("kd", self.kd, description.kd_max, "N m s/rad"),
             ("action_clip", self.action_clip, MAX_ACTION, "units"),
         )
-        for name, value, most, unit in ranges:
-            if not 0.0 < value <= most:  # NaN is refused too
-                raise ContractError(f"the policy's {name} is {value:g} {unit}; expected more than 0, at most {most:g}")
+        for name, values, most, unit in ranges:
+            for value, limit in np.broadcast(values, most):
+                if not 0.0 < value <= limit:  # NaN is refused too
+                    raise ContractError(
+                        f"the policy's {name} is {value:g} {unit}; expected more than 0, at most {limit:g}"
+                    )
 
 
 MAX_KP_RATIO = 5.0
@@ -262,6 +267,13 @@ MAX_KP_RATIO = 5.0
 
 MAX_ACTION = 100.0
 """Actions are clipped at most to this; trained policies stay below 20."""
+
+
+def stored_fields(text: str) -> dict[str, Any]:
+    """Return the fields of a contract in JSON, complete or not, without its sentences; those of BY_JOINT as lists."""
+    data: dict[str, Any] = json.loads(text)
+    one_for_all = {name: [data[name]] * len(JOINTS) for name in BY_JOINT if isinstance(data.get(name), int | float)}
+    return {name: value for name, value in data.items() if name not in ("formulas", "how_to_play")} | one_for_all
 
 
 def commanded_joints(action: Any, default_q: Any, scale: Any, q_min: Any, q_max: Any, xp: Any) -> Any:

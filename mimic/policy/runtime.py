@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
+from mimic.config.play import DEFAULT_ROBOT
 from mimic.errors import AssetError, ContractError
 from mimic.io.assets import shipped
 from mimic.policy.contract import METADATA_KEY, PolicyContract
@@ -27,7 +28,7 @@ class Policy:
             ContractError: If it declares no contract, or one that does not fit.
         """
         if not path.is_file():
-            raise AssetError(f"there is no policy {path}; the shipped one is policies/stand_track.onnx")
+            raise AssetError(f"there is no policy {path}")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
@@ -40,7 +41,7 @@ class Policy:
         metadata = self._session.get_modelmeta().custom_metadata_map
         if METADATA_KEY not in metadata:
             raise ContractError(f"{path} declares no contract; export it with mimic train")
-        self.path = path
+        self.path, self.description = path, description
         try:
             self.contract = PolicyContract.from_json(metadata[METADATA_KEY])
             self.contract.check(description)
@@ -67,12 +68,13 @@ SHIPPED = ("stand_track", "sit_down")
 """Names of the policies that come with mimic."""
 
 
-def find_policy(policy: str | Path) -> Path:
-    """Return the file of a policy: an ONNX file, or a shipped policy by its name.
+def find_policy(policy: str | Path, robot: str) -> Path:
+    """Return the file of a policy: an ONNX file, or a shipped policy of a robot by its name.
 
     Args:
         policy: A path; or stand_track, stand_track.onnx or policies/stand_track.onnx for the shipped policy, which is
             found from any folder.
+        robot: Name of the robot.
 
     Raises:
         AssetError: If there is no such policy.
@@ -81,7 +83,13 @@ def find_policy(policy: str | Path) -> Path:
     if path.is_file():
         return path
     if path.stem in SHIPPED and path.suffix in ("", ".onnx") and path.parent in (Path(), Path("policies")):
-        return shipped("policies", f"{path.stem}.onnx")
+        path = shipped("policies") / f"{'' if robot == DEFAULT_ROBOT else f'{robot}_'}{path.stem}.onnx"
+        if path.is_file():
+            return path
+        raise AssetError(
+            f"there is no shipped {policy} policy for {robot}; give your own ONNX file, or train one: "
+            f"mimic train OUT --robot-model {robot}"
+        )
     raise AssetError(f"there is no policy {policy}; give an ONNX file or a shipped policy: {', '.join(SHIPPED)}")
 
 
@@ -92,17 +100,17 @@ def load_policy(path: str | Path | None, description: RobotDescription, *, task:
         AssetError: If the file is missing or is no ONNX model.
         ContractError: If it declares no contract, or one that does not fit, or was trained for another task.
     """
-    policy = Policy(find_policy(task if path is None else path), description)
+    policy = Policy(find_policy(task if path is None else path, description.name), description)
     if policy.contract.task != task:
         raise ContractError(f"{policy.path} was trained for {policy.contract.task}; expected a policy for {task}")
     return policy
 
 
 @cache
-def cached_policy(path: str) -> Policy:
-    """Return the policy of a file for the shipped robot, read once in each process.
+def cached_policy(path: str, robot: str) -> Policy:
+    """Return the policy of a file for a robot (see `load_description`), read once in each process.
 
     Raises:
         AssetError, ContractError: If it cannot be run on this robot.
     """
-    return Policy(Path(path), load_description())
+    return Policy(Path(path), load_description(robot))

@@ -203,7 +203,7 @@ class LiveTargets:
         self._present = np.clip(self._present + np.where(rising, dt, -dt) / EASE, 0.0, 1.0)
         share = np.repeat(ease(self._present), 3)
         wanted = self._hanging + share * (self._goal - self._hanging)
-        speed = np.full(FRONT, self._reach.speed_max)
+        speed = self._reach.speed_max
         self._q, self._dq = limit_step(self._q, self._dq, wanted, dt, speed, self._reach.acceleration_max)
         self._q = np.clip(self._q, self._reach.q_min, self._reach.q_max)
         toes = self._reach.toes(self._q)

@@ -14,7 +14,7 @@ from mimic.records import SIDES, BoolArray, FloatArray, TargetTrack, WristTrack
 from mimic.retargeting.limits import limit_track
 from mimic.retargeting.sampling import between, fill_gaps, target_times, without_glimpses
 from mimic.robot.arm_mapping import posture, toes_of_arms
-from mimic.robot.reach import FRONT, Closest, Reach
+from mimic.robot.reach import Closest, Reach
 
 CLAMP_TOLERANCE = 1e-3
 """A target that moves by more than this counts as clamped or speed-limited [m]."""
@@ -179,11 +179,12 @@ def limited(closest: Closest, reach: Reach) -> tuple[FloatArray, FloatArray]:
     Joint positions stay within their bounds. If the legs come too close in a row, it moves to the closest point with
     clearance, and the motion is limited again. After MAX_ITERATIONS, clearance has priority over the speed limit.
     """
-    speed = np.full(FRONT, reach.speed_max)
     q, p_BE = closest.q, closest.p_BE.copy()
     for _ in range(MAX_ITERATIONS):
         before = q
-        q = np.clip(limit_track(q, reach.description.dt, speed, reach.acceleration_max), reach.q_min, reach.q_max)
+        q = np.clip(
+            limit_track(q, reach.description.dt, reach.speed_max, reach.acceleration_max), reach.q_min, reach.q_max
+        )
         for row in np.flatnonzero(np.any(q != before, axis=1)):
             p_BE[row] = reach.toes(q[row])
             if not reach.is_clear(q[row]):
@@ -225,6 +226,6 @@ def _report(
         "limited_share": float(np.mean(limited_at_targets)),
         "filled_share": float(np.mean(~valid)),
         "joint_speed_max": float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0) / dt),
-        "joint_speed_limit": reach.speed_max,
+        "joint_speed_limit": float(reach.speed_max.max()),
         "acceleration_of_limit": float(np.max(acceleration, initial=0.0)),
     }

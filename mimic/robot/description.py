@@ -36,6 +36,9 @@ from mimic.robot.parts import (
 FILE = "robot.toml"
 """Name of a description in a robot's folder."""
 
+BY_JOINT = ("kp", "kd", "torque_max", "torque_rated", "speed_flat", "speed_max", "gear_ratio", "armature")
+"""Numbers of ``[motor]`` that differ from joint to joint: one for all, one each for abad, hip and knee, or twelve."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotDescription:
@@ -54,27 +57,27 @@ class RobotDescription:
     """Lower joint limits [rad]."""
     q_max: FloatArray
     """Upper joint limits [rad]."""
-    kp: float
+    kp: FloatArray
     """Position gain [N m/rad]."""
-    kd: float
+    kd: FloatArray
     """Velocity gain [N m s/rad]."""
     kp_max: float
     """Greatest position gain that a motor takes [N m/rad]."""
     kd_max: float
     """Greatest velocity gain that a motor takes [N m s/rad]; damping a robot uses it."""
-    torque_max: float
+    torque_max: FloatArray
     """Peak torque [N m]."""
-    torque_rated: float
+    torque_rated: FloatArray
     """Continuous torque [N m]."""
-    speed_flat: float
+    speed_flat: FloatArray
     """Speed up to which the full torque is there [rad/s]."""
-    speed_max: float
+    speed_max: FloatArray
     """Speed at which no driving torque is left [rad/s]."""
     voltage: float
     """Rated supply voltage [V]."""
-    gear_ratio: float
+    gear_ratio: FloatArray
     """Turns of the rotor for one turn of the joint."""
-    armature: float
+    armature: FloatArray
     """Inertia of the rotor, seen at the joint [kg m^2]."""
     delay: float
     """From command to effect [s]."""
@@ -144,6 +147,13 @@ def _array(values: Any) -> FloatArray:
     return np.array(values, dtype=np.float64)
 
 
+def _by_joint(value: Any) -> FloatArray:
+    given = np.atleast_1d(_array(value))
+    if given.shape not in ((1,), (3,), (len(JOINTS),)):
+        raise ValueError(f"a number of [motor] is {value}; expected one, three (abad, hip, knee) or {len(JOINTS)}")
+    return np.resize(given, len(JOINTS))
+
+
 def _per_joint(table: Callable[[str], list[Any]], mirrored: Callable[[Any], Any]) -> FloatArray:
     """Return a row a joint from the rows of a left leg at each end; the abad row is mirrored on the right.
 
@@ -180,7 +190,7 @@ def _probe(probe: dict[str, Any]) -> ProbeRanges:
 
 
 def _thermal(motor: dict[str, Any]) -> ThermalNumbers:
-    thermal, overload = motor["thermal"], motor["overload"]
+    thermal, overload = motor["thermal"], motor.get("overload", {"torque": (), "seconds": ()})
     return ThermalNumbers(
         winding_share=thermal["winding_share"],
         winding_time=thermal["winding_seconds"],
@@ -228,18 +238,8 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         head=tuple(Box(centre=_array(h["position"]), size=_array(h["size"])) for h in raw.get("head", ())),
         q_min=limits[:, 0],
         q_max=limits[:, 1],
-        kp=motor["kp"],
-        kd=motor["kd"],
-        kp_max=motor["kp_max"],
-        kd_max=motor["kd_max"],
-        torque_max=motor["torque_max"],
-        torque_rated=motor["torque_rated"],
-        speed_flat=motor["speed_flat"],
-        speed_max=motor["speed_max"],
-        voltage=motor["voltage"],
-        gear_ratio=motor["gear_ratio"],
-        armature=motor["armature"],
-        delay=motor["delay"],
+        **{name: _by_joint(motor[name]) for name in BY_JOINT},
+        **{name: motor[name] for name in ("kp_max", "kd_max", "voltage", "delay")},
         timestep=physics["timestep"],
         decimation=physics["decimation"],
         poses=poses,
@@ -267,7 +267,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
     )
 
 
-def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
+def load_description(robot: str | Path) -> RobotDescription:
     """Read the description of a robot; each file is read once.
 
     Args:
@@ -281,13 +281,13 @@ def load_description(robot: str | Path = "cyberdog2") -> RobotDescription:
         return _read(path.resolve())
     if path.is_dir() or len(path.parts) > 1:
         return _read(path.resolve() / FILE)
-    return _read(shipped("assets", str(robot)) / FILE)
+    return _read(shipped("assets") / path / FILE)
 
 
 @cache
 def _read(path: Path) -> RobotDescription:
     if not path.is_file():
-        raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2), or a folder with a {FILE}")
+        raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2, go2), or a folder with a {FILE}")
     try:
         return _described(tomllib.loads(path.read_text(encoding="utf-8")), path)
     except KeyError as missing:

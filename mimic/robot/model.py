@@ -6,6 +6,9 @@ joints and the links to the roles of JOINTS, so that no other module needs the m
 
 from __future__ import annotations
 
+import logging
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,6 +17,8 @@ import numpy as np
 from mimic.errors import AssetError
 from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription
+
+log = logging.getLogger(__name__)
 
 BASE, FLOOR = "base", "floor"
 """Names of the body that carries the legs, and of the ground."""
@@ -30,7 +35,8 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
 
     Joints and the links that they move are called as in JOINTS, the base BASE, the toe sites as in TOES. Collision
     shapes keep their names; one without a name is called ``body#n`` after its body and its place among the body's
-    collision shapes. A missing free joint, missing toe sites, missing motors and a missing floor are added.
+    collision shapes. A missing free joint, missing toe sites, missing motors and a missing floor are added. Of an MJCF
+    with other motors or names, actuators, sensors, keyframes and meshes are left out, with a line in the log.
 
     Args:
         description: The robot.
@@ -45,6 +51,9 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
         spec: Any = mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError) as reason:
         raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {str(reason).strip()}") from None
+    own = [names.of_leg(name, leg) for leg in LEGS for name in names.joints] == list(JOINTS)
+    if not (own and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators)):
+        _leave_out(spec, path)
     _name_shapes(spec)
     shapes = {geom.name for geom in spec.geoms}
     missing = [shape for role in names.patterns for shape in names.shapes(role) if shape not in shapes]
@@ -59,7 +68,8 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
     _check_order(spec, description)
     for leg in LEGS:
         _name_leg(spec, description, leg)
-    _set_motors(spec, description)
+    if not spec.actuators:
+        _add_motors(spec, description)
     if floor:
         spec.option.disableflags &= ~int(
             mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -94,6 +104,26 @@ def _name_shapes(spec: Any) -> None:
                 geom.name = f"{body.name}#{place}"
 
 
+def _leave_out(spec: Any, path: Path) -> None:
+    """Remove what refers to names that change, or that mimic has of its own, and shapes whose files may be missing."""
+    meshes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+    parts = {
+        "actuators": spec.actuators,
+        "sensors": spec.sensors,
+        "keyframes": spec.keys,
+        "shapes from meshes": meshes,
+    }
+    _tell(path, ", ".join(f"{len(found)} {name}" for name, found in parts.items() if found))
+    for part in [part for found in (*parts.values(), spec.meshes) for part in list(found)]:
+        spec.delete(part)
+
+
+@cache
+def _tell(path: Path, parts: str) -> None:
+    if parts:
+        log.info("%s: left out %s", path, parts)
+
+
 def _check_order(spec: Any, description: RobotDescription) -> None:
     names = description.names
     expected = [names.of_leg(name, leg) for leg in LEGS for name in names.joints]
@@ -111,6 +141,8 @@ def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
     for role, joint, link, axis in zip(roles, joints, links, _AXES, strict=True):
         if not np.allclose(joint.axis, axis) or np.any(joint.pos):
             raise AssetError(f"{path}: joint {joint.name!r} must turn about {axis} at the origin of its link")
+        for pair in spec.excludes:
+            pair.bodyname1, pair.bodyname2 = (role if b == link.name else b for b in (pair.bodyname1, pair.bodyname2))
         joint.name, link.name = role, role
     toe = TOES[at]
     if names.toe_site:
@@ -120,22 +152,19 @@ def _name_leg(spec: Any, description: RobotDescription, leg: str) -> None:
         links[2].add_site(name=toe, pos=description.leg.toe, size=[description.toe_radius] * 3, group=4)
 
 
-def _set_motors(spec: Any, description: RobotDescription) -> None:
-    """Replace actuators that are not motors with a position loop by motors with the numbers of the description."""
-    own = {description.names.of_leg(name, leg) for leg in LEGS for name in description.names.joints}
-    if own == set(JOINTS) and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators):
-        return
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
+def _add_motors(spec: Any, description: RobotDescription) -> None:
+    """Add motors with a position loop and the numbers of the description."""
     d = description
-    slope = d.torque_max / (d.speed_max - d.speed_flat)
-    constant = d.voltage / d.speed_max
-    for name in JOINTS:
+    constants = d.voltage / d.speed_max
+    resistances = constants**2 / (d.torque_max / (d.speed_max - d.speed_flat))
+    for name, constant, resistance, most, kp, kd in zip(
+        JOINTS, constants, resistances, d.torque_max, d.kp, d.kd, strict=True
+    ):
         motor = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
         motor.set_to_dcmotor(
             motorconst=[constant, constant],
-            resistance=constant**2 / slope,
-            saturation=[d.torque_max, 0.0, 0.0],
-            controller=[d.kp, 0.0, d.kd, 0.0, 0.0, d.voltage],
+            resistance=resistance,
+            saturation=[most, 0.0, 0.0],
+            controller=[kp, 0.0, kd, 0.0, 0.0, d.voltage],
             ctrlspec=1,  # a position
         )

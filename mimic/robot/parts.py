@@ -128,7 +128,7 @@ class ThermalNumbers:
     housing_time: float
     """Time constant of the slow response (housing over air) [s]."""
     overload_torque: FloatArray
-    """Torques of the motor's overload table (N,) [N m]."""
+    """Torques of the motor's overload table (N,) [N m]; none where the maker has no such table."""
     overload_time: FloatArray
     """How long each may last from 25 degC (N,) [s]."""
 

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from mimic.records import JOINTS, LEGS, FloatArray
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_legs
 from mimic.robot.model import TOES
 from mimic.robot.projection import Local, project
@@ -48,13 +48,13 @@ class Closest:
 class Reach:
     """Kinematics of the robot and the reachable set of its front toes. Not to be shared between threads."""
 
-    def __init__(self, description: RobotDescription | None = None) -> None:
+    def __init__(self, description: RobotDescription) -> None:
         """Read the robot.
 
         Raises:
             AssetError: If the MJCF lacks a part that the description names.
         """
-        self.description = description or load_description()
+        self.description = description
         self._model, self._geometry = rigid_body_model(self.description)
         self._joints = [self._model.getJointId(name) for name in JOINTS]
         self._at_q = np.array([self._model.joints[i].idx_q for i in self._joints])
@@ -75,8 +75,8 @@ class Reach:
         self._clear = self.description.poses["upright"][:FRONT].copy()
         self.legs = front_legs(self.description)
         """The front legs in closed form."""
-        self.speed_max = workspace.speed_share * self.description.speed_flat
-        """Joint speed that targets may ask for [rad/s]."""
+        self.speed_max = workspace.speed_share * self.description.speed_flat[:FRONT]
+        """Joint speeds that targets may ask for (6,) [rad/s]."""
 
     def toes(self, q: FloatArray) -> FloatArray:
         """Return base -> front toes, left and right, (..., 2, 3) [m] for joints (..., 12) or front joints (..., 6)."""
@@ -141,7 +141,7 @@ class Reach:
             front = mass[np.ix_(self._at_v[:FRONT], self._at_v[:FRONT])]
             greatest = np.maximum(greatest, np.sum(np.abs(front), axis=1))
         greatest = np.tile(np.maximum(greatest[:3], greatest[3:]), 2)
-        return self.description.workspace.torque_share * self.description.torque_max / greatest
+        return self.description.workspace.torque_share * self.description.torque_max[:FRONT] / greatest
 
     def _full(self, q: FloatArray) -> FloatArray:
         """Return Pinocchio's configuration with the base at the origin; hind legs stay where no joints are given."""

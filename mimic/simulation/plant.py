@@ -128,7 +128,7 @@ class SimulatedPlant:
         self.variation: Variation = draw_variation(self._ranges, self._description.timestep, self._rng)
         vary_model(self.model, self._nominal, self.variation)
         self._base_gains = self.model.actuator_gainprm[:, [GAIN_KP, GAIN_KD]].copy()
-        self._gains_kp, self._gains_kd = self._description.kp, self._description.kd
+        self._gains_kp = self._gains_kd = np.full(12, np.nan)
         self.disturber = Disturber(self._disturbance, self.model, seed)
         if self._motors is not None:
             self._motors.fit(self.model, self.data, self.variation, seed)
@@ -284,7 +284,7 @@ def plant_options(robot: EffectsSettings) -> dict[str, Any]:
     """
     if robot.effects is None:
         return {}
-    description = with_timestep(load_description(), robot.timestep)
+    description = with_timestep(load_description(robot.robot_model), robot.timestep)
     effects = read_standing(Path(robot.effects))
     parameters_of(effects, hung_robot(description))
     return {"effects": effects, "solver": Solver(timestep=robot.timestep)}

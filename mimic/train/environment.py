@@ -98,10 +98,8 @@ class WorldsEnv(VecEnv, Chance):
         self._default_q = self._tensor(c.default_q)
         self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
         self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
-        self._soft_min, self._soft_max = (
-            self._tensor(d.q_min + self.soft_margin),
-            self._tensor(d.q_max - self.soft_margin),
-        )
+        self._soft_min = self._tensor(d.q_min + self.soft_margin)
+        self._soft_max, self._rated = self._tensor(d.q_max - self.soft_margin), self._tensor(d.torque_rated)
         self._upright = tuple(d.upright_direction.tolist())
         w = self.worlds
         front, hind = LEGS[:2], LEGS[2:]

@@ -17,7 +17,7 @@ import torch
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.io.store import plain, written_whole
-from mimic.robot.description import RobotDescription, load_description
+from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
 from mimic.train.mirror import with_mirrored
 from mimic.train.onnx_file import export_network
@@ -93,9 +93,9 @@ def train(
     folder: Path,
     mdp: MdpSettings,
     learn: LearnSettings,
+    description: RobotDescription,
     *,
     resume: Path | None = None,
-    description: RobotDescription | None = None,
     report: Report | None = None,
 ) -> Path:
     """Train a policy and export it.
@@ -115,7 +115,6 @@ def train(
         TrainingDiverged: If a loss is not finite.
         ConfigError: If the device is not there.
     """
-    description = description or load_description()
     ranks = Ranks.of_environment()
     device = ranks.device(learn.device)
     if mdp.task == "sit_down" and learn.mirror:

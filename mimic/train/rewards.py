@@ -43,6 +43,7 @@ class Facts:
     low: torch.Tensor  # number of front legs and hind knees on or near the ground (N,)
     action_change: torch.Tensor  # action - action before (N, 12)
     torque: torch.Tensor  # (N, 12) [N m]
+    overload: torch.Tensor  # torque beyond the rated one (N, 12) [N m]
     dq: torch.Tensor  # (N, 12) [rad/s]
     ddq: torch.Tensor  # (N, 12) [rad/s^2]
     limit_excess: torch.Tensor  # how far joints are beyond their limits with the margin (N, 12) [rad]
@@ -134,7 +135,7 @@ def reward_terms(f: Facts, swing_height: float, description: RobotDescription) -
         "shuffle": (f.hind_speed.clamp(max=MOST_SHUFFLE) * planted).mean(-1) * resting,
         "torque": f.torque.square().sum(-1),
         "heat": f.torque.square().sum(-1).clamp(max=MOST_HEAT),
-        "overload": torch.clamp(f.torque.abs() - description.torque_rated, min=0.0).square().sum(-1),
+        "overload": f.overload.square().sum(-1),
         "joint_velocity": f.dq.square().sum(-1),
         "joint_speed": torch.clamp(f.dq.abs() - numbers.joint_speed, min=0.0).sum(-1),
         "joint_acceleration": f.ddq.square().sum(-1),

@@ -135,6 +135,7 @@ class StandTrackEnv(WorldsEnv):
             low=(low[:, self._near_ground] < 0.03).float().sum(-1),
             action_change=self._last_action - self._before_last,
             torque=w.motor_torque,
+            overload=torch.clamp(w.motor_torque.abs() - self._rated, min=0.0),
             dq=dq.clamp(-50, 50),
             ddq=ddq,
             limit_excess=excess,

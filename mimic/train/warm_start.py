@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ import torch
 from onnx import numpy_helper
 
 from mimic.errors import AssetError, ConfigError
-from mimic.policy.contract import AVERAGED, METADATA_KEY, PAPER_TERMS, PolicyContract, term_columns
+from mimic.policy.contract import AVERAGED, METADATA_KEY, PAPER_TERMS, PolicyContract, stored_fields, term_columns
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +45,7 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
         AssetError: If the file is no ONNX file.
         ConfigError: If its observations or actions mean something else.
     """
-    there, here = _stored(path), json.loads(contract.to_json())
+    there, here = _stored(path), stored_fields(contract.to_json())
     given, expected = (tuple(map(tuple, c.get("terms", PAPER_TERMS))) for c in (there, here))
     if given != expected[: len(given)]:
         raise ConfigError(
@@ -129,7 +128,7 @@ def _network(path: Path) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray,
 def _stored(path: Path) -> dict[str, Any]:
     """Return the contract in a policy as it is written; empty without one."""
     entries = {entry.key: entry.value for entry in _loaded(path).metadata_props}
-    return json.loads(entries.get(METADATA_KEY, "{}"))
+    return stored_fields(entries.get(METADATA_KEY, "{}"))
 
 
 def _loaded(path: Path) -> Any:

@@ -185,7 +185,7 @@ class Shell:
         phases = {PHASES[phase] for phase in np.unique(log.phase)}
         assert {"stand_up", "track", "sit_down"} <= phases
         known = np.isfinite(log.q).all(axis=1) & np.isfinite(log.quat_WB).all(axis=1)
-        last, robot = np.flatnonzero(known)[-1], load_description()
+        last, robot = np.flatnonzero(known)[-1], load_description("cyberdog2")
         assert abs(uprightness(log.quat_WB[last], robot)) < 0.2, "its back is not level at the end"
         assert np.abs(log.q[last] - robot.poses["lie"]).max() < 0.6, "its legs are not folded at the end"
         return f"stood up in {command.number('stood up in'):.2f} s, toes {command.number('toe error'):.1f} cm"

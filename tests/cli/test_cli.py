@@ -161,7 +161,7 @@ def joints(here: Path) -> None:
 
 
 def commands(here: Path, rows: int = 25, speed: float = 0.2) -> None:
-    neutral = Reach().toes(load_description().poses["upright"])
+    neutral = Reach(load_description("cyberdog2")).toes(load_description("cyberdog2").poses["upright"])
     track = CommandTrack(
         t=0.02 * np.arange(rows),
         v=np.tile([speed, 0.0], (rows, 1)),

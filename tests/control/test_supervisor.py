@@ -17,7 +17,7 @@ from mimic.records import JOINTS, PHASES, Health, RobotState
 from mimic.robot.description import load_description
 
 DT = 0.02
-LIMITS = limits_for(load_description())
+LIMITS = limits_for(load_description("cyberdog2"))
 UPRIGHT = Rotation.from_euler("Y", -np.pi / 2 + np.arctan2(0.2, 1.0))
 """Orientation in which the robot stands: base x leans forward by 11.3 deg."""
 

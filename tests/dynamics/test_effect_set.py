@@ -46,7 +46,7 @@ def test_fixed_effects_are_applied_as_fitted_ones(role):
     """That "frozen" meant "silently not applied" is a bug that others have had."""
     effects = EffectSet((stribeck(role=role), EffectValues(name="delay", values={"time": 0.01}, role="off")))
     assert [e.name for e in effects.applied] == ["stribeck"]
-    found = parameters_of(effects, hung_robot(load_description()))
+    found = parameters_of(effects, hung_robot(load_description("cyberdog2")))
     assert ("delay", "time") not in found
     level = found["stribeck", "level"]
     assert level.shape == (1, 12)
@@ -54,7 +54,7 @@ def test_fixed_effects_are_applied_as_fitted_ones(role):
 
 
 def test_joints_without_an_effect_keep_the_numbers_of_the_model():
-    machine = hung_robot(load_description())
+    machine = hung_robot(load_description("cyberdog2"))
     found = parameters_of(EffectSet((EffectValues(name="coulomb", joints=KNEES, values={"level": 0.5}),)), machine)
     level = found["coulomb", "level"][0]
     assert level[[JOINTS.index(j) for j in KNEES]].tolist() == [0.5, 0.5]
@@ -117,11 +117,11 @@ def test_a_file_that_is_no_set_of_effects_is_reported(tmp_path: Path, text, told
 
 def test_a_joint_that_the_robot_lacks_is_reported():
     with pytest.raises(ConfigError, match="names joint 'tail'; the model has FL_abad"):
-        parameters_of(EffectSet((stribeck(joints=("tail", "FR_knee")),)), hung_robot(load_description()))
+        parameters_of(EffectSet((stribeck(joints=("tail", "FR_knee")),)), hung_robot(load_description("cyberdog2")))
 
 
 def test_joints_without_an_effect_are_as_the_model_has_them() -> None:
-    machine = hung_robot(load_description())
+    machine = hung_robot(load_description("cyberdog2"))
     line = EffectValues(name="torque_speed", joints=("FL_knee",), values={"torque": 8.0, "speed": 9.0, "flat": 0.0})
     found, at = parameters_of(EffectSet((line,)), machine), machine.joints.index("FL_knee")
     for name, own in (

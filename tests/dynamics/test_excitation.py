@@ -8,7 +8,7 @@ from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.errors import ConfigError
 from mimic.robot.description import load_description
 
-DESCRIPTION = load_description()
+DESCRIPTION = load_description("cyberdog2")
 LOW, HIGH, CENTRE = hung_ranges(DESCRIPTION)
 
 

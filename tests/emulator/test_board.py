@@ -13,7 +13,7 @@ from mimic.hardware.stock.messages import MOTOR_CTRL, MOTOR_ERRORS, TYPES
 from mimic.hardware.stock.wiring import load_board
 from mimic.robot.description import load_description
 
-D, WIRING = load_description(), load_board()
+D, WIRING = load_description("cyberdog2"), load_board()
 
 SUSPENDED = EmulateSettings(suspended=True, placement=0.0, imu_noise=0.0)
 

@@ -42,12 +42,12 @@ def test_the_same_seeds_give_the_same_figures(evaluated):
     assert json.dumps(plain(again)) == json.dumps(plain([e for e in evaluated["episodes"] if e["seed"] == 1]))
 
 
-def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so():
+def test_a_start_counts_when_it_is_upright_in_time_and_kept_when_it_stays_so(description):
     def rise(time: float, stands: bool) -> dict:
         figures = {"joint_speed_max_rad_s": 5.0, "torque_max_nm": 9.0}
         return {"kind": "rise", "stand_up_s": time, "stands_at_end": stands} | figures
 
-    s = summarise([rise(0.8, True), rise(0.9, False), rise(1.6, True), rise(float("inf"), False)])
+    s = summarise([rise(0.8, True), rise(0.9, False), rise(1.6, True), rise(float("inf"), False)], description)
     assert s["upright_in_time"] == 0.5
     assert s["upright_in_time_and_kept"] == 0.25
     assert s["stand_up_median_s"] == pytest.approx(1.25)

@@ -46,7 +46,7 @@ def test_no_pose_model_is_downloaded_for_a_camera_that_is_none(
     notes = Notes()
     with (
         pytest.raises(SourceError, match=message),
-        follow_camera(camera, InputSettings(), LiveSettings(), reporter=notes),
+        follow_camera(camera, InputSettings(), LiveSettings(), description=mimic.load_robot(), reporter=notes),
     ):
         pass
     assert notes.lines == []

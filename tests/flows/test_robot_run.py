@@ -34,7 +34,7 @@ SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1, sit_down=1.5)
 @pytest.fixture
 def targets(monkeypatch, tmp_path):
     """Serve an emulated robot in this process, and return targets to play."""
-    emulated = EmulatedRobot(load_description(), load_wiring(), EmulateSettings(zeroed=True, placement=0.03))
+    emulated = EmulatedRobot(load_description("cyberdog2"), load_wiring(), EmulateSettings(zeroed=True, placement=0.03))
 
     def opened(*_: object, **__: object) -> EmulatedLink:
         link = EmulatedLink(emulated)
@@ -47,7 +47,7 @@ def targets(monkeypatch, tmp_path):
     monkeypatch.setattr(driver, "open_buses", opened)
     monkeypatch.setattr(session, "SenderProcess", process)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    contract = load_policy(None, load_description()).contract
+    contract = load_policy(None, load_description("cyberdog2")).contract
     toes = np.tile(np.array(contract.neutral_toes).reshape(1, 2, 3), (20, 1, 1))
     no = np.zeros((20, 2), dtype=bool)
     track = {"valid": ~no, "moved": np.zeros((20, 2)), "limited": no, "wanted": toes, "heading": np.zeros(20)}

@@ -47,7 +47,9 @@ def targets(workplace) -> Path:
     arms = np.stack([left, left * [1, -1, 1]], 1)
     wrists = WristTrack(t=t, p_SH=arms, heading=0 * t, valid=np.ones((len(t), 2), dtype=bool))
     path = workplace / "targets.parquet"
-    store.save(target_track(wrists, Reach(), RetargetSettings()), path, made_by=store.provenance())
+    store.save(
+        target_track(wrists, Reach(load_description("cyberdog2")), RetargetSettings()), path, made_by=store.provenance()
+    )
     return path
 
 
@@ -91,7 +93,7 @@ def test_the_log_holds_the_whole_run_at_50_hz_and_its_joints_at_400_hz(played, t
     assert len(joints.t) == 8 * len(log.t)
     sits = log.phase == PHASES.index("sit_down")  # a policy that remembers less, whose observation is shorter
     assert np.isfinite(log.observation[~sits]).all()
-    width = load_policy(None, load_description(), task="sit_down").contract.observation_size
+    width = load_policy(None, load_description("cyberdog2"), task="sit_down").contract.observation_size
     assert np.isfinite(log.observation[sits][:, :width]).all()
 
 

@@ -70,10 +70,16 @@ def test_a_contract_survives_json(contract):
 
 @given(kp=numbers, default=st.lists(numbers, min_size=12, max_size=12))
 def test_no_digit_is_lost_in_json(kp, default, contract):
-    saved = changed(contract, kp=kp, default_q=tuple(default))
+    saved = changed(contract, kp=(kp,) * 12, default_q=tuple(default))
     read = PolicyContract.from_json(saved.to_json())
     assert read == saved
     assert [v.hex() for v in read.default_q] == [v.hex() for v in saved.default_q]
+
+
+def test_one_gain_for_all_joints_is_read_as_twelve(contract):
+    fields = json.loads(contract.to_json()) | {"kp": 30.0, "torque_max": 12.0}
+    read = PolicyContract.from_json(json.dumps(fields))
+    assert (read.kp, read.torque_max) == ((30.0,) * 12, (12.0,) * 12)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "3", "{}", '{"terms": 7}'])
@@ -275,11 +281,11 @@ def test_it_comes_when_the_heading_is_off_and_stays_until_half_of_that_is_left(c
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"kp": 500.0}, "kp is 500 N m/rad; expected more than 0, at most 150"),
-        ({"kp": float("nan")}, "kp is nan"),
-        ({"kp": -50.0}, "kp is -50"),
-        ({"kd": 0.0}, "kd is 0 N m s/rad; expected more than 0"),
-        ({"kd": 50.0}, "kd is 50"),
+        ({"kp": (500.0,) * 12}, "kp is 500 N m/rad; expected more than 0, at most 150"),
+        ({"kp": (float("nan"),) * 12}, "kp is nan"),
+        ({"kp": (-50.0,) * 12}, "kp is -50"),
+        ({"kd": (0.0,) * 12}, "kd is 0 N m s/rad; expected more than 0"),
+        ({"kd": (50.0,) * 12}, "kd is 50"),
         ({"action_clip": 1e9}, r"action_clip is 1e\+09"),
         ({"action_scale": (float("inf"),) * 12}, "action_scale holds a number that is not finite"),
         ({"default_q": (float("nan"),) * 12}, "default_q holds a number that is not finite"),

@@ -25,7 +25,7 @@ def test_the_same_observation_gives_the_same_action(description):
 
 
 def test_the_contract_comes_from_inside_the_file(tmp_path, constant_onnx, contract, description):
-    other = dataclasses.replace(contract, kp=contract.kp + 1 / 3)
+    other = dataclasses.replace(contract, kp=tuple(kp + 1 / 3 for kp in contract.kp))
     policy = Policy(constant_onnx(tmp_path / "a.onnx", metadata=other.to_json()), description)
     assert policy.contract == other
 

@@ -7,12 +7,13 @@ from mimic.config.retarget import RetargetSettings
 from mimic.io.keyframes import KeyFrame, KeyFrames
 from mimic.retargeting.keyframes import keyframe_commands
 from mimic.robot.arm_mapping import posture
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 def test_toes_are_where_the_angles_put_them_when_a_frame_is_reached(reach):

@@ -19,7 +19,7 @@ from mimic.simulation.plant import SimulatedPlant, with_timestep
 
 def command(description, q: np.ndarray) -> JointCommand:
     zeros = np.zeros(12)
-    gains = np.full(12, description.kp), np.full(12, description.kd)
+    gains = description.kp, description.kd
     return JointCommand(q_des=q, dq_des=zeros, kp=gains[0], kd=gains[1], tau_ff=zeros)
 
 

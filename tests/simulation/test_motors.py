@@ -27,8 +27,8 @@ def machine(name: str, **values: float) -> EffectValues:
 
 
 def command(description, q: np.ndarray, gain: float = 1.0) -> JointCommand:
-    zeros, ones = np.zeros(12), np.ones(12)
-    return JointCommand(q_des=q, dq_des=zeros, kp=gain * description.kp * ones, kd=description.kd * ones, tau_ff=zeros)
+    zeros = np.zeros(12)
+    return JointCommand(q_des=q, dq_des=zeros, kp=gain * description.kp, kd=description.kd, tau_ff=zeros)
 
 
 def play(plant: SimulatedPlant, ticks: int = 25, *, hanging: bool = False) -> list[RobotState]:

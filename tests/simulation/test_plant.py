@@ -32,8 +32,8 @@ def command(description, q: np.ndarray, **changes: Any) -> JointCommand:
     values: dict[str, Any] = {
         "q_des": q,
         "dq_des": zeros,
-        "kp": np.full(12, description.kp),
-        "kd": np.full(12, description.kd),
+        "kp": description.kp,
+        "kd": description.kd,
         "tau_ff": zeros,
     }
     return JointCommand(**(values | changes))
@@ -126,7 +126,7 @@ def test_a_damped_robot_only_brakes(description):
     tick = [plant.step(command(description, description.poses["four"])) for _ in range(30)][-1]
     height = tick.state.p_WB[2]
     for _ in range(20):
-        tick = plant.step(damping_command(tick.state.q, description.kd))
+        tick = plant.step(damping_command(tick.state.q, description.kd[0]))
     moving = np.abs(samples(tick).dq[:-1]) > 1e-2
     assert moving.any()
     assert np.all(np.sign(samples(tick).tau[1:][moving]) == -np.sign(samples(tick).dq[:-1][moving]))
@@ -137,7 +137,7 @@ def test_stiffness_comes_back_after_damping(description):
     plant = SimulatedPlant(description)
     start = plant.start()
     for _ in range(5):
-        plant.step(damping_command(start.q, description.kd))
+        plant.step(damping_command(start.q, description.kd[0]))
     ticks = [plant.step(command(description, description.poses["four"])) for _ in range(60)]
     assert np.abs(ticks[-1].state.q - description.poses["four"]).max() < 0.15
 
@@ -217,7 +217,7 @@ def test_interpolated_commands_move_linearly_from_one_to_the_next_after_their_de
     zeros = np.zeros(12)
     for target in (0.0, 0.1, -0.1, -0.1, -0.1):
         q_des = q + target
-        gains: dict[str, Any] = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        gains: dict[str, Any] = {"kp": description.kp, "kd": description.kd}
         plant.step(JointCommand(q_des=q_des, dq_des=zeros, tau_ff=zeros, ramp=dt, **gains))
     t = description.timestep * np.arange(1, len(seen) + 1) - delay
     expected = q[1] + np.interp(t, dt * np.arange(6), [0.0, 0.0, 0.1, -0.1, -0.1, -0.1])
@@ -229,7 +229,7 @@ def test_commands_act_at_once_where_interpolation_is_not_asked_for(description):
     plant = SimulatedPlant(description, observer=lambda model, data: seen.append(data.ctrl[1]))
     q, zeros = plant.start().q, np.zeros(12)
     for target in (0.0, 0.1, 0.1):
-        gains: dict[str, Any] = {"kp": np.full(12, description.kp), "kd": np.full(12, description.kd)}
+        gains: dict[str, Any] = {"kp": description.kp, "kd": description.kd}
         plant.step(JointCommand(q_des=q + target, dq_des=zeros, tau_ff=zeros, **gains))
     assert set(np.round(seen - q[1], 9)) == {0.0, 0.1}
 

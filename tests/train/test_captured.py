@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from functools import partial
 
 import pytest
 
@@ -13,8 +14,12 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
-from mimic.train.learn import runner_config, train  # noqa: E402
+from mimic.robot.description import load_description  # noqa: E402
+from mimic.train.learn import runner_config  # noqa: E402
+from mimic.train.learn import train as train_robot  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
+
+train = partial(train_robot, description=load_description("cyberdog2"))
 
 MDP = MdpSettings(worlds=6, history=3)  # small, as the networks below
 LEARN = LearnSettings(device="cpu", steps=8, hidden=(32, 16), epochs=3, minibatches=2, reaching=0.0)

@@ -125,7 +125,7 @@ def test_training_physics_is_that_of_the_simulation(description, timestep, monke
     env.episode_length_buf.zero_()
     env.worlds.qpos[0] = torch.as_tensor(np.concatenate([state.p_WB, state.quat_WB, state.q]))
     env.worlds.qvel.zero_()
-    gains = np.full(12, description.kp), np.full(12, description.kd)
+    gains = description.kp, description.kd
     rng = np.random.default_rng(0)
     moved = 0.0
     for _ in range(15):

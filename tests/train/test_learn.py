@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -18,9 +19,13 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
+from mimic.robot.description import load_description  # noqa: E402
 from mimic.train.contract import make_contract  # noqa: E402
-from mimic.train.learn import TrainingDiverged, runner_config, settings_hash, train  # noqa: E402
+from mimic.train.learn import TrainingDiverged, runner_config, settings_hash  # noqa: E402
+from mimic.train.learn import train as train_robot  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
+
+train = partial(train_robot, description=load_description("cyberdog2"))
 
 MDP = MdpSettings(worlds=4)
 LEARN = LearnSettings(iterations=1, device="cpu", steps=8, hidden=(32, 16), epochs=2, minibatches=2)

@@ -46,8 +46,8 @@ def test_a_mirrored_robot_with_mirrored_actions_sees_mirrored_observations(descr
             command = JointCommand(
                 q_des=joint_command(contract, action),
                 dq_des=np.zeros(12),
-                kp=np.full(12, contract.kp),
-                kd=np.full(12, contract.kd),
+                kp=np.array(contract.kp),
+                kd=np.array(contract.kd),
                 tau_ff=np.zeros(12),
             )
             state = plant.step(command).state

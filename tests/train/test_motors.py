@@ -86,7 +86,7 @@ def difference(folder: Path, description, effects: tuple[EffectValues, ...], ste
     worlds = Worlds(d, dataclasses.replace(EXACT, effects=file(folder, *effects)), "cpu", 0)
     assert worlds.motors is not None
     rng, n = np.random.default_rng(0), EXACT.worlds
-    lie, gains = (d.q_min + d.q_max) / 2, (d.kp * np.ones(12), d.kd * np.ones(12))
+    lie, gains = (d.q_min + d.q_max) / 2, (d.kp, d.kd)
     plants = [
         SimulatedPlant(d, effects=EffectSet(effects), solver=Solver(timestep=STEP), samples=False) for _ in range(n)
     ]

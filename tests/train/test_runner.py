@@ -58,7 +58,7 @@ def process(folder: str, *ports: str) -> int:
 
     rank, torchrun = int(os.environ["RANK"]), dict(os.environ)
     torch.set_num_threads(1)
-    env = StandTrackEnv(load_description(), MDP, "cpu", 0)
+    env = StandTrackEnv(load_description("cyberdog2"), MDP, "cpu", 0)
     os.environ.pop("TORCHELASTIC_USE_AGENT_STORE")
     for plain, port in zip((False, True), ports, strict=True):
         os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from mimic.policy.runtime import Policy
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
-from mimic.train.learn import train  # noqa: E402
+from mimic.robot.description import load_description  # noqa: E402
+from mimic.train.learn import train as train_robot  # noqa: E402
 from mimic.train.rewards import REWARD_SCALE  # noqa: E402
 from mimic.train.sit_down import WEIGHTS, SitDownEnv, sit_down_terms  # noqa: E402
 from mimic.train.starts import SitDownStarts, StartShares, recorded_states  # noqa: E402
+
+train = partial(train_robot, description=load_description("cyberdog2"))
 
 SIT = MdpSettings(worlds=8, task="sit_down", noise_q=0.0, noise_axes=0.0, disturbances=UNDISTURBED)
 

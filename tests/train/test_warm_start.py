@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
 
-from mimic.train.learn import train  # noqa: E402
+from mimic.robot.description import load_description  # noqa: E402
+from mimic.train.learn import train as train_robot  # noqa: E402
+
+train = partial(train_robot, description=load_description("cyberdog2"))
 
 MDP = MdpSettings(worlds=4, history=3)
 LEARN = LearnSettings(device="cpu", steps=4, iterations=1, hidden=(16, 8), epochs=1, minibatches=1, critic_updates=100)

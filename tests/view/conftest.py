@@ -17,7 +17,7 @@ DT = 0.02
 
 @pytest.fixture(scope="session")
 def description() -> RobotDescription:
-    return load_description()
+    return load_description("cyberdog2")
 
 
 @pytest.fixture(scope="session")

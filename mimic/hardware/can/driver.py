@@ -76,7 +76,7 @@ class CanDriver:
         self.period, self.problem = description.dt / PARTS, ""
         self.motor_bus = MotorBus(link, wiring)
         self._description, self._homing, self._zeroed, self._dry = description, homing, zeroed, dry_run
-        self._torque_limit = description.torque_max if torque_limit is None else torque_limit
+        self._torque_limit = float(description.torque_max.min()) if torque_limit is None else torque_limit
         self._reopen, self._tried = reopen, -np.inf
         self._report = no_report()
         self._failures = self._asked_count = 0

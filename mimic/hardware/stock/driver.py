@@ -127,7 +127,7 @@ class StockDriver:
         Raises:
             PlantError: If a torque limit is asked for.
         """
-        if torque_limit is not None and torque_limit < description.torque_max:
+        if torque_limit is not None and torque_limit < description.torque_max.max():
             raise PlantError(
                 f"the stock board has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
             )

@@ -67,12 +67,12 @@ def _angles(q: FloatArray, reach: Reach) -> list[str]:
 def _path(before: FloatArray, after: FloatArray, duration: float, reach: Reach) -> list[str]:
     """Return violations about how fast a key frame is reached, and what is hit on the way."""
     errors = []
-    for name, turn in zip(JOINTS, np.abs(after - before), strict=False):
-        if turn > reach.speed_max * max(duration, MIN_DURATION) + ROUNDING:
+    for name, turn, speed in zip(JOINTS, np.abs(after - before), reach.speed_max, strict=False):
+        if turn > speed * max(duration, MIN_DURATION) + ROUNDING:
             errors.append(
                 f"{name} turns by {np.degrees(turn):.0f} deg in {duration:g} s; "
-                f"at most {np.degrees(reach.speed_max):.0f} deg/s are possible, "
-                f"so take at least {turn / reach.speed_max:.2f} s"
+                f"at most {np.degrees(speed):.0f} deg/s are possible, "
+                f"so take at least {turn / speed:.2f} s"
             )
     shares = np.linspace(0.0, 1.0, POINTS_BETWEEN + 2)[1:-1]
     if not errors and min(reach.gap(before + share * (after - before)) for share in shares) < 0.0:

@@ -56,7 +56,7 @@ Each front leg: the upper arm is {100 * leg.thigh:.0f} cm long, the forearm {100
 {_effects(reach)}
 Allowed angles in degrees:
 {limits}
-No joint turns faster than {np.degrees(reach.speed_max):.0f} deg/s. Hands must not touch each other or the body.
+No joint turns faster than {np.degrees(reach.speed_max.min()):.0f} deg/s. Hands must not touch each other or the body.
 Postures that are known to be good; go between them:
 {table}"""
 

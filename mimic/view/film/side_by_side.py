@@ -32,8 +32,8 @@ from mimic.view.scene.timing import (
 )
 from mimic.view.scene.viewpoint import seen_from
 
-_DISTANCE, _LOOK_HEIGHT = 1.3, 0.41
-"""Distance of the camera, and the height that it looks at; raised front legs stay in the picture [m]."""
+_DISTANCE, _LOOK_HEIGHT = 2.988, 0.9423
+"""Distance of the camera, and the height that it looks at; raised front legs stay in the picture [upright heights]."""
 _DOWN = np.radians(10.0)
 """Angle of the camera, downward [rad]."""
 _TARGET_RADIUS = 0.03
@@ -74,7 +74,7 @@ class RobotFilm:
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
         """
-        self._log, self._radius = log, description.toe_radius
+        self._log, self._radius, self._tall = log, description.toe_radius, description.pose_height["upright"]
         self._aimed = log.aimed
         model = load_model(description)
         self._qpos = qpos_at_ticks(log, model)
@@ -98,8 +98,8 @@ class RobotFilm:
             pull: Where a hand pulls (3,), world axes [m], and how strongly (3,) [N], drawn as an arrow.
         """
         screen = self._screen
-        lookat = np.array([*self._path[tick], _LOOK_HEIGHT])
-        screen.pose(self._qpos[tick], lookat, distance=_DISTANCE, azimuth=self._azimuth, elevation=-_DOWN)
+        lookat = np.array([*self._path[tick], _LOOK_HEIGHT * self._tall])
+        screen.pose(self._qpos[tick], lookat, distance=_DISTANCE * self._tall, azimuth=self._azimuth, elevation=-_DOWN)
         tracking = self._aimed[tick]
         for i, side in enumerate(SIDES):
             red, green, blue = (c / 255 for c in skeleton.COLOURS[side])

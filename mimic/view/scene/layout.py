@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
     from mimic.records import FloatArray
+    from mimic.robot.description import RobotDescription
 
 TIMELINE = "time"
 VIDEO, BODY, ROBOT = "/video", "/person", "/robot"
@@ -67,12 +68,24 @@ def camera_at(
     return (distance * np.cos(direction), distance * np.sin(direction), height), (0.0, 0.0, target)
 
 
+def camera_at_robot(direction: float, description: RobotDescription, *, distance: float) -> Any:
+    """Return position and target of a camera that looks at a robot, at a distance in upright heights."""
+    tall = description.pose_height["upright"]
+    return camera_at(direction, distance=distance * tall, height=1.38 * tall, target=0.965 * tall)
+
+
 def blueprint(
-    *, span: tuple[float, float], camera: float, video: tuple[int, int] | None, person: PersonView | None
+    description: RobotDescription,
+    *,
+    span: tuple[float, float],
+    camera: float,
+    video: tuple[int, int] | None,
+    person: PersonView | None,
 ) -> rrb.Blueprint:
     """Return the layout.
 
     Args:
+        description: The robot.
         span: First and last time of the plots on the shared clock [s].
         camera: Direction from which the robot is seen [rad].
         video: Width and height of the video picture [px]; None for no video.
@@ -101,7 +114,7 @@ def blueprint(
             )
         )
         shares.append(0.9)
-    eye, target = camera_at(camera, distance=0.98, height=0.6, target=0.42)
+    eye, target = camera_at_robot(camera, description, distance=2.25)
     pictures.append(
         rrb.Spatial3DView(
             origin=EYE,

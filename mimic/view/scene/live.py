@@ -52,7 +52,7 @@ class LiveView:
         self._description = description
         self._model = load_model(description)
         self._scene = rr.RecordingStream("mimic live")
-        eye, target = layout.camera_at(SIDEWAYS, distance=1.15, height=0.6, target=0.42)
+        eye, target = layout.camera_at_robot(SIDEWAYS, description, distance=2.64)
         pictures = [
             rrb.Spatial2DView(origin=layout.VIDEO, name="camera"),
             rrb.Spatial3DView(

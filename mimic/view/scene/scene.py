@@ -63,7 +63,7 @@ def save_scene(
         size = clip.size if clip is not None else None if pose is None or 0 in pose.size else pose.size
         seen: layout.PersonView | None = None if pose is None else "whole" if feet_seen(pose) else "upper"
         camera = initial_heading(log) + seen_from(pose, targets)
-        shown = layout.blueprint(span=(start, float(clock[-1])), camera=camera, video=size, person=seen)
+        shown = layout.blueprint(description, span=(start, float(clock[-1])), camera=camera, video=size, person=seen)
         stamps = None if clip is None else frame_times(clip.stamps, pose, slowed_down(targets))
         frames = stamps if pose is None else pose.t
         with _recording() as scene:

@@ -38,9 +38,7 @@ def made(request, description):
 def hold(description, q=None) -> JointCommand:
     zeros = np.zeros(12)
     q = description.poses["lie"] if q is None else q
-    return JointCommand(
-        q_des=q, dq_des=zeros, kp=np.full(12, description.kp), kd=np.full(12, description.kd), tau_ff=zeros
-    )
+    return JointCommand(q_des=q, dq_des=zeros, kp=description.kp, kd=description.kd, tau_ff=zeros)
 
 
 def steps(plant, description, count: int = 10) -> None:
@@ -361,7 +359,7 @@ def test_motors_on_a_bus_that_works_get_their_commands_while_another_fails(descr
     robot.inject(parse_fault(f"unplugged:bus0@{robot.now}-{robot.now + 0.05}"))
     done = plant.step(hold(description))
     for joint, motor in enumerate(robot.motors):
-        assert wiring.bus[joint] == 0 or motor.drive.kp == pytest.approx(description.kp, abs=0.01)
+        assert wiring.bus[joint] == 0 or motor.drive.kp == pytest.approx(description.kp[joint], abs=0.01)
     assert np.isnan(done.sent.q_des).all()
     plant.close()
 

@@ -11,7 +11,7 @@ from mimic.hardware.robot.sender import GIVE_UP, ORDER_TIMEOUT, Order, Sender, S
 from mimic.records import JointCommand
 from mimic.robot.description import load_description
 
-D = load_description()
+D = load_description("cyberdog2")
 LIE = D.poses["lie"]
 
 

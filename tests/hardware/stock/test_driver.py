@@ -16,7 +16,7 @@ from mimic.records import JointCommand
 from mimic.robot.description import load_description
 
 BOARD = load_board()
-D = load_description()
+D = load_description("cyberdog2")
 LIE = D.poses["lie"]
 
 

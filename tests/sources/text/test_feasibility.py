@@ -7,13 +7,14 @@ import pytest
 
 from mimic.io.keyframes import KeyFrame, KeyFrames
 from mimic.robot.arm_mapping import POSTURES, posture
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.text.feasibility import violations
 
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 @pytest.fixture(scope="module")

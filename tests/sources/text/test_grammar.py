@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
 from mimic.robot.arm_mapping import posture
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.text.feasibility import violations
 from mimic.sources.text.grammar import plan_by_grammar
@@ -16,7 +17,7 @@ from mimic.sources.text.meaning import parse, vocabulary
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 @pytest.fixture(scope="module")

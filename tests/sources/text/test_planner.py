@@ -15,6 +15,7 @@ import pytest
 from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
 from mimic.io.keyframes import plain_frame
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.text.grammar import plan_by_grammar
 from mimic.sources.text.planner import CORRECTIONS, first_json, plan
@@ -24,7 +25,7 @@ SENTENCE = "step forward, then wave"
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 class Endpoint:
@@ -234,7 +235,7 @@ def test_a_server_that_refuses_is_reported(status, message, ask, endpoint):
     endpoint.answers = [status]
     settings = LanguageSettings(llm_url=endpoint.url, llm_model="canned")
     with pytest.raises(SourceError, match=message) as error:
-        plan(SENTENCE, Reach(), settings)
+        plan(SENTENCE, Reach(load_description("cyberdog2")), settings)
     assert f"canned {status}" in str(error.value)
     assert len(endpoint.sent) == (1 if status == 401 else 3)
 

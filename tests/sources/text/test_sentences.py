@@ -10,13 +10,14 @@ import pytest
 from lab.sentences.checks import MORE, Sentence, does, sentences
 from mimic.errors import SourceError
 from mimic.io.keyframes import KeyFrames
+from mimic.robot.description import load_description
 from mimic.robot.reach import Reach
 from mimic.sources.text.grammar import plan_by_grammar
 
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return Reach()
+    return Reach(load_description("cyberdog2"))
 
 
 @pytest.fixture(scope="module")

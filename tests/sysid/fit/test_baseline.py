@@ -57,8 +57,8 @@ def squares(problem: Problem, residual: np.ndarray) -> float:
 @pytest.mark.slow
 def test_it_goes_on_as_long_as_that_pays() -> None:
     """Else any effect that lets it go on seems to explain something. Five steps leave a seventh more here."""
-    robot, rng = hung_robot(load_description()), np.random.default_rng(4)
-    motion = probe_targets(*hung_ranges(load_description()), seconds=15.0, seed=4)
+    robot, rng = hung_robot(load_description("cyberdog2")), np.random.default_rng(4)
+    motion = probe_targets(*hung_ranges(load_description("cyberdog2")), seconds=15.0, seed=4)
     true = {
         "coulomb": {"level": rng.uniform(0.03, 0.12, 12)},
         "viscous": {"coefficient": rng.uniform(0.02, 0.1, 12)},

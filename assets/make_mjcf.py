@@ -1,12 +1,13 @@
-"""Write cyberdog2.xml and scene.xml from robot.toml and the outer shapes of appearance.py.
+"""Write a robot's MJCF and its scene.xml from robot.toml and the outer shapes of appearance.py, both in its folder.
 
-    python assets/cyberdog2/make_mjcf.py [--check]
+    python assets/make_mjcf.py ROBOT [--check]
 
 With --check nothing is written, and the exit status is 1 where a file on disk differs from what would be written.
 """
 
 from __future__ import annotations
 
+import importlib
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
@@ -14,10 +15,9 @@ from math import asin, cos, sin
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
-from appearance import MATERIALS, SHAPES
-
-HERE = Path(__file__).parent
+HERE = Path(__file__).parent / sys.argv[1]
+sys.path.insert(0, str(HERE.parent))
+LOOKS = importlib.import_module(f"{HERE.name}.appearance")
 ROBOT: dict[str, Any] = tomllib.loads((HERE / "robot.toml").read_text(encoding="utf-8"))
 LEGS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}
 """Leg -> (front +1 or hind -1, left +1 or right -1)."""
@@ -25,12 +25,8 @@ LEGS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}
 SELF_CONTACTS = (
     ("FL_shank", "FR_shank"),
     ("RL_shank", "RR_shank"),
-    ("FL_shank", "RL_shank"),
-    ("FR_shank", "RR_shank"),
-    ("FL_shank", "head_0"),
-    ("FR_shank", "head_0"),
-    ("FL_shank", "body"),
-    ("FR_shank", "body"),
+    *((f"{side}_shank", f"{hind}_shank") for side, hind in (("FL", "RL"), ("FR", "RR"))),
+    *((f"{side}_shank", other) for other in ("head_0", "body") for side in ("FL", "FR")),
 )
 """Pairs of the robot's own shapes that may touch."""
 
@@ -64,14 +60,15 @@ def collide(body: ET.Element, name: str, **attributes: str) -> None:
 
 def dress(body: ET.Element, part: str, f: int, s: int) -> None:
     """Add the outer shapes of a part; they weigh nothing and touch nothing."""
-    for shape in SHAPES.get(part, ()):
+    for shape in LOOKS.SHAPES.get(part, ()):
         ET.SubElement(body, "geom", {"class": "visual", **shape.attributes(f, s)})
 
 
 def leg(parent: ET.Element, name: str) -> None:
     f, s = LEGS[name]
     end = "front" if f > 0 else "rear"
-    a, h, k, toe, rotors = (ROBOT[key] for key in ("abad", "hip", "knee", "toe", "rotor"))
+    a, h, k, toe = (ROBOT[key] for key in ("abad", "hip", "knee", "toe"))
+    rotors = ROBOT.get("rotor", {})  # without, their mass is in the links
 
     x, y, z = a["origin"]
     abad = ET.SubElement(parent, "body", name=f"{name}_abad", pos=text(f * x, s * y, z))
@@ -80,12 +77,15 @@ def leg(parent: ET.Element, name: str) -> None:
     ET.SubElement(abad, "joint", {"name": f"{name}_abad", "class": "abad"})
     shoulder = a["shoulder"]
     upright = {"quat": text(2**-0.5, 2**-0.5, 0, 0)}
-    for label, offset, c in (("abad", 0.0, a["cylinder"]), ("shoulder", s * shoulder["y"], shoulder)):
-        size = text(c["radius"], c["length"] / 2)
-        collide(abad, f"{name}_{label}", type="cylinder", size=size, pos=text(0, offset, 0), **upright)
+    for label, c in (("abad", a.get("cylinder")), ("shoulder", shoulder)):
+        if c:
+            size = text(c["radius"], c["length"] / 2)
+            at = text(0, s * c.get("y", 0.0), 0)
+            collide(abad, f"{name}_{label}", type="cylinder", size=size, pos=at, **upright)
     dress(abad, "abad", f, s)
-    rx, ry, rz = rotors["abad"]
-    rotor(abad, f"{name}_abad_rotor", [f * rx, ry, rz])
+    if rotors:
+        rx, ry, rz = rotors["abad"]
+        rotor(abad, f"{name}_abad_rotor", [f * rx, ry, rz])
 
     x, y, z = h["origin"]
     hip = ET.SubElement(abad, "body", name=f"{name}_hip", pos=text(x, s * y, z))
@@ -95,57 +95,64 @@ def leg(parent: ET.Element, name: str) -> None:
     half = [v / 2 for v in h["box"]]
     collide(hip, f"{name}_thigh", type="box", size=text(half), pos=text(0, 0, -h["length"] / 2))
     dress(hip, "hip", f, s)
-    for joint in ("hip", "knee"):
+    for joint in ("hip", "knee") if rotors else ():
         rx, ry, rz = rotors[joint]
         rotor(hip, f"{name}_{joint}_rotor", [rx, s * ry, rz])
 
     knee = ET.SubElement(hip, "body", name=f"{name}_knee", pos=text(0, 0, -h["length"]))
-    inertial(knee, k["mass"], k["com"], k["inertia"])
+    side = s if k.get("mirrors") else 1
+    cx, cy, cz = k["com"]
+    inertial(knee, k["mass"], [cx, side * cy, cz], mirrored(k["inertia"], side, 1, side))
     ET.SubElement(knee, "joint", {"name": f"{name}_knee", "class": "knee"})
     tx, ty, tz = toe["position"]
     radius = k["shank"]["width"] / 2
     collide(knee, f"{name}_shank", type="capsule", size=text(radius), fromto=text(0, 0, 0, tx, ty, tz))
-    collide(knee, f"{name}_rubber", type="sphere", size=text(k["rubber"]["radius"]), pos=text(k["rubber"]["position"]))
+    if pad := k.get("rubber"):
+        collide(knee, f"{name}_rubber", type="sphere", size=text(pad["radius"]), pos=text(pad["position"]))
     collide(knee, f"{name}_toe", type="sphere", size=text(toe["radius"]), pos=text(toe["position"]))
     dress(knee, "knee", f, s)
     ET.SubElement(knee, "site", {"name": f"{name}_toe", "class": "toe", "pos": text(toe["position"])})
 
 
-def defaults(root: ET.Element) -> None:
-    motor, physics, contact = ROBOT["motor"], ROBOT["physics"], ROBOT["contact"]
-    top = ET.SubElement(ET.SubElement(root, "default"), "default", {"class": "cyberdog2"})
+def motor_class(top: ET.Element, name: str, place: int, axis: str, limit: list[float]) -> None:
+    """Add the class of a joint and its motor; place is 0, 1 or 2 for abad, hip or knee."""
+    motor, physics = ROBOT["motor"], ROBOT["physics"]
+    number = {key: v[place] if isinstance(v, list) else v for key, v in motor.items()}
+    constant = motor["voltage"] / number["speed_max"]
+    slope = number["torque_max"] / (number["speed_max"] - number["speed_flat"])
+    own = ET.SubElement(top, "default", {"class": name})
     ET.SubElement(
-        top,
+        own,
         "joint",
-        armature=text(motor["armature"]),
-        damping=text(motor["damping"]),
-        frictionloss=text(motor["friction"]),
+        axis=axis,
+        range=text(limit),
+        limited="true",
+        armature=text(number["armature"]),
+        damping=text(number["damping"]),
+        frictionloss=text(number["friction"]),
         solreffriction=text(physics["solref_friction"]),
         solimpfriction=text(physics["solimp_friction"]),
     )
-    slope = motor["torque_max"] / (motor["speed_max"] - motor["speed_flat"])
-    constant = motor["voltage"] / motor["speed_max"]
     ET.SubElement(
-        top,
+        own,
         "dcmotor",
         motorconst=text(constant),
         resistance=text(constant**2 / slope),
         input="pos",
-        controller=text(motor["kp"], 0, motor["kd"], 0, 0, motor["voltage"]),
-        saturation=text(motor["torque_max"]),
+        controller=text(number["kp"], 0, number["kd"], 0, 0, motor["voltage"]),
+        saturation=text(number["torque_max"]),
         delay=text(motor["delay"]),
         nsample=text(round(motor["delay"] / physics["timestep"]) + 1),
     )
-    limits = {
-        "abad": ("1 0 0", ROBOT["abad"]["range"]),
-        "hip_front": ("0 1 0", ROBOT["hip"]["range_front"]),
-        "hip_rear": ("0 1 0", ROBOT["hip"]["range_rear"]),
-        "knee": ("0 1 0", ROBOT["knee"]["range"]),
-    }
-    for name, (axis, limit) in limits.items():
-        ET.SubElement(
-            ET.SubElement(top, "default", {"class": name}), "joint", axis=axis, range=text(limit), limited="true"
-        )
+
+
+def defaults(root: ET.Element) -> None:
+    contact = ROBOT["contact"]
+    top = ET.SubElement(ET.SubElement(root, "default"), "default", {"class": ROBOT["name"]})
+    motor_class(top, "abad", 0, "1 0 0", ROBOT["abad"]["range"])
+    motor_class(top, "hip_front", 1, "0 1 0", ROBOT["hip"]["range_front"])
+    motor_class(top, "hip_rear", 1, "0 1 0", ROBOT["hip"]["range_rear"])
+    motor_class(top, "knee", 2, "0 1 0", ROBOT["knee"]["range"])
     collision = ET.SubElement(top, "default", {"class": "collision"})
     ET.SubElement(
         collision,
@@ -169,12 +176,12 @@ def robot_xml() -> ET.Element:
     )
     defaults(root)
     assets = ET.SubElement(root, "asset")
-    for name, attributes in MATERIALS.items():
+    for name, attributes in LOOKS.MATERIALS.items():
         ET.SubElement(assets, "material", {"name": name, **attributes})
 
     world = ET.SubElement(root, "worldbody")
     body = ET.SubElement(
-        world, "body", {"name": "base", "pos": text(0, 0, ROBOT["pose"]["four"]["z"]), "childclass": "cyberdog2"}
+        world, "body", {"name": "base", "pos": text(0, 0, ROBOT["pose"]["four"]["z"]), "childclass": ROBOT["name"]}
     )
     ET.SubElement(body, "freejoint", name="base")
     inertial(body, ROBOT["body"]["mass"], ROBOT["body"]["com"], ROBOT["body"]["inertia"])
@@ -192,10 +199,10 @@ def robot_xml() -> ET.Element:
         ET.SubElement(contacts, "pair", geom1=one, geom2=other, condim="3")
 
     actuators = ET.SubElement(root, "actuator")
-    for name in LEGS:
-        for joint in ("abad", "hip", "knee"):
+    for name, (f, _) in LEGS.items():
+        for joint, of in (("abad", "abad"), ("hip", "hip_front" if f > 0 else "hip_rear"), ("knee", "knee")):
             label = f"{name}_{joint}"
-            ET.SubElement(actuators, "dcmotor", {"name": label, "joint": label, "class": "cyberdog2"})
+            ET.SubElement(actuators, "dcmotor", {"name": label, "joint": label, "class": of})
 
     frames = ET.SubElement(root, "keyframe")
     for name, pose in ROBOT["pose"].items():
@@ -208,7 +215,7 @@ def robot_xml() -> ET.Element:
 
 def scene_xml() -> ET.Element:
     root = ET.Element("mujoco", model=f"{ROBOT['name']} on a floor")
-    ET.SubElement(root, "include", file="cyberdog2.xml")
+    ET.SubElement(root, "include", file=ROBOT["model"]["file"])
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", diffuse="0.22 0.22 0.22", ambient="0.40 0.40 0.42", specular="0.1 0.1 0.1")
     ET.SubElement(visual, "rgba", haze="0.86 0.89 0.92 1")
@@ -273,7 +280,9 @@ def pretty(root: ET.Element, note: str) -> str:
 
 def main() -> int:
     note = "Written by make_mjcf.py from robot.toml and appearance.py: change those, not this."
-    files = {HERE / "cyberdog2.xml": robot_xml(), HERE / "scene.xml": scene_xml()}
+    if (HERE / "NOTICE").is_file():
+        note += " Numbers of others are in it: see NOTICE."
+    files = {HERE / ROBOT["model"]["file"]: robot_xml(), HERE / "scene.xml": scene_xml()}
     stale = 0
     for path, root in files.items():
         content = pretty(root, note)
