@@ -243,7 +243,8 @@ def play_job(job: Job) -> dict[str, Any]:
 
 def _play(job: Job) -> dict[str, Any]:
     silent, begin = SilentReporter(), time.perf_counter()
-    motion = load_motion(job.source, job.settings, reporter=silent)
+    description = load_robot(job.robot.robot_model)
+    motion = load_motion(job.source, job.settings, description=description, reporter=silent)
     done = play(motion, settings=job.run, effects=job.robot)
     if done.result.error is not None:
         raise done.result.error

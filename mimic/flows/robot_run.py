@@ -31,7 +31,6 @@ from mimic.records import CommandTrack, LiveCommands
 if TYPE_CHECKING:
     from mimic.control.supervisor import Event, Supervisor
     from mimic.hardware.hold_to_run import Hold
-    from mimic.policy.contract import PolicyContract
     from mimic.policy.runtime import Policy
 
 HOLD_WITHIN = 20.0
@@ -141,7 +140,7 @@ def play_on_robot(
     description = load_robot()
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
-    motion = _motion(source, settings, policy.contract, reporter)
+    motion = _motion(source, settings, policy, reporter)
     standing = source is None and camera is None
     file, name = (source, source.name) if isinstance(source, Path) else (None, source or "robot")
     name = name if camera is None else f"camera {camera}"
@@ -254,12 +253,12 @@ def _confirm(operator: Operator, what: str, hold: Hold | None) -> None:
         raise PlantError(f"nothing was moved. Nothing was held for {HOLD_WITHIN:g} s (--hold)")
 
 
-def _motion(source: Path | str | None, settings: InputSettings, contract: PolicyContract, reporter: Reporter) -> Motion:
+def _motion(source: Path | str | None, settings: InputSettings, policy: Policy, reporter: Reporter) -> Motion:
     """Return what is played; without a source, commands that keep the toes where they are neutral."""
     if source is None:
-        toes = np.array(contract.neutral_toes).reshape(1, 2, 3)
+        toes = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
         return Motion(commands=CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=toes))
-    return load_source(source, settings, reporter)
+    return load_source(source, settings, reporter, policy.description)
 
 
 @contextmanager

@@ -229,6 +229,8 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
     poses = {pose: _array(values["q"]) for pose, values in raw["pose"].items()}
     if any(q.shape != (len(JOINTS),) for q in poses.values()):
         raise AssetError(f"{path}: a pose does not have {len(JOINTS)} joints")
+    numbers: dict[str, Any] = {name: _by_joint(motor[name]) for name in BY_JOINT}
+    numbers |= {name: motor[name] for name in ("kp_max", "kd_max", "voltage", "delay")}
     return RobotDescription(
         name=raw["name"],
         folder=path.parent,
@@ -238,8 +240,7 @@ def _described(raw: dict[str, Any], path: Path) -> RobotDescription:
         head=tuple(Box(centre=_array(h["position"]), size=_array(h["size"])) for h in raw.get("head", ())),
         q_min=limits[:, 0],
         q_max=limits[:, 1],
-        **{name: _by_joint(motor[name]) for name in BY_JOINT},
-        **{name: motor[name] for name in ("kp_max", "kd_max", "voltage", "delay")},
+        **numbers,
         timestep=physics["timestep"],
         decimation=physics["decimation"],
         poses=poses,
