@@ -30,7 +30,7 @@ def play(
     video: Annotated[Path | None, Parameter(group=o.OUTPUT)] = None,
     view: o.View = None,
     retarget: Annotated[o.Retarget, o.only("retarget", "rate", "mirror", "slow_down")] = None,
-    run: Annotated[o.Run, o.only("run", "policy", "early")] = None,
+    run: Annotated[o.Run, o.only("run", "policy")] = None,
     model: Annotated[o.Effects, o.only("model", "robot_model", "effects")] = None,
     pose: Annotated[o.Pose, o.only("pose", "person", "pose_model", "also")] = None,
     stored: Annotated[o.Stored, o.only("stored")] = None,
@@ -122,7 +122,7 @@ def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> Non
     """Raise a ConfigError for what can be asked of a stored motion only."""
     if run is not None and run.early is not None:
         raise ConfigError(
-            "--early asks for targets before their time; what a camera will see is not known: leave it out"
+            "early asks for targets before their time; what a camera will see is not known: leave it out of --config"
         )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")

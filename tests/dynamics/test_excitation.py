@@ -49,8 +49,8 @@ def test_probe_sweeps_most_of_the_range_and_asks_for_more_than_the_peak_torque()
     swept = motion.q_des.max(0) - motion.q_des.min(0)
     assert np.all(swept > 0.9 * (HIGH - LOW))
     knees = [2, 5, 8, 11]
-    step = np.abs(np.diff(motion.q_des, axis=0)).max(0)[knees]
-    assert np.all(DESCRIPTION.kp * step > DESCRIPTION.torque_max)
+    step = np.abs(np.diff(motion.q_des, axis=0)).max(0)
+    assert np.all((DESCRIPTION.kp * step > DESCRIPTION.torque_max)[knees])
 
 
 def test_smaller_size_moves_in_proportion():

@@ -28,6 +28,7 @@ from mimic.io.joint_log import read_log
 from mimic.records import PoseTrack, WristTrack
 from mimic.retargeting.commands import command_track
 from mimic.retargeting.wrists import wrist_track
+from mimic.robot.description import load_description
 from mimic.sources.mocap.load import track_mocap
 from mimic.sources.video.camera import check_camera
 from mimic.sources.video.decoding import missing_bytes, open_video
@@ -724,7 +725,7 @@ def test_a_second_video_is_refused_where_there_is_no_first_one(tmp_path):
         lambda: load_motion(tmp_path / "a.bvh", two),
         lambda: motion_from_text("wave the left hand", two),
         lambda: batch(tmp_path, tmp_path / "out", two),
-        lambda: follow_camera("0", two, LiveSettings()).__enter__(),
+        lambda: follow_camera("0", two, LiveSettings(), description=load_description("cyberdog2")).__enter__(),
     ):
         with pytest.raises(ConfigError) as error:
             play()

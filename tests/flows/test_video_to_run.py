@@ -223,12 +223,14 @@ def test_person_and_robot_are_slowed_down_together(workplace):
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        (["--early", "0.06"], "not known"),
+        (["--config", "early.toml"], "not known"),
         (["--slow-down", "2"], "in real time"),
         (["--person", "left"], "of a video file"),
     ],
 )
-def test_what_a_camera_cannot_do_is_said_in_a_line(workplace, capsys, option, words):
+def test_what_a_camera_cannot_do_is_said_in_a_line(workplace, monkeypatch, capsys, option, words):
+    monkeypatch.chdir(workplace)
+    Path("early.toml").write_text("[play]\nearly = 0.06\n", encoding="utf-8")
     assert main(["--camera", "0", "--sim", *option]) == 2
     error = capsys.readouterr().err
     assert words in error

@@ -48,7 +48,7 @@ def test_the_overload_table_goes_from_little_to_much(description):
 
 
 def test_an_unknown_robot_is_refused():
-    with pytest.raises(AssetError, match="assets/spot is missing"):
+    with pytest.raises(AssetError, match="name a shipped robot"):
         load_description("spot")
 
 
