@@ -115,7 +115,7 @@ def loop(folder: Path, images: Path) -> None:
         if not out.exists():
             assert mimic([*words, "-o", str(out)]) == 0, f"{words} failed"
     log = read_log(probe)
-    machine = hung_robot(load_description())
+    machine = hung_robot(load_description("cyberdog2"))
     left = {
         name: predict(log, machine, effects)[:, JOINTS.index("FL_knee")] * 1e3
         for name, effects in (("as given", EffectSet(())), ("corrected", read_effects(found)))

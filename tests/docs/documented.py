@@ -45,7 +45,7 @@ NOT_RUN = {
     r"^mimic export": "needs the folder of a run; tests/flows/test_export.py makes one",
     r"--pose-model": "needs a file of the reader; tests/sources/video/test_pose_model.py makes one",
     r"^mimic demo": "tracks a whole clip; the first command of the README does the same",
-    r"^python -m lab\.": "takes minutes, or writes into the repository",
+    r"^python (-m lab\.|assets/)": "takes minutes, or writes into the repository",
     r"OPTION|FOLDER|\[|…": "a form, not a command",
 }
 """Pattern of a command -> why it is only parsed."""
