@@ -61,7 +61,7 @@ HEAVY_MODEL = (
 """Its name in that archive, and SHA-256."""
 HEAVY_BUNDLE = f"blazepose_heavy_{HEAVY_RELEASE}.task"
 
-Model = Path | Literal["heavy"] | None
+Model = Literal["heavy"] | Path | None
 """A bundle or mediapipe's wheel, the heavy model, or the default one."""
 
 _MEAN, _STD = 0.0, 255.0
