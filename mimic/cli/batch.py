@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from mimic.cli import options as o
 from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
@@ -43,10 +43,8 @@ def batch(
     """
     from mimic.cli.console import ConsoleReporter
     from mimic.flows.batch import batch as play_folder
-    from mimic.flows.motion import InputSettings
 
-    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
-    settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
+    settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
     done = play_folder(
         folder, out, settings, run=run, effects=robot, workers=workers, ray=ray, reporter=ConsoleReporter()
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -21,6 +21,9 @@ from mimic.config.pose import LanguageSettings, LiveSettings, MocapSettings, Pos
 from mimic.config.retarget import RetargetSettings
 from mimic.config.sysid import CalibrateSettings, LogSettings
 
+if TYPE_CHECKING:
+    from mimic.flows.motion import InputSettings
+
 OUTPUT = Group("Output", sort_key=1)
 
 
@@ -31,6 +34,13 @@ def _group(name: str, order: int) -> Parameter:
 def only(group: str, *shown: str) -> Parameter:
     """Return which settings of a parameter's group are options; all others are read from --config alone."""
     return Parameter(parse=re.compile(f"^({'|'.join((group, *shown))})$"))
+
+
+def input_settings(**parts: Any) -> InputSettings:
+    """Return the settings of an input; parts that were not given (None) keep their defaults."""
+    from mimic.flows.motion import InputSettings
+
+    return InputSettings(**{name: part for name, part in parts.items() if part is not None})
 
 
 Flag = Parameter(negative="")

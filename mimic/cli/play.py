@@ -79,10 +79,8 @@ def play(
         )
     if camera is not None:
         _check_camera_options(run, retarget, pose)
-    from mimic.flows.motion import InputSettings
 
-    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget, "language": language}
-    settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
+    settings = o.input_settings(pose=pose, stored=stored, retarget=retarget, language=language)
     if robot is not None:
         from mimic.cli.robot import play_on_robot
 
@@ -206,11 +204,9 @@ def retarget(
     """
     from mimic.cli.console import ConsoleReporter, table
     from mimic.cli.rows import target_rows
-    from mimic.flows.motion import InputSettings
     from mimic.flows.play import load_robot, save_targets
 
-    given: dict[str, Any] = {"pose": pose, "stored": stored, "retarget": retarget}
-    settings = InputSettings(**{name: value for name, value in given.items() if value is not None})
+    settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
     motion = save_targets(source, out, settings, description=load_robot(robot_model), reporter=ConsoleReporter())
     table("Targets", target_rows(motion.targets) | {"written": str(out)})
     return DONE

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.config.text_file import read_text
 from mimic.errors import AssetError, ConfigError
 from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray
@@ -290,7 +291,7 @@ def _read(path: Path) -> RobotDescription:
     if not path.is_file():
         raise AssetError(f"there is no {path}; name a shipped robot (cyberdog2, go2), or a folder with a {FILE}")
     try:
-        return _described(tomllib.loads(path.read_text(encoding="utf-8")), path)
+        return _described(tomllib.loads(read_text(path)), path)
     except KeyError as missing:
         raise AssetError(f"{path} lacks {missing}") from None
     except (tomllib.TOMLDecodeError, TypeError, ValueError) as reason:
