@@ -235,13 +235,13 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Wi
     return DONE
 
 
-def damp(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
+def damp(bus_url: str, /, *, bus: o.Look = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
     Parameters
     ----------
     bus_url
-        Buses, such as can0; see mimic --help.
+        Buses, such as can0, or go2; see mimic --help. A stock CyberDog 2 damps itself.
     """
     from mimic.flows.commissioning import damp_robot
 
@@ -259,7 +259,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     Parameters
     ----------
     bus_url
-        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
+        Buses, such as can0, or cyberdog2 or go2 for a stock robot; see mimic --help.
     suspended
         The robot is suspended, not lying.
     """
@@ -290,7 +290,7 @@ def watch(
     Parameters
     ----------
     bus_url
-        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
+        Buses, such as can0, or cyberdog2 or go2 for a stock robot; see mimic --help.
     seconds
         End after this time [s]; default: at Ctrl-C.
     every

@@ -88,7 +88,7 @@ def board(wiring, description):
 
     robot = EmulatedBoard(description, wiring, EmulateSettings(placement=0.0))
     settings = DriverSettings(bus_url="cyberdog2", robot="cyberdog2", wiring=str(wiring.path), interface="lo")
-    made = Served(robot, BoardServer(robot, wiring), settings)
+    made = Served(robot, BoardServer(robot, LcmBus(wiring, 0)), settings)
     yield made
     made.close()
 
