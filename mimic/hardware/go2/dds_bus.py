@@ -65,15 +65,14 @@ def check_network(wiring: Go2Wiring, interface: str | None) -> str:
     )
 
 
-@cache
-def _idl(struct: Struct) -> Any:
+def idl_type(struct: Struct) -> Any:
     """Return a type as Cyclone DDS knows it."""
     from cyclonedds import idl
     from cyclonedds.idl import annotations, types
 
     def kind(one: Struct | str, length: int) -> Any:
         single = (
-            _idl(one)
+            idl_type(one)
             if isinstance(one, Struct)
             else {"string": str, "bool": bool, "octets": types.sequence[types.uint8]}.get(one)
             or getattr(types, str(one))
@@ -88,7 +87,7 @@ def _idl(struct: Struct) -> Any:
 @cache
 def _raw(struct: Struct) -> Any:
     """Return a type whose messages are the bytes they are on the wire."""
-    made = _idl(struct)
+    made = idl_type(struct)
 
     def init(self: Any, data: bytes) -> None:
         self.data = data
