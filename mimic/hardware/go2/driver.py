@@ -196,7 +196,7 @@ class Go2Driver(BoardDriver):
         else:
             found.append(Check(name="own mode", verdict="ok", text="none is active"))
         if others or came:
-            text = f"{came} commands in {LISTEN:g} s; who may send: {', '.join(others) or 'unknown'}"
+            text = f"{came} commands came; who may send: {', '.join(others) or 'unknown'}"
             expected = bool(self.mode)  # the robot's own mode commands it until it is released
             text += "; looked at again once its own mode is released" if expected else "; end that program first"
             found.append(Check(name="other programs", verdict="note" if expected else "stop", text=text))
