@@ -45,7 +45,7 @@ ASKED = 3
 LIES_WITHIN = 8.0
 """The robot lies down by its own sport mode within this [s]."""
 
-RELEASES = 5
+RELEASES = 3
 """How often the sport mode is released until it is gone; Unitree's examples do it until then."""
 
 SERVO = 1
