@@ -1,6 +1,6 @@
 """mimic --robot go2 on Unitree's own bridge and model.
 
-python -m lab.unitree_mujoco starts N [POLICY SIT_DOWN]    N robots lie, stand up, box, sit down, in lockstep, with
+python -m lab.unitree_mujoco starts N [POLICY [SIT_DOWN]]  N robots lie, stand up, box, sit down, in lockstep, with
                                                            5 % of all messages lost for the fourth second
 python -m lab.unitree_mujoco network                       over DDS: a robot passes pre-flight, and with a second
                                                            writer of Unitree's SDK it is refused
@@ -52,6 +52,10 @@ LOSS, LOSS_FROM, LOSS_UNTIL = 0.05, 9.0, 10.0
 """Share of messages lost, and when [s]: while the robot boxes."""
 
 
+ENDS = ("finished", "at_rest")
+"""Rules that end a good run."""
+
+
 def wiring_file(work: Path, domain: int = 1) -> Path:
     """Write the wiring of a simulator without a motion switcher."""
     text = shipped("assets", "go2", "board.toml").read_text(encoding="utf-8")
@@ -94,7 +98,7 @@ def start(seed: int, work: Path, commands: Any, policy: Any, sit_down: Any) -> d
         "lies": bool(abs(stood[-1]) < 0.3 and bus.data.qpos[2] < 0.2),
         "damped_last": max(one.kp for one in last) == 0.0 and min(one.kd for one in last) > 0.0,
         "ending": robot.ending,
-        "rules": [event.rule for event in done.events if event.mode > 0],
+        "rules": [event.text for event in done.events if event.mode > 0 and event.rule not in ENDS],
     }
 
 
@@ -102,7 +106,7 @@ def starts(count: int, names: list[str]) -> list[dict[str, Any]]:
     """Play the boxing clip on robots that lie differently."""
     description = load_description("go2")
     policy = load_policy(names[0] if names else None, description)
-    sit_down = load_policy(names[1] if names else None, description, task="sit_down")
+    sit_down = load_policy(names[1], description, task="sit_down") if names[1:] else None  # None: the shipped one
     commands = load_source(BOXING, None, None, description).commands
     with tempfile.TemporaryDirectory() as work:
         rows = []

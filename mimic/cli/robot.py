@@ -132,6 +132,8 @@ def _command_row(done: RobotRun) -> dict[str, str]:
     health = done.saved.run.health
     late = int(np.count_nonzero(np.nan_to_num(health.err_flag).astype(int) & 1))
     gap = 1e3 * float(np.max(np.nan_to_num(health.command_gap), initial=0.0))
+    if not gap:  # a board that says nothing of the commands it gets
+        return {}
     return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
 
 
