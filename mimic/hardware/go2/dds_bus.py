@@ -33,7 +33,8 @@ BLOCKS = 1
 
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" priority="default" '
-    'multicast="default"/></Interfaces></General></Domain></CycloneDDS>'
+    'multicast="default"/></Interfaces></General><Compatibility><IgnoreTypeInformation>1.16</IgnoreTypeInformation>'
+    "</Compatibility></Domain></CycloneDDS>"
 )
 
 
