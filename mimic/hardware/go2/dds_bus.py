@@ -1,11 +1,12 @@
 """DDS on the network of a Go2, and who else is on it.
 
-Messages stay the bytes they are on the wire: Cyclone DDS gets the types only to announce them, as its own conversion of
-an rt/lowstate takes 0.7 ms, a third of a cycle.
+Cyclone DDS is used through its C functions: messages stay the bytes they are on the wire (its Python conversion of an
+rt/lowstate takes 0.7 ms, a third of a cycle), and types are announced by name alone (see `_descriptor`).
 """
 
 from __future__ import annotations
 
+import ctypes
 import ipaddress
 import os
 import select
@@ -13,7 +14,6 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -25,16 +25,21 @@ from mimic.hardware.stock.lcm_bus import FLOOD, address_of
 FROM_ROBOT = (LOWSTATE, f"{SWITCHER}response", f"{SPORT}response")
 """What a robot sends."""
 
+FROM_OTHERS = (*FROM_ROBOT, LOWCMD)
+"""What a host hears: other programs, too."""
+
 TO_ROBOT = (LOWCMD, f"{SWITCHER}request", f"{SPORT}request")
 """What a robot hears."""
 
-BLOCKS = 1
-"""A message that a slow reader holds up is given up after this [ms]."""
+BLOCKS = 1_000_000
+"""A message that a slow reader holds up is given up after this [ns]."""
+
+_RELIABLE, _OWN = 1, 1
+"""Kinds of reliability, and of messages that are left out: those of the same participant."""
 
 _CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" priority="default" '
-    'multicast="default"/></Interfaces></General><Compatibility><IgnoreTypeInformation>1.16</IgnoreTypeInformation>'
-    "</Compatibility></Domain></CycloneDDS>"
+    'multicast="default"/></Interfaces></General></Domain></CycloneDDS>'
 )
 
 
@@ -66,39 +71,68 @@ def check_network(wiring: Go2Wiring, interface: str | None) -> str:
     )
 
 
-def idl_type(struct: Struct) -> Any:
-    """Return a type as Cyclone DDS knows it."""
-    from cyclonedds import idl
-    from cyclonedds.idl import annotations, types
+class _Descriptor(ctypes.Structure):
+    """Of a type, as dds_create_topic takes it. Source: Cyclone DDS 11, ddsc/dds_public_impl.h."""
 
-    def kind(one: Struct | str, length: int) -> Any:
-        single = (
-            idl_type(one)
-            if isinstance(one, Struct)
-            else {"string": str, "bool": bool, "octets": types.sequence[types.uint8]}.get(one)
-            or getattr(types, str(one))
-        )
-        return types.array[single, length] if length else single
+    _fields_ = (
+        *((name, ctypes.c_uint32) for name in ("size", "align", "flagset", "nkeys")),
+        ("typename", ctypes.c_char_p),
+        ("keys", ctypes.c_void_p),
+        ("nops", ctypes.c_uint32),
+        ("ops", ctypes.POINTER(ctypes.c_uint32)),
+        ("meta", ctypes.c_char_p),
+        *((name, ctypes.c_uint64 * 2) for name in ("type_information", "type_mapping")),
+        ("restrict_data_representation", ctypes.c_uint32),
+    )
 
-    fields = {name: kind(one, length) for name, one, length in struct.fields}
-    made = idl.make_idl_struct(struct.name.rpartition(".")[2], struct.name, fields, dataclassify=False)
-    return dataclass(annotations.final(annotations.autoid("sequential")(made)))
+
+class _Piece(ctypes.Structure):
+    """Bytes of a message."""
+
+    _fields_ = (("bytes", ctypes.c_char_p), ("size", ctypes.c_size_t))
+
+
+_ADDRESS, _ARRAY, _SEQUENCE = 1 << 24, 8 << 16, 7 << 16
+_CODES = {"uint8": 1, "int8": 1, "uint16": 2, "int16": 2, "uint32": 3, "int32": 3, "float32": 3, "int64": 4}
+_CODES |= {"string": 5, "bool": 14}
+"""Instructions of Cyclone DDS's serializer, and its types. Source: ddsc/dds_opcodes.h."""
+
+_DATA = 2
+"""A message that is no mere key."""
+
+
+def _instructions(struct: Struct, begin: int = 0) -> list[int]:
+    """Return how the serializer goes through a struct at an offset, field by field."""
+    words, layout = [], struct.layout
+    for name, kind, length in struct.fields:
+        place = begin + layout.fields[name][1]  # type: ignore[index]
+        if isinstance(kind, Struct):
+            for number in range(length or 1):
+                words += _instructions(kind, place + number * kind.layout.itemsize)
+        elif kind == "octets":
+            words += [_ADDRESS | _SEQUENCE | _CODES["uint8"] << 8, place]
+        elif length:
+            words += [_ADDRESS | _ARRAY | _CODES[kind] << 8, place, length]
+        else:
+            words += [_ADDRESS | _CODES[kind] << 16, place]
+    return words
 
 
 @cache
-def _raw(struct: Struct) -> Any:
-    """Return a type whose messages are the bytes they are on the wire."""
-    made = idl_type(struct)
+def _descriptor(struct: Struct) -> _Descriptor:
+    """Return the description of a type by its name alone, without the information from which others check it.
 
-    def init(self: Any, data: bytes) -> None:
-        self.data = data
-
-    def deserialize(data: bytes, **_: Any) -> Any:
-        return made(data)
-
-    made.__init__, made.serialize, made.deserialize = init, lambda self, **_: self.data, staticmethod(deserialize)
-    made.deserialize_key = staticmethod(lambda data, **_: None)
-    return made
+    With that information, DDS 0.10.2 of Unitree's SDK ends in a segmentation fault as soon as it sees this computer.
+    """
+    words = [*_instructions(struct), 0]
+    return _Descriptor(
+        size=struct.layout.itemsize,
+        align=struct.layout.alignment,
+        typename=struct.name.replace(".", "::").encode(),
+        nops=len(words),
+        ops=(ctypes.c_uint32 * len(words))(*words),
+        meta=b"",
+    )
 
 
 @cache
@@ -137,54 +171,75 @@ class DdsBus:
         """
         try:
             from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
-            from cyclonedds.core import DDSException, Listener
+            from cyclonedds.core import DDSException
             from cyclonedds.domain import DomainParticipant
-            from cyclonedds.qos import Policy, Qos
-            from cyclonedds.sub import DataReader
-            from cyclonedds.topic import Topic
+            from cyclonedds.internal import dds_c_t, load_cyclonedds
         except ImportError:
             raise MissingExtra("cyclonedds", "go2") from None
 
-        self.heard, self._failure = heard, DDSException
-        self._wakes, woken = os.pipe()
+        self.heard, self._dds = heard, load_cyclonedds()
+        self._wakes, self._woken = os.pipe()
         os.set_blocking(self._wakes, False)
-        os.set_blocking(woken, False)
-        self._woken = woken
+        os.set_blocking(self._woken, False)
+        woken = self._woken
 
-        def wake(_: Any) -> None:
+        def wake(*_: Any) -> None:
             with suppress(OSError):  # full: it is awake; or closed
                 os.write(woken, b".")
 
+        self._wake = ctypes.CFUNCTYPE(None, ctypes.c_int32, ctypes.c_void_p)(wake)
+        self._info, self._message = dds_c_t.sample_info(), ctypes.c_void_p()
+        self._writers: dict[str, tuple[int, ctypes.c_void_p]] = {}
+        for name in ("dds_create_qos", "dds_create_listener", "ddsi_serdata_from_ser_iov"):
+            getattr(self._dds, name).restype = ctypes.c_void_p
+        self._dds.ddsi_serdata_size.restype = ctypes.c_uint32
         try:
             _domain(wiring.domain, interface)
             self._participant: Any = DomainParticipant(wiring.domain)
-            self._topics = {name: Topic(self._participant, name, _raw(kind)) for name, kind in TOPICS.items()}
-            foreign = Qos(Policy.IgnoreLocal.Participant)
-            self._readers = {
-                name: DataReader(self._participant, self._topics[name], foreign, Listener(on_data_available=wake))
-                for name in (TO_ROBOT if robot else (*FROM_ROBOT, LOWCMD))
-            }
+            self._topics = {name: self._made("topic", name) for name in TOPICS}
+            self._readers = {name: self._made("reader", name) for name in (TO_ROBOT if robot else FROM_OTHERS)}
             self._who: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsParticipant)
             self._what: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
-        except DDSException as reason:
+        except (DDSException, OSError) as reason:
             os.close(self._wakes)
             os.close(woken)
-            raise BusError(f"DDS cannot be opened on {interface}: {reason.msg}") from None
-        self._writers: dict[str, Any] = {}
+            raise BusError(f"DDS cannot be opened on {interface}: {getattr(reason, 'msg', reason)}") from None
+
+    def _made(self, kind: str, name: str) -> int:
+        """Return a new topic, or a reader or writer of one.
+
+        Raises:
+            OSError: If there is none.
+        """
+        dds, participant = self._dds, self._participant._ref
+        qos = ctypes.c_void_p(dds.dds_create_qos())
+        if kind == "topic":
+            made = dds.dds_create_topic(participant, ctypes.byref(_descriptor(TOPICS[name])), name.encode(), None, None)
+        elif kind == "reader":
+            dds.dds_qset_ignorelocal(qos, _OWN)
+            listener = ctypes.c_void_p(dds.dds_create_listener(None))
+            dds.dds_lset_data_available(listener, self._wake)
+            made = dds.dds_create_reader(participant, self._topics[name], qos, listener)
+            dds.dds_delete_listener(listener)
+        else:
+            dds.dds_qset_reliability(qos, _RELIABLE, ctypes.c_int64(BLOCKS))
+            made = dds.dds_create_writer(participant, self._topics[name], qos, None)
+        dds.dds_delete_qos(qos)
+        if made < 0:
+            raise OSError(f"no {kind} for {name} (DDS error {made})")
+        return int(made)
+
+    def _writer(self, topic: str) -> tuple[int, ctypes.c_void_p]:
+        """Return a writer and the type of its messages; others see it from then on."""
+        if topic not in self._writers:
+            made, kind = self._made("writer", topic), ctypes.c_void_p()
+            self._dds.dds_get_entity_sertype(made, ctypes.byref(kind))
+            self._writers[topic] = made, kind
+        return self._writers[topic]
 
     def ready(self, topic: str) -> bool:
         """Return whether somebody hears what is published on a topic; announces it the first time."""
-        return bool(self._writer(topic).get_matched_subscriptions())
-
-    def _writer(self, topic: str) -> Any:
-        from cyclonedds.pub import DataWriter
-        from cyclonedds.qos import Policy, Qos
-        from cyclonedds.util import duration
-
-        if topic not in self._writers:
-            reliable = Qos(Policy.Reliability.Reliable(max_blocking_time=duration(milliseconds=BLOCKS)))
-            self._writers[topic] = DataWriter(self._participant, self._topics[topic], reliable)
-        return self._writers[topic]
+        return self._dds.dds_get_matched_subscriptions(self._writer(topic)[0], None, ctypes.c_size_t(0)) > 0
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a message.
@@ -192,11 +247,13 @@ class DdsBus:
         Raises:
             OSError: If the network does not take it.
         """
-        try:
-            writer = self._writer(channel)
-            writer.write(writer.data_type(data))
-        except self._failure as reason:
-            raise OSError(reason.msg) from None
+        dds, (writer, kind), piece = self._dds, self._writer(channel), _Piece(data, len(data))
+        made = dds.ddsi_serdata_from_ser_iov(kind, _DATA, ctypes.c_size_t(1), ctypes.byref(piece), piece.size)
+        if not made:
+            raise OSError(f"{channel}: no message of {len(data)} bytes can be made")
+        failed = dds.dds_writecdr(writer, ctypes.c_void_p(made))
+        if failed < 0:
+            raise OSError(f"{channel}: DDS error {failed}")
 
     def others(self) -> list[str]:
         """Return who else may write commands, by computer and program as far as known."""
@@ -236,17 +293,27 @@ class DdsBus:
                 return
 
     def _take(self) -> None:
-        now = time.monotonic()
+        now, dds = time.monotonic(), self._dds
+        message, info = ctypes.byref(self._message), ctypes.byref(self._info)
         for topic, reader in self._readers.items():
-            for sample in reader.take(100):
-                data = getattr(sample, "data", None)  # none where a writer only left
-                if data is not None:
-                    self.heard(topic, data, now)
+            while dds.dds_takecdr(reader, message, 1, info, 0) > 0:
+                if self._info.valid_data:  # not where a writer only left
+                    data = ctypes.create_string_buffer(dds.ddsi_serdata_size(self._message))
+                    size = ctypes.c_size_t(len(data))
+                    dds.ddsi_serdata_to_ser(self._message, ctypes.c_size_t(0), size, data)
+                    self.heard(topic, data.raw, now)
+                dds.ddsi_serdata_unref(self._message)
 
     def close(self) -> None:
         """Leave the network. Safe to call twice."""
         if self._participant is None:
             return
+        for entity in (
+            *self._readers.values(),
+            *(writer for writer, _ in self._writers.values()),
+            *self._topics.values(),
+        ):
+            self._dds.dds_delete(entity)
         self._readers.clear()
         self._writers.clear()
         self._topics.clear()

@@ -25,7 +25,8 @@ LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """Begin of a message in CDR."""
 
 _TYPES = {"uint8": "u1", "int8": "i1", "uint16": "<u2", "int16": "<i2", "uint32": "<u4", "int32": "<i4"}
-_TYPES |= {"float32": "<f4"}
+_TYPES |= {"float32": "<f4", "int64": "<i8", "bool": "?", "string": "<u8"}
+_SEQUENCE = np.dtype([("most", "<u4"), ("length", "<u4"), ("bytes", "<u8"), ("owned", "?")], align=True)
 
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
@@ -41,9 +42,12 @@ class Struct:
 
     @property
     def layout(self) -> np.dtype[Any]:
-        """Of the memory; only of numbers and structs of them."""
-        kinds = [(n, t.layout if isinstance(t, Struct) else _TYPES[t], size) for n, t, size in self.fields]
-        return np.dtype([(n, kind, (size,)) if size else (n, kind) for n, kind, size in kinds], align=True)
+        """Of the memory, as C has it: strings and sequences are pointers there."""
+        kinds: list[Any] = []
+        for name, kind, size in self.fields:
+            one = kind.layout if isinstance(kind, Struct) else _SEQUENCE if kind == "octets" else _TYPES[kind]
+            kinds.append((name, one, (size,)) if size else (name, one))
+        return np.dtype(kinds, align=True)
 
 
 def define(name: str, text: str, *parts: Struct) -> Struct:

@@ -116,6 +116,7 @@ def test_it_releases_its_own_mode_before_the_first_command_which_is_damping():
     np.testing.assert_allclose(state.quat_WB, bus.board.body.data.qpos[3:7], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "expected", "left"),
     [
@@ -159,6 +160,7 @@ def test_a_motor_that_is_hot_or_does_not_switch_on_is_named_and_the_robot_damped
 # ---------------------------------------------------------------------- running and leaving
 
 
+@pytest.mark.slow
 def test_a_loss_of_5_percent_for_a_second_is_ridden_out_and_the_last_messages_damp():
     bus, plant = made("frames_lost=0.05@+0.5-1.5")
     state = plant.start()
