@@ -71,10 +71,10 @@ def up(data: Any) -> FloatArray:
     return np.asarray(2.0 * (x * z - w * y))
 
 
-def start(seed: int, work: Path, commands: Any, policy: Any, sit_down: Any) -> dict[str, Any]:
+def start(seed: int, work: Path, commands: Any, policy: Any, sit_down: Any, *, curve: bool) -> dict[str, Any]:
     """Let one robot lie, stand up, box and sit down; return what came of it."""
     description = load_description("go2")
-    bus, rows = LockstepBus(description, seed), list[float]()
+    bus, rows = LockstepBus(description, seed, curve=curve), list[float]()
     bus.hook = lambda t: rows.append(float(up(bus.data)))
     bus.loss = lambda t: LOSS if LOSS_FROM <= t < LOSS_UNTIL else 0.0
     link = EmulatedSenderLink(Go2Driver(bus, load_go2(wiring_file(work)), description), description)
@@ -102,7 +102,7 @@ def start(seed: int, work: Path, commands: Any, policy: Any, sit_down: Any) -> d
     }
 
 
-def starts(count: int, names: list[str]) -> list[dict[str, Any]]:
+def starts(count: int, names: list[str], *, curve: bool = False) -> list[dict[str, Any]]:
     """Play the boxing clip on robots that lie differently."""
     description = load_description("go2")
     policy = load_policy(names[0] if names else None, description)
@@ -111,7 +111,7 @@ def starts(count: int, names: list[str]) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as work:
         rows = []
         for seed in range(count):
-            rows.append(start(seed, Path(work), commands, policy, sit_down))
+            rows.append(start(seed, Path(work), commands, policy, sit_down, curve=curve))
             print(json.dumps(rows[-1]), flush=True)
     return rows
 
@@ -200,8 +200,8 @@ def main(arguments: list[str]) -> int:
     """Do what the first argument says."""
     what, *more = arguments or [""]
     try:
-        if what == "starts" and more:
-            rows = starts(int(more[0]), more[1:])
+        if what in ("starts", "curve") and more:
+            rows = starts(int(more[0]), more[1:], curve=what == "curve")
             good = sum(row["stood"] and row["lies"] and row["damped_last"] and not row["rules"] for row in rows)
             print(f"{good} of {len(rows)}")
         elif what == "network":

@@ -83,7 +83,14 @@ class LockstepBus:
     Messages pass as bytes that the SDK's own types read and write; only the network between is left out.
     """
 
-    def __init__(self, description: RobotDescription, seed: int) -> None:
+    def __init__(self, description: RobotDescription, seed: int, *, curve: bool = False) -> None:
+        """Put the robot down.
+
+        Args:
+            description: Where it lies, and its motors.
+            seed: Of its pose and of lost messages.
+            curve: Give the motors of Unitree's model, which turn at any speed, the torque-speed curve of the Go2.
+        """
         bridge = load()
         waits = types.SimpleNamespace(Start=lambda: None)
         bridge.RecurrentThread = lambda **_: waits  # its clock is this bus
@@ -99,6 +106,11 @@ class LockstepBus:
         self.loss: Any = lambda t: 0.0
         """Share of messages that are lost at a time, both ways."""
         self._chance = random.Random(seed)
+        self._flat, self._top, self._most = (  # the same for all legs
+            np.asarray(number, dtype=np.float64)
+            for number in (description.speed_flat, description.speed_max, description.torque_max)
+        )
+        self._curve = curve
         self.last: Any = None
         """The last command."""
 
@@ -120,7 +132,13 @@ class LockstepBus:
     def listen(self, until: float, wake: int | None = None) -> None:
         while self.now() < until - 1e-9:
             self.hook(self.now())
+            wanted = self.data.ctrl.copy()
+            if self._curve:
+                speed = self.data.sensordata[len(JOINTS) : 2 * len(JOINTS)]
+                left = np.clip((self._top - np.abs(speed)) / (self._top - self._flat), 0.0, 1.0) * self._most
+                self.data.ctrl[:] = np.where(wanted * speed > 0.0, np.clip(wanted, -left, left), wanted)
             mujoco.mj_step(self.model, self.data)
+            self.data.ctrl[:] = wanted
             self._bridge.PublishLowState()
 
     def ready(self, topic: str) -> bool:
