@@ -237,7 +237,7 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Wi
     return DONE
 
 
-def damp(bus_url: str, /, *, bus: o.Look = None) -> int:
+def damp(bus_url: str, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "interface")] = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
     Parameters
