@@ -53,9 +53,10 @@ class Scene:
             self.words = [self.server.addresses[0], "--zeroed"]
         else:
             from mimic.emulator.board_server import BoardServer
+            from mimic.hardware.stock.lcm_bus import LcmBus
 
             self.robot = EmulatedBoard(description, load_board(), settings)
-            self.server = BoardServer(self.robot, load_board())
+            self.server = BoardServer(self.robot, LcmBus(load_board(), 0))
             self.words = ["cyberdog2", "--interface", "lo"]
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

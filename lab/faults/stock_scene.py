@@ -37,8 +37,8 @@ class StockScene:
         self.bus.listen(0.5)
         self.trouble = Trouble(rng, self.now)
         self.plant: Any = Robot(self.link, description)
-        self._receive, self._heard = self.board.receive, self.bus.heard
-        self.board.receive = partial(self._pass, COMMANDS)  # type: ignore[method-assign]
+        self._receive, self._heard = partial(self.board.take, MOTOR_CTRL.channel), self.bus.heard
+        self.board.take = lambda _, data, t: self._pass(COMMANDS, data, t)  # type: ignore[method-assign]
         self.bus.heard = self._pass
         self.bus.hook = self._cycle
 

@@ -23,6 +23,7 @@ EXAMPLES = """Examples:
   mimic --text "wave the left hand" --sim  play a sentence
   mimic --robot can0                       real robot: stand until Ctrl-C
   mimic --robot cyberdog2                  the same on a stock CyberDog 2
+  mimic --robot go2 --interface eth0       the same on a Unitree Go2 EDU
 
 To see the options of a command: mimic COMMAND --help
 All other settings: --config FILE.toml. To see them all: mimic config
@@ -150,6 +151,7 @@ COMMANDS = {
         "mimic emulate --slcan --buses 2",
         "mimic emulate --fault motor_dead:FL_knee@12.5",
         "mimic emulate --board cyberdog2",
+        "mimic emulate --board go2",
     ),
     "doctor": (
         "mimic.cli.doctor:doctor",
@@ -219,6 +221,7 @@ GROUPS = {
                 "mimic.cli.robot:damp",
                 "Damp motors that a program left on, and switch them off.",
                 "mimic robot damp can0",
+                "mimic robot damp go2 --interface eth0",
             ),
             "probe": (
                 "mimic.cli.robot:probe",

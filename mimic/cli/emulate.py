@@ -11,7 +11,7 @@ from mimic.cli.exit_status import DONE
 
 def emulate(
     *,
-    board: Literal["cyberdog2"] | None = None,
+    board: Literal["cyberdog2", "go2"] | None = None,
     listen: str = "127.0.0.1:29536",
     slcan: Annotated[bool, o.Flag] = False,
     buses: int = 1,
@@ -29,7 +29,8 @@ def emulate(
     Parameters
     ----------
     board
-        Serve a stock CyberDog 2 over LCM on this computer; connect with --robot cyberdog2 --interface lo.
+        Serve a stock CyberDog 2 (LCM) or a Unitree Go2 (DDS) on this computer; connect with --robot cyberdog2 or go2,
+        and --interface lo.
     listen
         Address for socketcand; port 0 takes a free one. Keep it on this computer: whoever reaches it moves the robot.
     slcan
@@ -63,6 +64,7 @@ def emulate(
         seconds=seconds,
         every=every,
         view=view,
+        board=board,
     )
     if board is not None:
         done = serve_board(serve, settings, robot, reporter=ConsoleReporter())
@@ -70,8 +72,7 @@ def emulate(
             "Emulated stock robot",
             {
                 "time": f"{done.seconds:.1f} s",
-                "commands": f"{done.commands}; {done.late_ticks} cycles of 2 ms with one older than 10 ms",
-                "error flag": f"{done.err_flag:#04x} at the end",
+                **done.figures,
                 "motors at the end": _motors(done.driven, done.driven),
                 "time stood still": f"{done.stood_still:.2f} s, because this computer was too slow",
             },

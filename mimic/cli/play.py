@@ -49,7 +49,7 @@ def play(
         Play it on a simulated robot.
     robot
         Play it on a real robot. CAN buses: can0, can0,can1, slcan:/dev/ttyACM0, socketcand://HOST:PORT/can0; or
-        cyberdog2 for a stock one. Without a source it stands until Ctrl-C.
+        cyberdog2 for a stock one, go2 for a Unitree Go2 EDU. Without a source it stands until Ctrl-C.
     text
         Play a sentence, such as "step forward, then wave the left hand".
     camera

@@ -132,6 +132,8 @@ def _command_row(done: RobotRun) -> dict[str, str]:
     health = done.saved.run.health
     late = int(np.count_nonzero(np.nan_to_num(health.err_flag).astype(int) & 1))
     gap = 1e3 * float(np.max(np.nan_to_num(health.command_gap), initial=0.0))
+    if not gap:  # a board that says nothing of the commands it gets
+        return {}
     return {"late commands": f"{late} ticks with error 0x01; longest time without a command {gap:.0f} ms"}
 
 
@@ -235,13 +237,13 @@ def wire(bus_url: str, /, *, out: o.RequiredOut = Path("wiring.toml"), bus: o.Wi
     return DONE
 
 
-def damp(bus_url: str, /, *, bus: o.WiringFile = None) -> int:
+def damp(bus_url: str, /, *, bus: Annotated[o.Look, o.only("bus", "wiring", "interface")] = None) -> int:
     """Damp all motors until the robot rests, and switch them off: for motors that a program left on.
 
     Parameters
     ----------
     bus_url
-        Buses, such as can0; see mimic --help.
+        Buses, such as can0, or go2; see mimic --help. A stock CyberDog 2 damps itself.
     """
     from mimic.flows.commissioning import damp_robot
 
@@ -259,7 +261,7 @@ def check(bus_url: str, /, *, suspended: Annotated[bool, o.Flag] = False, bus: o
     Parameters
     ----------
     bus_url
-        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
+        Buses, such as can0, or cyberdog2 or go2 for a stock robot; see mimic --help.
     suspended
         The robot is suspended, not lying.
     """
@@ -290,7 +292,7 @@ def watch(
     Parameters
     ----------
     bus_url
-        Buses, such as can0, or cyberdog2 for a stock robot; see mimic --help.
+        Buses, such as can0, or cyberdog2 or go2 for a stock robot; see mimic --help.
     seconds
         End after this time [s]; default: at Ctrl-C.
     every

@@ -22,7 +22,8 @@ class EmulateSettings:
     position_range: float = 12.566370614359172
     """Position range of the motors [rad]: 4 pi, or 12.5 as in the maker's sample code."""
     can_timeout: bool = False
-    """The firmware supports CAN_TIMEOUT; otherwise writing it has no effect."""
+    """The firmware supports CAN_TIMEOUT; otherwise writing it has no effect. A Go2: it damps after 0.5 s without a
+    command; otherwise it holds the last one."""
     reply: float = 250e-6
     """Delay of the answer to a command [s]. Source: cybergear_m5, its response time."""
     imu_noise: float = 0.003

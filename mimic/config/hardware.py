@@ -24,7 +24,8 @@ class LookSettings(WiringSettings):
     """How a robot is looked at."""
 
     interface: str | None = None
-    """Network interface to a stock robot, such as eth0, or lo for an emulated one; default: by multicast route."""
+    """Network interface to a stock robot, such as eth0, or lo for an emulated one; default: by multicast route, or for
+    a Go2 by address."""
     zeroed: bool = False
     """CAN: use the zeros of the wiring file, without checking that mimic set them since power-up."""
 

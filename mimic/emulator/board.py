@@ -10,22 +10,21 @@ error gives no torque, and the others are damped.
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mimic.config.emulator import EmulateSettings
 from mimic.dynamics.effect_set import EffectSet
-from mimic.emulator.body import EmulatedBody
+from mimic.emulator.board_base import TICK, NetworkBoard
 from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.emulator.motor_mode import DAMPING, MotorCommands, MotorModeRules
-from mimic.errors import ConfigError, FrameError
+from mimic.errors import FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
+from mimic.hardware.robot.board_wiring import PARTS
 from mimic.hardware.stock.messages import (
     LEG_CONTROL_DATA,
     LOST,
@@ -36,12 +35,9 @@ from mimic.hardware.stock.messages import (
     STATE_ESTIMATOR,
     TIMED_OUT,
 )
-from mimic.hardware.stock.wiring import PARTS, BoardWiring
+from mimic.hardware.stock.wiring import BoardWiring
 from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
-
-TICK = 0.002
-"""The firmware's cycle [s]."""
 
 QUIET_EVERY = 10
 """Before the first command, one cycle in so many is published: 50 Hz."""
@@ -85,16 +81,7 @@ _SIGN = np.tile([1.0, -1.0, -1.0], len(LEGS))
 """Angle in the firmware over angle of the joint, in the firmware's order."""
 
 
-class Published(NamedTuple):
-    """A message of the board."""
-
-    t: float
-    """When it arrives [s]."""
-    channel: str
-    data: bytes
-
-
-class EmulatedBoard:
+class EmulatedBoard(NetworkBoard):
     """A stock robot from power-up on, lying or suspended."""
 
     def __init__(
@@ -122,28 +109,17 @@ class EmulatedBoard:
         Raises:
             ConfigError: If a fault does not exist on this robot.
         """
-        settings = settings or EmulateSettings()
-        for fault in faults:
-            if fault.kind not in FAULTS:
-                raise ConfigError(f"the stock board has no fault {fault.kind!r}; it has {', '.join(FAULTS)}")
-        self._d, self._wiring, self._settings = description, wiring, settings
-        self.body = EmulatedBody(
+        super().__init__(
             description,
+            settings,
+            hears=(MOTOR_CTRL.channel,),
+            kinds=FAULTS,
             effects=effects,
-            suspended=settings.suspended,
+            faults=faults,
             timestep=timestep,
-            placement=settings.placement,
-            seed=settings.seed,
             visuals=visuals,
         )
-        self.body.release()
-        self._faults = list(faults)
-        self._rng = np.random.default_rng([settings.seed, 29])
-        self.now = 0.0
-        """[s]"""
-        self.ticks = 0
-        self.events: deque[tuple[float, str]] = deque()
-        """What happened, for whoever shows it."""
+        self._wiring = wiring
         self.late_ticks = 0
         """Cycles with error 0x01 so far."""
         low = description.q_min[list(_BODY)] * _SIGN
@@ -155,83 +131,16 @@ class EmulatedBoard:
         self._rules: MotorModeRules | None = None
         self.applied = MotorCommands(*(np.zeros(12) for _ in range(5)))
         """The latest command to the motors, in the firmware's order and signs."""
-        self._incoming: list[tuple[float, int, bytes]] = []
-        self._outgoing: list[tuple[float, int, str, bytes]] = []
-        self._count = 0
-        self._held: dict[str, bytes] = {}
-        self._frozen: tuple[FloatArray, FloatArray, int] | None = None
-
-    # ------------------------------------------------------------------ the network
 
     def receive(self, data: bytes, t: float) -> None:
         """Take a motor_ctrl message that was sent at time t [s]."""
-        for at, _, damaged in self._through("", data, t):
-            self._count += 1
-            heapq.heappush(self._incoming, (at, self._count, damaged))
-
-    def published(self, t: float) -> list[Published]:
-        """Return the messages that have arrived by time t [s], in their order."""
-        out: list[Published] = []
-        while self._outgoing and self._outgoing[0][0] <= t:
-            at, _, channel, data = heapq.heappop(self._outgoing)
-            out.append(Published(at, channel, data))
-        return out
-
-    def _publish(self, channel: str, data: bytes) -> None:
-        for at, name, damaged in self._through(channel, data, self.now):
-            self._count += 1
-            heapq.heappush(self._outgoing, (at, self._count, name, damaged))
-
-    def _through(self, channel: str, data: bytes, t: float) -> list[tuple[float, str, bytes]]:
-        """Return what the network makes of a message: when it arrives, and how, once or twice or not at all."""
-        if self._value("bus_off", t) is not None or self._chance("frames_lost", t):
-            return []
-        at = t + (self._value("frames_late", t) or 0.0)
-        if self._chance("frames_reordered", t):
-            at += 0.004 + 0.004 * self._rng.random()
-        if self._chance("frames_corrupted", t):
-            bits = bytearray(data)
-            bits[int(self._rng.integers(len(bits)))] ^= 1 << int(self._rng.integers(8))
-            data = bytes(bits)
-        return [(at, channel, data)] * (2 if self._chance("frames_doubled", t) else 1)
-
-    def _value(self, kind: str, t: float) -> float | None:
-        return next((fault.value for fault in self._faults if fault.kind == kind and fault.active(t)), None)
-
-    def _chance(self, kind: str, t: float) -> bool:
-        share = self._value(kind, t)
-        return share is not None and bool(self._rng.random() < share)
-
-    def _joints_with(self, kind: str) -> dict[int, float]:
-        """Return the joints of the description that have a fault now, and its value."""
-        return {
-            int(fault.joint): fault.value
-            for fault in self._faults
-            if fault.kind == kind and fault.joint is not None and fault.active(self.now)
-        }
+        self.take(MOTOR_CTRL.channel, data, t)
 
     # ------------------------------------------------------------------ the firmware
 
-    def advance(self, t: float) -> None:
-        """Go on, cycle by cycle, up to time t [s]."""
-        while (self.ticks + 1) * TICK <= t + 1e-9:
-            self.ticks += 1
-            self.now = self.ticks * TICK
-            self._cycle()
-
     def _cycle(self) -> None:
         self.body.advance(self.now)
-        while self._incoming and self._incoming[0][0] <= self.now:
-            at, _, data = heapq.heappop(self._incoming)
-            try:
-                self._command = MOTOR_CTRL.decode(data)
-            except FrameError:
-                continue
-            self._arrived = at
-            if self._first < 0:
-                self._first = self.ticks
-                self._faults = [fault.released(self.now) for fault in self._faults]
-                self.events.append((self.now, "the first command came"))
+        self._arrived_by_now(self._command_came)
         ready = self._rules is None and 0 <= self._first <= self.ticks - ENTERING
         if ready and self._value("mode_refused", self.now) is None:
             self._rules = MotorModeRules(self._low, self._high)
@@ -240,6 +149,17 @@ class EmulatedBoard:
         if self._rules is not None:
             self._run(q, dq)
         self._speak(q, dq)
+
+    def _command_came(self, _: str, data: bytes, at: float) -> None:
+        try:
+            self._command = MOTOR_CTRL.decode(data)
+        except FrameError:
+            return
+        self._arrived = at
+        if self._first < 0:
+            self._first = self.ticks
+            self._faults = [fault.released(self.now) for fault in self._faults]
+            self.events.append((self.now, "the first command came"))
 
     def _measured(self) -> tuple[FloatArray, FloatArray]:
         """Return angles and velocities of the joints (12,), as the firmware has them."""
@@ -283,6 +203,19 @@ class EmulatedBoard:
         """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
         return self.body.joints(self.now)[2]
 
+    def line(self) -> str:
+        """Return a line of what has happened so far."""
+        return (
+            f"{self.commands} commands, error flag {self.err_flag:#04x}, {self.late_ticks} cycles with a late command"
+        )
+
+    def figures(self) -> dict[str, str]:
+        """Return rows of a table of what has happened."""
+        return {
+            "commands": f"{self.commands}; {self.late_ticks} cycles of 2 ms with one older than 10 ms",
+            "error flag": f"{self.err_flag:#04x} at the end",
+        }
+
     # ------------------------------------------------------------------ what it says
 
     def _speak(self, q: FloatArray, dq: FloatArray) -> None:
@@ -318,17 +251,8 @@ class EmulatedBoard:
         return SPI_DATA.encode(flags=flags.astype(np.uint32).view(np.int32), spi_driver_status=0, **by_leg)
 
     def _orientation(self) -> bytes:
-        quat, omega = self.body.base()
-        omega = omega + self._rng.normal(0.0, self._settings.imu_noise, 3)
         stamp = STEP_STAMP + round(1e9 * self.now)
-        tilt = self._value("imu_tilted", self.now)
-        if tilt is not None:
-            quat = _turned(quat, tilt)
-        if self._value("imu_frozen", self.now) is not None:
-            self._frozen = self._frozen or (quat, omega, stamp)
-            quat, omega, _ = self._frozen
-        else:
-            self._frozen = None
+        quat, omega, _ = self.orientation(stamp)
         R = rotation_from_quat(quat)
         return STATE_ESTIMATOR.encode(
             rpy=rpy_from_quat(np.asarray(quat)),
@@ -340,13 +264,6 @@ class EmulatedBoard:
             contactEstimate=(0.5, 0.5, 0.5, 0.5),
             timestamp=stamp,
         )
-
-
-def _turned(quat: FloatArray, angle: float) -> FloatArray:
-    """Return an orientation turned about its own y axis by an angle [rad]."""
-    w, x, y, z = quat
-    c, s = math.cos(angle / 2), math.sin(angle / 2)
-    return np.array([w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s])
 
 
 assert len(_BODY) == len(JOINTS)

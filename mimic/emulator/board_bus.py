@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mimic.emulator.board import TICK, EmulatedBoard
+from mimic.emulator.board_base import TICK, NetworkBoard
 from mimic.hardware.stock.messages import MOTOR_CTRL
 
 
 class EmulatedBoardBus:
     """Two LCM ports without a network: listening advances the board."""
 
-    def __init__(self, board: EmulatedBoard) -> None:
+    def __init__(self, board: NetworkBoard) -> None:
         """Connect to a board; nothing else may advance it."""
         self.board = board
         self.heard: Callable[[str, bytes, float], None] = lambda channel, data, t: None
@@ -24,7 +24,7 @@ class EmulatedBoardBus:
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a command; it comes back, as by multicast."""
-        self.board.receive(data, self.now())
+        self.board.take(channel, data, self.now())
         self.heard(channel, data, self.now())
 
     def listen(self, until: float, wake: int | None = None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from mimic.config.hardware import DriveSettings, LookSettings, ProbeSettings, WiringSettings
 from mimic.errors import ConfigError, PlantError
 from mimic.flows.operator import Operator, undisturbed
-from mimic.flows.play import load_robot
+from mimic.flows.play import load_robot, robot_on
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import LOG
 from mimic.io import store
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def _only_on_can(bus_url: str, command: str, instead: str) -> None:
-    from mimic.hardware.stock.wiring import BOARDS
+    from mimic.hardware.robot.board_wiring import BOARDS
 
     if bus_url in BOARDS:
         raise ConfigError(f"mimic robot {command} is for motors on CAN; {bus_url} is a stock robot: {instead}")
@@ -103,21 +103,32 @@ def zero_robot(
     return Zeroed(file=path, off=q - description.poses["lie"], warnings=uneven(q), first=known is None)
 
 
-def damp_robot(bus_url: str, bus: WiringSettings | None = None) -> tuple[bool, str]:
+def damp_robot(bus_url: str, bus: LookSettings | None = None) -> tuple[bool, str]:
     """Damp all motors until the robot rests and switch them off, whoever commanded them before.
 
     Returns:
-        Whether all motors are off, and how the robot was left, as a sentence without a full stop.
+        Whether all motors are off, or a board's are damped, and how the robot was left, as a sentence without a full
+        stop.
 
     Raises:
+        PlantError: If the robot's own mode drives it.
         ConfigError, AssetError, BusError: If the buses cannot be opened, or take no frames.
     """
-    _only_on_can(bus_url, "damp", "it damps itself half a second after the last command")
     from mimic.hardware.can.driver import CanDriver
     from mimic.hardware.robot.sender import Sender
-    from mimic.hardware.session import open_session
+    from mimic.hardware.session import open_robot, open_session
 
-    description = load_robot()
+    description = load_robot(robot_on(bus_url))
+    if bus_url == "go2":  # what it does with the last command is not published
+        from mimic.hardware.go2.driver import RESTED
+
+        with open_robot(bus_url, bus or LookSettings(), description) as board, undisturbed():
+            mode = getattr(board, "ask_mode", str)()
+            if mode:
+                raise PlantError(f"no command was sent: its own mode {mode!r} drives the robot; use its remote control")
+            ending = Sender(board, description).run()
+            return ending == RESTED, ending
+    _only_on_can(bus_url, "damp", "it damps itself half a second after the last command")
     with open_session(bus_url, bus or WiringSettings(), zeros=False, locked=False) as robot, undisturbed():
         driver = CanDriver(robot.link, robot.wiring, description)
         ending = Sender(driver, description).run()
@@ -133,7 +144,7 @@ def check_robot(bus_url: str, bus: LookSettings | None = None, *, suspended: boo
     from mimic.hardware.robot.driver import CheckOptions
     from mimic.hardware.session import open_robot
 
-    description = load_robot()
+    description = load_robot(robot_on(bus_url))
     with open_robot(bus_url, bus or LookSettings(), description) as driver:
         return driver.checks(CheckOptions(rate_hz=1.0 / description.dt, suspended=suspended))
 
@@ -168,8 +179,8 @@ def probe_robot(
     from mimic.commissioning.probe import probe
     from mimic.commissioning.probe_motion import asked_rates, probe_motion, recorded_motion
     from mimic.control.signals import Signals
+    from mimic.hardware.robot.board_wiring import BOARDS
     from mimic.hardware.session import robot_session, wiring_of
-    from mimic.hardware.stock.wiring import BOARDS
     from mimic.io.joint_log import write_log
 
     if out.suffix.lower() not in (".parquet", ".csv"):
@@ -177,7 +188,7 @@ def probe_robot(
     settings, bus = settings or ProbeSettings(), bus or DriveSettings()
     operator, reporter = operator or Operator(), reporter or SilentReporter()
     store.check_writable(out.parent)
-    description, signals = load_robot(), Signals()
+    description, signals = load_robot(robot_on(bus_url)), Signals()
     if motion is None:
         targets = probe_motion(description, settings)
     else:

@@ -19,6 +19,7 @@ EXTRAS = {
     "train": ("torch", "mujoco_warp", "rsl_rl"),
     "language": ("openai",),
     "stock": ("lcm",),
+    "go2": ("cyclonedds",),
     "ray": ("ray",),
     "c3d": ("ezc3d",),
 }

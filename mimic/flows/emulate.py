@@ -5,21 +5,20 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mimic.config.emulator import EmulateSettings
-from mimic.config.play import EffectsSettings
+from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
 from mimic.control.priority import EMULATOR, real_time
 from mimic.errors import ConfigError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
 
 if TYPE_CHECKING:
-    from mimic.emulator.board_server import BoardStatus
     from mimic.emulator.server import EmulatorStatus
 
 FRAME_INTERVAL = 1 / 30
@@ -54,6 +53,8 @@ class ServeOptions:
     """Interval of the status lines [s]; 0 for none."""
     view: bool = False
     """Open MuJoCo's viewer."""
+    board: str | None = None
+    """Stock robot to serve, cyberdog2 or go2; None serves motors on CAN."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +114,7 @@ def serve_robot(
     faults = [parse_fault(text) for text in options.faults]
     for fault in faults:
         if fault.kind in BOARD_ONLY:
-            raise ConfigError(f"{fault.kind} is a fault of the stock board; add --board cyberdog2")
+            raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
     if options.fault_seed is not None:
         faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
     emulated = EmulatedRobot(
@@ -166,11 +167,8 @@ class ServedBoard:
 
     seconds: float
     """Time of the emulation [s]."""
-    commands: int
-    """Commands received."""
-    late_ticks: int
-    """Cycles of 2 ms in which the newest command was older than 10 ms."""
-    err_flag: int
+    figures: Mapping[str, str]
+    """Rows of a table of what happened."""
     stood_still: float
     """For how long the emulation stood still because this computer was too slow [s]."""
     driven: tuple[str, ...]
@@ -184,10 +182,10 @@ def serve_board(
     *,
     reporter: Reporter | None = None,
 ) -> ServedBoard:
-    """Serve an emulated stock CyberDog 2 over LCM on this computer until Ctrl-C, SIGTERM or the given time.
+    """Serve an emulated stock robot on this computer until Ctrl-C, SIGTERM or the given time.
 
     Args:
-        options: How long, and which faults.
+        options: Which robot, for how long, and which faults.
         settings: How the robot lies or hangs.
         effects: What a calibration found.
         reporter: Receives events and status lines.
@@ -195,23 +193,21 @@ def serve_board(
     Raises:
         ConfigError: If a fault or the effects cannot be used.
         AssetError: If a file cannot be read.
-        BusError, MissingExtra: If LCM cannot be opened.
+        BusError, MissingExtra: If its network cannot be opened.
     """
-    from mimic.emulator.board import FAULTS, TICK, EmulatedBoard
-    from mimic.emulator.board_server import BoardServer
+    from mimic.emulator.board_base import TICK
+    from mimic.emulator.board_server import BoardServer, BoardStatus
     from mimic.emulator.faults import parse_fault, random_fault
-    from mimic.hardware.stock.lcm_bus import check_network
-    from mimic.hardware.stock.wiring import load_board
 
     options, settings = options or ServeOptions(), settings or EmulateSettings()
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
-    wiring = load_board(options.wiring)
-    check_network(wiring, "lo")
+    name = options.board or DEFAULT_ROBOT
+    kind, kinds, wiring, open_bus = _board(name, options)
     faults = [parse_fault(text) for text in options.faults]
     if options.fault_seed is not None:
-        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=FAULTS))
-    board = EmulatedBoard(
-        load_robot(effects.robot_model),
+        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
+    board = kind(
+        load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
         wiring,
         settings,
         effects=_effects(effects, settings, reporter),
@@ -221,23 +217,31 @@ def serve_board(
     )
 
     def listen() -> tuple[BoardServer, Sequence[str]]:
-        return BoardServer(board, wiring), ("cyberdog2 (on this computer: add --interface lo)",)
+        return BoardServer(board, open_bus()), (f"{name} (on this computer: add --interface lo)",)
 
     def line(status: BoardStatus) -> str:
-        return (
-            f"{status.t:9.1f} s  {status.commands} commands, error flag {status.err_flag:#04x}, "
-            f"{status.late_ticks} cycles with a late command"
-        )
+        return f"{status.t:9.1f} s  {board.line()}"
 
     status = _serve(board, listen, line, options, faults, reporter)
-    return ServedBoard(
-        seconds=status.t,
-        commands=status.commands,
-        late_ticks=status.late_ticks,
-        err_flag=status.err_flag,
-        stood_still=status.stood_still,
-        driven=board.driven(),
-    )
+    return ServedBoard(seconds=status.t, figures=board.figures(), stood_still=status.stood_still, driven=board.driven())
+
+
+def _board(name: str, options: ServeOptions) -> tuple[Any, tuple[str, ...], Any, Callable[[], Any]]:
+    """Return class, kinds of faults, wiring and network of a board."""
+    if name == "go2":
+        from mimic.emulator import go2
+        from mimic.hardware.go2.dds_bus import DdsBus
+        from mimic.hardware.go2.wiring import load_go2
+
+        there = load_go2(options.wiring)
+        return go2.EmulatedGo2, go2.FAULTS, there, lambda: DdsBus(there, "lo", robot=True)
+    from mimic.emulator import board
+    from mimic.hardware.stock.lcm_bus import LcmBus, check_network
+    from mimic.hardware.stock.wiring import load_board
+
+    wiring = load_board(options.wiring)
+    check_network(wiring, "lo")
+    return board.EmulatedBoard, board.FAULTS, wiring, lambda: LcmBus(wiring, 0)
 
 
 def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> Any:

@@ -61,6 +61,13 @@ def load_robot(name: str | Path = DEFAULT_ROBOT) -> RobotDescription:
     return load_description(name)
 
 
+def robot_on(bus_url: str) -> str:
+    """Return the name of the robot behind some buses: a board's own robot, or the default one's motors on CAN."""
+    from mimic.hardware.robot.board_wiring import BOARDS
+
+    return bus_url if bus_url in BOARDS else DEFAULT_ROBOT
+
+
 def load_policy(policy: str | Path | None = None, robot: RobotDescription | None = None) -> Policy:
     """Return a low-level policy, ready to run.
 

@@ -21,7 +21,7 @@ from mimic.flows.camera import camera_name, follow_camera
 from mimic.flows.camera_record import CameraRecord
 from mimic.flows.motion import InputSettings, Motion
 from mimic.flows.operator import Operator, undisturbed
-from mimic.flows.play import load_robot, load_source, play
+from mimic.flows.play import load_robot, load_source, play, robot_on
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
 from mimic.flows.run_folder import ERROR, HEALTH, LOG, SavedRun, new_run_folder, save_run
@@ -103,7 +103,7 @@ def play_on_robot(
 
     Args:
         bus_url: Buses of the robot, such as can0, several with commas, or socketcand://HOST:PORT/can0; or cyberdog2
-            for a stock one.
+            for a stock one, or go2 for a Unitree Go2 EDU.
         source: File (Path) or sentence (str) to play; None stands until Ctrl-C.
         settings: How the input becomes commands.
         camera: Follow this camera instead of a source.
@@ -126,8 +126,8 @@ def play_on_robot(
     from mimic.hardware.can.load import expected_load
     from mimic.hardware.can.step_budget import PARTS
     from mimic.hardware.hold_to_run import hold_to_run
+    from mimic.hardware.robot.board_wiring import BOARDS
     from mimic.hardware.session import robot_session, wiring_of
-    from mimic.hardware.stock.wiring import BOARDS
     from mimic.policy.runtime import load_policy
 
     settings, live, run, bus = (
@@ -137,7 +137,7 @@ def play_on_robot(
         bus or BusSettings(),
     )
     operator, reporter = operator or Operator(), reporter or SilentReporter()
-    description = load_robot()
+    description = load_robot(robot_on(bus_url))
     policy = load_policy(run.policy, description)
     sit_down = load_policy(None, description, task="sit_down")
     motion = _motion(source, settings, policy, reporter)

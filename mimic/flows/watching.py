@@ -12,7 +12,7 @@ import numpy as np
 
 from mimic.config.hardware import LookSettings
 from mimic.errors import BusError
-from mimic.flows.play import load_robot
+from mimic.flows.play import load_robot, robot_on
 from mimic.geometry import rpy_from_quat
 from mimic.records import FloatArray
 
@@ -78,10 +78,10 @@ def watch_robot(
     Raises:
         AssetError, BusError, ConfigError, MissingExtra, PlantError: If it cannot be reached.
     """
-    from mimic.hardware.stock.wiring import BOARDS
+    from mimic.hardware.robot.board_wiring import BOARDS
 
     bus = bus or LookSettings()
-    with _shown_in(scene, show) as show_all:
+    with _shown_in(scene, show, robot_on(bus_url)) as show_all:
         if bus_url in BOARDS:
             _watch_board(bus_url, bus, seconds, every, show_all)
         else:
@@ -89,14 +89,14 @@ def watch_robot(
 
 
 @contextmanager
-def _shown_in(scene: bool | Path, show: Show) -> Iterator[Show]:
+def _shown_in(scene: bool | Path, show: Show, robot: str) -> Iterator[Show]:
     """Yield a function that shows readings, also in Rerun where asked for."""
     if not scene:
         yield show
         return
     from mimic.view.scene.live import LiveView
 
-    description = load_robot()
+    description = load_robot(robot)
     with LiveView(description, path=scene if isinstance(scene, Path) else None) as view:
 
         def both(seen: Watched) -> None:
@@ -181,15 +181,10 @@ def _can_notes(watcher: Watcher, seen: Any, zeros: str) -> list[str]:
     return notes
 
 
-def _board_notes(last: Any, *, heard: bool) -> list[str]:
-    from mimic.hardware.stock.readings import NO_ERR_FLAG
-
-    err_flag = int(last["err_flag"])
-    notes = ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
-    if not heard:
-        notes = ["no message comes from the robot"]
+def _board_notes(driver: Any, *, heard: bool) -> list[str]:
+    last, notes = driver.report, driver.notes() if heard else ["no message comes from the robot"]
     if last["errors"]:
-        notes.append(f"{int(last['malformed'])} messages made no sense")
+        notes.append(f"{int(last['errors'])} messages made no sense")
     if last["foreign"]:
         notes.append(f"{int(last['foreign'])} commands of other programs")
     return notes
@@ -197,10 +192,10 @@ def _board_notes(last: Any, *, heard: bool) -> list[str]:
 
 def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: float, show: Show) -> None:
     """Show what a stock robot says; nothing is sent."""
+    from mimic.hardware.robot.driver import open_driver
     from mimic.hardware.session import driver_settings
-    from mimic.hardware.stock.driver import open_stock_driver
 
-    driver = open_stock_driver(driver_settings(bus_url, bus, load_robot()))
+    driver: Any = open_driver(driver_settings(bus_url, bus, load_robot(robot_on(bus_url))))
     begin = driver.now()
 
     def counts() -> dict[str, int]:
@@ -227,7 +222,7 @@ def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: 
                     quat_WB=np.array(last["quat_WB"]) if heard else np.full(4, np.nan),
                     omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
                     rates={name: (count - before[name]) / (now - since) for name, count in counts().items()},
-                    notes=_board_notes(last, heard=heard),
+                    notes=_board_notes(driver, heard=heard),
                 )
             )
     finally:

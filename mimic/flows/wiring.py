@@ -52,8 +52,8 @@ def wire_robot(
     from mimic.commissioning.wire_check import WireCheck
     from mimic.hardware.can.other_programs import look_first
     from mimic.hardware.can.wiring import load_wiring
+    from mimic.hardware.robot.board_wiring import BOARDS
     from mimic.hardware.session import open_session, wiring_of
-    from mimic.hardware.stock.wiring import BOARDS
 
     if bus_url in BOARDS:
         raise ConfigError(f"{bus_url} is a stock robot, whose wiring is known; to look at it: mimic robot watch")

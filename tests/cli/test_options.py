@@ -67,7 +67,7 @@ def test_a_command_has_few_options_besides_help(command, most, capsys):
     [
         ("scan", {"wiring"}),
         ("wire", {"wiring", "out"}),
-        ("damp", {"wiring"}),
+        ("damp", {"wiring", "interface"}),
         ("zero", {"wiring", "again", "yes"}),
         ("check", {"wiring", "interface", "zeroed", "suspended"}),
         ("watch", {"wiring", "interface", "zeroed", "seconds", "every", "view", "scene"}),

@@ -28,7 +28,7 @@ NOT_RUN = {
     r"--policy my_policy": "needs a policy of the reader",
     r"^mimic motion\.csv": "a format whose reader the page adds",
     r"--robot-model": "a folder that the reader writes; tests/robot plays a second robot",
-    r"--robot can0|--robot cyberdog2|^mimic robot ": "needs a robot",
+    r"--robot can0|--robot cyberdog2|--robot go2|^mimic robot ": "needs a robot",
     r"^mimic emulate|--robot socketcand": "two terminals; tests/flows/test_robot_rehearsal.py rehearses it",
     r"^mimic (walk_poses\.npz|wham_output\.pkl|motion\.c3d)": "files of other programs; tests/sources/mocap makes such",
     r"--camera (0|clip)": "needs a camera, or the time of a clip; tests/flows/test_camera_to_run.py follows one",

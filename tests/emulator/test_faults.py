@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mimic.emulator.board import FAULTS
+from mimic.emulator import board, go2
 from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, KINDS, EmulatedFault, parse_fault, random_fault
 from mimic.errors import ConfigError
 from mimic.records import JOINTS
@@ -77,7 +77,8 @@ def test_the_manual_names_every_kind():
     assert [kind for kind in CAN_KINDS if f"`{kind}`" not in manual] == []
 
 
-def test_the_manual_of_the_stock_robot_names_every_kind_that_it_has():
-    manual = (Path(__file__).parents[2] / "docs" / "manual" / "stock-robot.md").read_text(encoding="utf-8")
-    assert set(BOARD_ONLY) <= set(FAULTS) <= set(KINDS)
-    assert [kind for kind in FAULTS if f"`{kind}`" not in manual] == []
+@pytest.mark.parametrize(("page", "faults"), [("stock-robot", board.FAULTS), ("go2", go2.FAULTS)])
+def test_the_manual_of_a_stock_robot_names_every_kind_that_it_has(page, faults):
+    manual = (Path(__file__).parents[2] / "docs" / "manual" / f"{page}.md").read_text(encoding="utf-8")
+    assert set(BOARD_ONLY) <= {*board.FAULTS, *go2.FAULTS} <= set(KINDS)
+    assert [kind for kind in faults if f"`{kind}`" not in manual] == []

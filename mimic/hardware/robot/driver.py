@@ -190,8 +190,14 @@ class DriverSettings:
 
 def load_driver(settings: DriverSettings) -> Callable[..., Driver]:
     """Import what opens the driver of a robot, and return it: opening is quick then."""
-    from mimic.hardware.stock.wiring import BOARDS
+    from mimic.hardware.robot.board_wiring import BOARDS
 
+    if settings.bus_url == "go2":
+        from mimic.hardware.go2.driver import open_go2_driver
+
+        with suppress(ImportError):
+            import cyclonedds.domain  # noqa: F401
+        return open_go2_driver
     if settings.bus_url in BOARDS:
         from mimic.hardware.stock.driver import open_stock_driver
 

@@ -13,38 +13,25 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from mimic.control.safety_limits import limits_for
 from mimic.errors import FrameError, PlantError
-from mimic.hardware.robot.checks import HOT, Check
-from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, DriverSettings
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, NO_ERR_FLAG, BoardDriver, Bus
+from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.driver import ALL, DriverSettings
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
-from mimic.hardware.stock.preflight import LYING_TOLERANCE, board_preflight
-from mimic.hardware.stock.readings import NO_ERR_FLAG, Readings
+from mimic.hardware.stock.readings import Readings
 from mimic.hardware.stock.wiring import BoardWiring, load_board
 from mimic.records import JOINTS, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
-PERIOD = 0.002
-"""Time between two messages [s]: the firmware's own cycle."""
-
-ENTER_TIMEOUT = 2.0
-"""Motor mode is entered within this after the first zero message [s]; the firmware takes 5 ms."""
-
 CLEAR_TIMEOUT = 8.0
 """Error 0x02 is cleared within this [s]; the firmware takes 2.5 s."""
-
-START_TILT = 0.3
-"""Largest tilt of the robot when it is taken over [rad]."""
-
-FRESH = 0.05
-"""A reading at most this old shows that the robot answers [s]."""
 
 ZERO_TIME = 0.2
 """How long zero messages are sent at the end [s]."""
@@ -74,37 +61,8 @@ RESTED = "the robot was damped until it rested, and its motors are without torqu
 """How a robot should be left."""
 
 
-class Bus(Protocol):
-    """The two LCM ports of a board, or of an emulated one."""
-
-    heard: Callable[[str, bytes, float], None]
-    """Called with channel, bytes and time [s] of each message."""
-
-    def now(self) -> float:
-        """Return the time of the messages [s]."""
-        ...
-
-    def publish(self, channel: str, data: bytes) -> None:
-        """Send a message.
-
-        Raises:
-            OSError: If the network does not take it.
-        """
-        ...
-
-    def listen(self, until: float, wake: int | None) -> None:
-        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the network."""
-        ...
-
-
-class StockDriver:
+class StockDriver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
-
-    period, repeats = PERIOD, True
 
     def __init__(
         self,
@@ -127,41 +85,48 @@ class StockDriver:
         Raises:
             PlantError: If a torque limit is asked for.
         """
-        if torque_limit is not None and torque_limit < description.torque_max.max():
-            raise PlantError(
-                f"the stock board has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
-            )
-        self.bus, self.network, self.problem = bus, network, ""
-        bus.heard = self.heard
-        self._wiring, self._description, self._limits = wiring, description, limits_for(description)
-        self._kd = min(description.kd_max, wiring.kd_max)
-        self.readings = Readings(wiring)
+        readings = Readings(wiring)
+        super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
+        self._board, self._wiring = readings, wiring
         self._own: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._own_set: dict[bytes, int] = {}
-        self._foreign = NEVER
         # tells own zero messages from others'; NumPy's generators take 40 ms to load, while a robot must be damped
         self._tag = np.array([random.uniform(-0.05, 0.05) for _ in JOINTS])
-
-    @property
-    def report(self) -> Any:
-        """Newest readings; a scalar of REPORT."""
-        return self.readings.report
-
-    def now(self) -> float:
-        """Return the time of the messages [s]."""
-        return self.bus.now()
 
     def heard(self, channel: str, data: bytes, t: float) -> None:
         """Take a message that arrived at time t [s]."""
         if channel != MOTOR_CTRL.channel:
-            self.readings.take(channel, data, t)
+            self._board.take(channel, data, t)
         elif data not in self._own_set:
             self.report["foreign"] += 1
             self._foreign = t
 
-    def checks(self, options: CheckOptions) -> list[Check]:
-        """Check a robot by listening to it; nothing is sent."""
-        return board_preflight(self, self._description, self.network, suspended=options.suspended)
+    asleep = (
+        "is it switched on and awake, the cable in, this computer at the wiring's address, and developer access "
+        "granted?"
+    )
+
+    def counts(self) -> dict[str, int]:
+        """Return how many messages with joints and with orientations came so far."""
+        return {"leg_control_data": self.readings.joints, "state_estimator": int(self.report["imu_count"])}
+
+    def notes(self) -> list[str]:
+        """Return whether it is in motor mode."""
+        err_flag = int(self.report["err_flag"])
+        return ["not in motor mode" if err_flag == NO_ERR_FLAG else f"error flag {err_flag:#04x}"]
+
+    def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
+        advice = (
+            "if the robot stands by its own order, let it lie down, switch it off, and start it again lying: motor "
+            "mode is entered from there only"
+        )
+        motors = "motor temperatures and errors are known once the first command was sent, and checked then"
+        own = "its firmware damps it by itself 0.5 s after the last message"
+        more = [
+            Check(name="motors", verdict="note", text=motors),
+            Check(name="own timeout", verdict="ok", text=own),
+        ]
+        return [_commands(self.report)], advice, more
 
     # ------------------------------------------------------------------ start
 
@@ -173,70 +138,33 @@ class StockDriver:
         """
         began = self.now()
         self._await(
-            lambda: self.readings.commanded > began,
+            lambda: self._board.commanded > began,
             ENTER_TIMEOUT,
+            self._zero,
             "the robot does not enter motor mode, which it does only from lying, switched off or damped. It hears no "
             "other orders now: support it if it stands, switch it off, and start it again lying",
         )
         self._await(
             lambda: not int(self.report["err_flag"]) & TIMED_OUT and self.report["came"][0] > began,
             CLEAR_TIMEOUT,
+            self._zero,
             "error 0x02 of the robot does not clear; switch it off and on. Is another program sending to it?",
         )
         self._await(  # the first message may come later than those of the motors
             lambda: self.now() - self.report["imu_came"] <= self._limits.imu_age,
             ENTER_TIMEOUT,
+            self._zero,
             "the robot was not moved: no orientation comes from the robot",
         )
         problems = self._problems(suspended)
         if problems:
             raise PlantError(f"the robot was not moved: {'; '.join(problems)}")
 
-    def _await(self, reached: Callable[[], bool], timeout: float, problem: str) -> None:
-        """Send zero messages until something is reached.
-
-        Raises:
-            PlantError: If that takes too long.
-        """
-        end = self.now() + timeout
-        while self.now() < end:
-            self._zero()
-            self.listen(self.now() + PERIOD)
-            if reached():
-                return
-        raise PlantError(problem)
-
-    def _problems(self, suspended: bool) -> list[str]:
-        """Return what stands against moving of what is known only in motor mode, or may have changed meanwhile."""
-        report, found = self.report, []
-        found += [
-            f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits
-        ]
-        warmest = int(np.argmax(report["temperature"]))
-        if report["temperature"][warmest] >= HOT:
-            found.append(f"motor {JOINTS[warmest]} is at {report['temperature'][warmest]:.0f} degC; let it cool")
-        if report["foreign"]:
-            found.append("another program commands this robot")
-        if not suspended:
-            _, x, y, _ = report["quat_WB"]
-            if 1.0 - 2.0 * (x * x + y * y) < np.cos(START_TILT):
-                found.append("the robot is tilted")
-            away = np.abs(report["q"] - self._description.poses["lie"])
-            worst = int(np.argmax(away))
-            if away[worst] > LYING_TOLERANCE:
-                found.append(f"{JOINTS[worst]} is {np.rad2deg(away[worst]):.0f} deg from the lying pose")
-        return found
-
     def abandon(self) -> str:
         """Return how a robot is left that never followed; empty where it is in motor mode and must be damped."""
         return NOT_FOLLOWED if self.report["err_flag"] == NO_ERR_FLAG else ""
 
     # ------------------------------------------------------------------ messages
-
-    def listen(self, until: float, wake: int | None = None) -> bool:
-        """Take what comes until a time [s], or until something is to be read from a descriptor."""
-        self.bus.listen(until, wake)
-        return False
 
     def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
         """Send a command; the board takes only one for all joints."""
@@ -279,17 +207,7 @@ class StockDriver:
         self._own.append(data)
         self._own_set[data] = self._own_set.get(data, 0) + 1
         self.report["sent"] += 1
-        try:
-            self.bus.publish(MOTOR_CTRL.channel, data)
-        except OSError as reason:
-            self.problem = f"the network takes no messages: {reason.strerror or reason}"
-
-    def speed(self) -> float:
-        """Return how fast the fastest joint moves [rad/s]; infinite where the robot does not answer."""
-        return float(np.max(np.abs(self.report["dq"]))) if self._answers() else float("inf")
-
-    def _answers(self) -> bool:
-        return bool(self.now() - self.report["came"][0] <= FRESH)
+        self._publish(MOTOR_CTRL.channel, data)
 
     @property
     def lost(self) -> bool:
@@ -312,19 +230,23 @@ class StockDriver:
             f"the robot was damped for {seconds:g} s and still moves; its firmware damps it for another 2.5 s: hold it"
         )
 
-    def close(self) -> None:
-        """Let go of the network."""
-        self.bus.close()
 
-
-def board_wiring(path: str | None, board: str = "cyberdog2") -> BoardWiring:
-    """Return the wiring of a board: of a file, or the shipped one."""
-    return load_board(None if path is None else Path(path), board)
+def _commands(last: Any) -> Check:
+    if last["foreign"]:
+        text = f"another program commands this robot ({int(last['foreign'])} messages in {LISTEN:g} s); end it first"
+        return Check(name="other programs", verdict="stop", text=text)
+    if last["err_flag"] == NO_ERR_FLAG:
+        text = "none commands this robot; its firmware is not in motor mode yet"
+        return Check(name="other programs", verdict="ok", text=text)
+    if not int(last["err_flag"]) & TIMED_OUT:
+        text = "a program commanded this robot within the last half second; wait, and try again"
+        return Check(name="other programs", verdict="stop", text=text)
+    return Check(name="other programs", verdict="ok", text="none commands this robot; it is in motor mode from before")
 
 
 def open_stock_driver(settings: DriverSettings, *, quick: bool = False) -> StockDriver:
     """Open the driver of a stock robot; see `mimic.hardware.robot.driver.open_driver`."""
-    wiring = board_wiring(settings.wiring, settings.bus_url)
+    wiring = load_board(None if settings.wiring is None else Path(settings.wiring))
     network, ttl = check_network(wiring, settings.interface)
     description = load_description(settings.robot)
     return StockDriver(LcmBus(wiring, ttl), wiring, description, network=network, torque_limit=settings.torque_limit)

@@ -21,11 +21,11 @@ _SIOCGIFADDR = 0x8915
 QUEUE = 500
 """Messages of a channel that wait to be read; those after them are dropped."""
 
-_FLOOD = 0.02
+FLOOD = 0.02
 """A flood of messages must not stop the sending for longer than this [s]."""
 
 
-def _address_of(interface: str) -> str | None:
+def address_of(interface: str) -> str | None:
     """Return the IPv4 address of a network interface, or None where it has none.
 
     Raises:
@@ -56,7 +56,7 @@ def check_network(wiring: BoardWiring, interface: str | None) -> tuple[str, int]
     """
     name = interface or "eth0"
     route = f"sudo ip route add 224.0.0.0/4 dev {name}"
-    own = None if interface is None else _address_of(interface)
+    own = None if interface is None else address_of(interface)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         try:
             sock.connect((wiring.address, wiring.port))
@@ -142,7 +142,7 @@ class LcmBus:
             for fd in ready:
                 if fd in self._by_fd:
                     self._by_fd[fd].handle()
-            if wake in ready or (left <= 0.0 and not ready) or left < -_FLOOD:
+            if wake in ready or (left <= 0.0 and not ready) or left < -FLOOD:
                 return
 
     def close(self) -> None:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import FrameError
-from mimic.hardware.robot.driver import NEVER, no_report
+from mimic.hardware.robot.board import BoardReadings
+from mimic.hardware.robot.board_wiring import PARTS
+from mimic.hardware.robot.driver import NEVER
 from mimic.hardware.stock.messages import (
     LEG_CONTROL_DATA,
     MOTOR_CTRL_STATE,
@@ -20,23 +22,16 @@ from mimic.hardware.stock.messages import (
     STATE_ESTIMATOR,
     TYPES,
 )
-from mimic.hardware.stock.wiring import PARTS, BoardWiring
-from mimic.records import JOINTS, LEGS, FloatArray
-
-NO_ERR_FLAG = -1
-"""err_flag before the first motor_ctrl_state."""
+from mimic.hardware.stock.wiring import BoardWiring
+from mimic.records import JOINTS, LEGS
 
 
-class Readings:
+class Readings(BoardReadings):
     """Takes the messages of a board."""
 
     def __init__(self, wiring: BoardWiring) -> None:
-        self._wiring = wiring
-        self.report: Any = no_report()
-        """Newest readings; a scalar of REPORT."""
-        self.report["err_flag"] = NO_ERR_FLAG
-        self.joints = 0
-        """Messages with joint angles so far."""
+        super().__init__(wiring)
+        self._unit, self._index = wiring.temperature_unit, wiring.index
         self.commanded = NEVER
         """When the board last spoke of the commands that it gets [s]."""
 
@@ -55,9 +50,10 @@ class Readings:
         if channel == SPI_DATA.channel:
             self._motors(message, t)
         elif channel == LEG_CONTROL_DATA.channel:
-            self._joints(message, t)
+            self._joints(message)
         elif channel == STATE_ESTIMATOR.channel:
-            self._imu(message, t)
+            quat, omega = message["quat"].astype(np.float64), message["omegaBody"].astype(np.float64)
+            self.take_orientation(quat, omega, t)
         elif channel == MOTOR_CTRL_STATE.channel:
             self._commands(message, t)
 
@@ -76,48 +72,15 @@ class Readings:
             return np.stack([message[f"{name}_{part}"] for part in PARTS], axis=1).reshape(len(JOINTS))
 
         q, dq, tau = wiring.angles(by_leg("q")), wiring.joints(by_leg("qd")), wiring.joints(by_leg("tau"))
-        temperature = wiring.temperature_unit * by_leg("tmp").astype(np.float64)[wiring.index]
-        coldest, warmest = wiring.readings.temperature
-        possible = self._possible(q, dq) and np.all(np.abs(tau) <= wiring.readings.torque)
-        if not (possible and temperature.min() >= coldest and temperature.max() <= warmest):
-            report["errors"] += 1
-            return
-        report["q"], report["dq"], report["tau"] = q, dq, tau
-        flags = message["flags"].astype(np.int64)[wiring.index] & 0xFFFFFFFF
-        report["faults"], report["running"] = flags & MOTOR_ERRORS, flags >> 30 == MOTOR_RUNNING
-        report["temperature"], report["came"] = temperature, t
-        report["readings"] += 1
+        temperature = self._unit * by_leg("tmp").astype(np.float64)[self._index]
+        if self.take_motors(q, dq, tau, temperature, t):
+            flags = message["flags"].astype(np.int64)[self._index] & 0xFFFFFFFF
+            report["faults"], report["running"] = flags & MOTOR_ERRORS, flags >> 30 == MOTOR_RUNNING
 
-    def _joints(self, message: Any, t: float) -> None:
-        wiring, report = self._wiring, self.report
+    def _joints(self, message: Any) -> None:
         self.joints += 1
-        if report["readings"]:
-            return
-        q, dq = wiring.angles(message["q"]), wiring.joints(message["qd"])
-        if not self._possible(q, dq):
-            report["errors"] += 1
-            return
-        report["q"], report["dq"] = q, dq
-
-    def _possible(self, q: FloatArray, dq: FloatArray) -> bool:
-        """Return whether joints can have these angles (12,) [rad] and velocities (12,) [rad/s]; false for NaN."""
-        ranges = self._wiring.readings
-        return bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity))
-
-    def _imu(self, message: Any, t: float) -> None:
-        report = self.report
-        quat = message["quat"].astype(np.float64)[self._wiring.quat]
-        omega = message["omegaBody"].astype(np.float64)
-        length = float(np.linalg.norm(quat))
-        if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
-            report["errors"] += 1
-            return
-        quat = quat / length
-        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
-            report["imu_changed"] = t
-        report["quat_WB"], report["omega_B"] = quat, omega
-        report["imu_came"] = t
-        report["imu_count"] += 1
+        if not self.report["readings"]:
+            self.take_joints(self._wiring.angles(message["q"]), self._wiring.joints(message["qd"]))
 
 
 assert len(JOINTS) == len(LEGS) * len(PARTS)

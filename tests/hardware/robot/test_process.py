@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 import signal
 import socket
@@ -31,6 +32,7 @@ from mimic.hardware.stock.messages import MOTOR_CTRL
 from mimic.hardware.stock.wiring import load_board
 from mimic.io.assets import shipped
 from mimic.records import JointCommand
+from mimic.robot.description import load_description
 
 PATIENCE = 60.0
 """Something that has not happened by then does not happen [s]; an idle computer takes a second."""
@@ -62,6 +64,7 @@ class Served:
 
     def __init__(self, robot, server, settings: DriverSettings) -> None:
         self.robot, self.settings, self._server = robot, settings, server
+        self.description = load_description(settings.robot)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -77,7 +80,7 @@ class Served:
     def close(self) -> None:
         self._over.set()
         self._thread.join(10.0)
-        if isinstance(self._server, EmulatorServer):
+        if isinstance(self._server, EmulatorServer) or self.settings.bus_url == "go2":
             self._server.close()
 
 
@@ -88,7 +91,7 @@ def board(wiring, description):
 
     robot = EmulatedBoard(description, wiring, EmulateSettings(placement=0.0))
     settings = DriverSettings(bus_url="cyberdog2", robot="cyberdog2", wiring=str(wiring.path), interface="lo")
-    made = Served(robot, BoardServer(robot, wiring), settings)
+    made = Served(robot, BoardServer(robot, LcmBus(wiring, 0)), settings)
     yield made
     made.close()
 
@@ -103,15 +106,34 @@ def motors(description):
     made.close()
 
 
-@pytest.fixture(params=["motors", "board"])
+@pytest.fixture
+def go2(tmp_path):
+    pytest.importorskip("cyclonedds")
+    from mimic.emulator.board_server import BoardServer
+    from mimic.emulator.go2 import EmulatedGo2
+    from mimic.hardware.go2.dds_bus import DdsBus
+    from mimic.hardware.go2.wiring import load_go2
+
+    path = tmp_path / "board.toml"
+    domain = f"domain = {random.SystemRandom().randrange(1, 200)}"  # one that nobody else uses
+    path.write_text(re.sub(r"^domain = \d+", domain, shipped("assets", "go2", "board.toml").read_text(), flags=re.M))
+    wiring = load_go2(path)
+    robot = EmulatedGo2(load_description("go2"), wiring, EmulateSettings(placement=0.0))
+    settings = DriverSettings(bus_url="go2", robot="go2", wiring=str(path), interface="lo")
+    made = Served(robot, BoardServer(robot, DdsBus(wiring, "lo", robot=True)), settings)
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=["motors", "board", "go2"])
 def served(request):
-    """Return a robot on CAN, then a stock one."""
+    """Return a robot on CAN, then a stock one, then a Go2."""
     return request.getfixturevalue(request.param)
 
 
 @pytest.fixture
-def link(served, description):
-    made = SenderProcess(served.settings, description)
+def link(served):
+    made = SenderProcess(served.settings, served.description)
     with real_time(LOOP):
         yield made
     made.close()
@@ -142,10 +164,10 @@ def driven(plant, served):
 
 
 @pytest.mark.slow
-def test_it_checks_and_drives_a_robot_and_leaves_it_damped(link, served, description):
+def test_it_checks_and_drives_a_robot_and_leaves_it_damped(link, served):
     found = link.checks(CheckOptions(rate_hz=50.0))
     assert [check.text for check in found if check.verdict == "stop"] == []
-    plant = Robot(link, description)
+    plant = Robot(link, served.description)
     driven(plant, served)
     plant.close()
     assert plant.ending.startswith("the robot was damped")
@@ -154,8 +176,8 @@ def test_it_checks_and_drives_a_robot_and_leaves_it_damped(link, served, descrip
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "within"), [(signal.SIGKILL, 0.15), (signal.SIGSTOP, 0.35)])
-def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, within, link, served, description):
-    plant = Robot(link, description)
+def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, within, link, served):
+    plant = Robot(link, served.description)
     q = driven(plant, served)
     os.kill(link.pid, number)
     begin, damped = time.monotonic(), []
@@ -176,8 +198,8 @@ def test_the_loop_damps_the_robot_where_the_sender_is_killed_or_hangs(number, wi
 
 
 @pytest.mark.slow
-def test_a_loop_that_stands_still_loses_the_robot_to_the_sender(link, served, description):
-    plant = Robot(link, description)
+def test_a_loop_that_stands_still_loses_the_robot_to_the_sender(link, served):
+    plant = Robot(link, served.description)
     q = driven(plant, served)
     begin = time.monotonic()
     assert eventually(lambda: not served.driven())
@@ -189,8 +211,8 @@ def test_a_loop_that_stands_still_loses_the_robot_to_the_sender(link, served, de
 
 
 @pytest.mark.slow
-def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served, description):
-    driven(Robot(link, description), served)
+def test_the_sender_damps_the_robot_where_the_loop_has_ended(link, served):
+    driven(Robot(link, served.description), served)
     link._ours.close()  # as if this process were killed
     begin = time.monotonic()
     assert eventually(lambda: not served.driven())

@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mimic.errors import FrameError
+from mimic.hardware.robot.board import PERIOD
+from mimic.hardware.robot.board_wiring import PARTS
 from mimic.hardware.robot.sender import Sender, State
-from mimic.hardware.stock.driver import PERIOD, StockDriver
+from mimic.hardware.stock.driver import StockDriver
 from mimic.hardware.stock.messages import MOTOR_CTRL, SPI_DATA
-from mimic.hardware.stock.wiring import PARTS, load_board
+from mimic.hardware.stock.wiring import load_board
 from mimic.records import JointCommand
 from mimic.robot.description import load_description
 

@@ -1,0 +1,199 @@
+"""What emulated motion boards have in common: a body, messages that a network delays, loses or damages, and faults.
+
+The owner advances the time. Messages go in with the time of their arrival, and come out with the time at which they
+were sent.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mimic.config.emulator import EmulateSettings
+from mimic.dynamics.effect_set import EffectSet
+from mimic.emulator.body import EmulatedBody
+from mimic.emulator.faults import EmulatedFault
+from mimic.errors import ConfigError
+from mimic.records import FloatArray
+from mimic.robot.description import RobotDescription
+
+TICK = 0.002
+"""The firmware's cycle [s]."""
+
+
+class Published(NamedTuple):
+    """A message of the board."""
+
+    t: float
+    """When it arrives [s]."""
+    channel: str
+    data: bytes
+
+
+class NetworkBoard:
+    """A robot behind a network, from power-up on, lying or suspended. `_cycle` is its firmware."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        settings: EmulateSettings | None,
+        *,
+        hears: Sequence[str],
+        kinds: Sequence[str],
+        effects: EffectSet | None,
+        faults: Sequence[EmulatedFault],
+        timestep: float,
+        visuals: bool,
+    ) -> None:
+        """Switch it on.
+
+        Args:
+            description: The robot.
+            settings: How it lies or hangs, and its noise.
+            hears: Channels or topics that it takes.
+            kinds: Kinds of faults that it has.
+            effects: What its drives have besides.
+            faults: What goes wrong.
+            timestep: Of the physics [s].
+            visuals: Keep the shapes that are only looked at.
+
+        Raises:
+            ConfigError: If a fault does not exist on this robot.
+        """
+        settings = settings or EmulateSettings()
+        for fault in faults:
+            if fault.kind not in kinds:
+                raise ConfigError(f"{self.name} has no fault {fault.kind!r}; it has {', '.join(kinds)}")
+        self._d, self._settings, self._hears = description, settings, hears
+        self.body = EmulatedBody(
+            description,
+            effects=effects,
+            suspended=settings.suspended,
+            timestep=timestep,
+            placement=settings.placement,
+            seed=settings.seed,
+            visuals=visuals,
+        )
+        self.body.release()
+        self._faults = list(faults)
+        self._rng = np.random.default_rng([settings.seed, 29])
+        self.now = 0.0
+        """[s]"""
+        self.ticks = 0
+        self.commands = 0
+        """Messages that were sent to it."""
+        self.events: deque[tuple[float, str]] = deque()
+        """What happened, for whoever shows it."""
+        self._incoming: list[tuple[float, int, str, bytes]] = []
+        self._outgoing: list[tuple[float, int, str, bytes]] = []
+        self._count = 0
+        self._frozen: tuple[FloatArray, FloatArray, int] | None = None
+
+    name = "the stock board"
+
+    # ------------------------------------------------------------------ the network
+
+    def take(self, channel: str, data: bytes, t: float) -> None:
+        """Take a message that was sent at time t [s]; what it does not listen to is left out."""
+        if channel not in self._hears:
+            return
+        self.commands += 1
+        for at, name, damaged in self._through(channel, data, t):
+            self._count += 1
+            heapq.heappush(self._incoming, (at, self._count, name, damaged))
+
+    def published(self, t: float) -> list[Published]:
+        """Return the messages that have arrived by time t [s], in their order."""
+        out: list[Published] = []
+        while self._outgoing and self._outgoing[0][0] <= t:
+            at, _, channel, data = heapq.heappop(self._outgoing)
+            out.append(Published(at, channel, data))
+        return out
+
+    def _publish(self, channel: str, data: bytes) -> None:
+        for at, name, damaged in self._through(channel, data, self.now):
+            self._count += 1
+            heapq.heappush(self._outgoing, (at, self._count, name, damaged))
+
+    def _through(self, channel: str, data: bytes, t: float) -> list[tuple[float, str, bytes]]:
+        """Return what the network makes of a message: when it arrives, and how, once or twice or not at all."""
+        if self._value("bus_off", t) is not None or self._chance("frames_lost", t):
+            return []
+        at = t + (self._value("frames_late", t) or 0.0)
+        if self._chance("frames_reordered", t):
+            at += 0.004 + 0.004 * self._rng.random()
+        if self._chance("frames_corrupted", t):
+            bits = bytearray(data)
+            bits[int(self._rng.integers(len(bits)))] ^= 1 << int(self._rng.integers(8))
+            data = bytes(bits)
+        return [(at, channel, data)] * (2 if self._chance("frames_doubled", t) else 1)
+
+    def _value(self, kind: str, t: float) -> float | None:
+        return next((fault.value for fault in self._faults if fault.kind == kind and fault.active(t)), None)
+
+    def _chance(self, kind: str, t: float) -> bool:
+        share = self._value(kind, t)
+        return share is not None and bool(self._rng.random() < share)
+
+    def _joints_with(self, kind: str) -> dict[int, float]:
+        """Return the joints of the description that have a fault now, and its value."""
+        return {
+            int(fault.joint): fault.value
+            for fault in self._faults
+            if fault.kind == kind and fault.joint is not None and fault.active(self.now)
+        }
+
+    # ------------------------------------------------------------------ time
+
+    def advance(self, t: float) -> None:
+        """Go on, cycle by cycle, up to time t [s]."""
+        while (self.ticks + 1) * TICK <= t + 1e-9:
+            self.ticks += 1
+            self.now = self.ticks * TICK
+            self._cycle()
+
+    def _cycle(self) -> None:
+        raise NotImplementedError
+
+    def driven(self) -> tuple[str, ...]:
+        """Return the joints with stiffness or a torque of a command."""
+        raise NotImplementedError
+
+    def line(self) -> str:
+        """Return a line of what has happened so far."""
+        raise NotImplementedError
+
+    def figures(self) -> dict[str, str]:
+        """Return rows of a table of what has happened."""
+        raise NotImplementedError
+
+    def _arrived_by_now(self, take: Callable[[str, bytes, float], None]) -> None:
+        """Hand on the messages that have arrived."""
+        while self._incoming and self._incoming[0][0] <= self.now:
+            at, _, channel, data = heapq.heappop(self._incoming)
+            take(channel, data, at)
+
+    def orientation(self, stamp: int = 0) -> tuple[FloatArray, FloatArray, int]:
+        """Return the IMU's quaternion wxyz (4,), its rate of turn (3,) [rad/s], and a stamp, all with its faults."""
+        quat, omega = self.body.base()
+        omega = omega + self._rng.normal(0.0, self._settings.imu_noise, 3)
+        tilt = self._value("imu_tilted", self.now)
+        if tilt is not None:
+            quat = turned(quat, tilt)
+        if self._value("imu_frozen", self.now) is not None:
+            self._frozen = self._frozen or (quat, omega, stamp)
+            return self._frozen
+        self._frozen = None
+        return quat, omega, stamp
+
+
+def turned(quat: FloatArray, angle: float) -> FloatArray:
+    """Return an orientation turned about its own y axis by an angle [rad]."""
+    w, x, y, z = quat
+    c, s = math.cos(angle / 2), math.sin(angle / 2)
+    return np.array([w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s])

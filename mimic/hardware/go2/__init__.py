@@ -1,0 +1,1 @@
+"""A Unitree Go2 EDU: its low-level interface, spoken over DDS."""

@@ -1,0 +1,345 @@
+"""A Unitree Go2 EDU behind mimic's `mimic.hardware.robot.driver.Driver`: messages at 500 Hz over DDS.
+
+Its own sport mode must be released before it follows anybody else. What it does when no more messages come is not
+published, so the last one it gets, again and again, is always damping.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mimic.errors import FrameError, PlantError
+from mimic.hardware.go2.dds_bus import DdsBus, check_network
+from mimic.hardware.go2.messages import (
+    CHECK_MODE,
+    LOWCMD,
+    LOWSTATE,
+    RELEASE_MODE,
+    SPORT,
+    STAND_DOWN,
+    SWITCHER,
+    Call,
+    blank,
+    decode,
+    encode,
+)
+from mimic.hardware.go2.wiring import Go2Wiring, load_go2
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings, Bus
+from mimic.hardware.robot.checks import Check
+from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
+from mimic.records import JOINTS, JointCommand
+from mimic.robot.description import RobotDescription, load_description
+
+ANSWER = 0.5
+"""A service answers within this, or it is asked once more [s]."""
+
+ASKED = 3
+"""How often a service is asked."""
+
+LIES_WITHIN = 8.0
+"""The robot lies down by its own sport mode within this [s]."""
+
+RELEASES = 3
+"""How often the sport mode is released until it is gone; Unitree's examples do it until then."""
+
+SERVO = 1
+"""Mode of a motor that follows commands. Source: Unitree's low-level examples."""
+
+DAMPED_BEFORE = 0.3
+"""For how long a robot is damped before it is driven, and other programs are looked for meanwhile [s]."""
+
+LAST_DAMPING = 0.5
+"""For how long damping is sent to a robot that already rests [s]: messages may be lost."""
+
+GONE_ON = "another program still commands the robot: hold the robot, and end that program"
+"""How a robot is left to which another program still sends."""
+
+UNREACHED = (
+    "the robot does not answer, and what it does without messages is not published: it may hold its last command; hold "
+    "it, and switch it off"
+)
+"""How a robot is left that no message reaches."""
+
+RESTED = "the robot was damped until it rested, and damping is the last it was sent; restart it to use its own modes"
+"""How a robot should be left."""
+
+NOT_DRIVEN = "it was sent no command"
+"""How a robot is left whose start failed before the first message."""
+
+
+class Go2Bus(Bus, Protocol):
+    """The network of a Go2, or of an emulated one."""
+
+    def ready(self, topic: str) -> bool:
+        """Return whether somebody hears what is published on a topic."""
+        ...
+
+    def others(self) -> list[str]:
+        """Return who else may write commands."""
+        ...
+
+
+class Go2Driver(BoardDriver):
+    """See `mimic.hardware.robot.driver.Driver`."""
+
+    def __init__(
+        self,
+        bus: Go2Bus,
+        wiring: Go2Wiring,
+        description: RobotDescription,
+        *,
+        network: str = "",
+        torque_limit: float | None = None,
+    ) -> None:
+        """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
+        super().__init__(bus, wiring, description, BoardReadings(wiring), network=network, torque_limit=torque_limit)
+        self._dds, self._wiring = bus, wiring
+        self.mode: str | None = None
+        """What `ask_mode` returned last."""
+        self._calls, self._answers_to = itertools.count(1), dict[int, Call]()
+        self._lost = np.zeros(len(JOINTS), dtype=np.int64)
+        self._modes = np.zeros(len(JOINTS), dtype=np.int64)
+        self._says_mode = self._sent = self._released = False
+        self._message = blank(LOWCMD)
+        self._message["motor_cmd"]["mode"][: len(JOINTS)] = SERVO
+
+    # ------------------------------------------------------------------ readings
+
+    def heard(self, channel: str, data: bytes, t: float) -> None:
+        """Take a message that arrived at time t [s]."""
+        if channel == LOWCMD:
+            self.report["foreign"] += 1
+            self._foreign = t
+            return
+        try:
+            if channel == LOWSTATE:
+                self._take(decode(LOWSTATE, data), t)
+            else:
+                call = Call.from_bytes(data, answer=True)
+                self._answers_to[call.id] = call
+        except FrameError:
+            self.report["errors"] += 1
+
+    def _take(self, message: Any, t: float) -> None:
+        wiring, report, motors = self._wiring, self.report, message["motor_state"][: len(JOINTS)]
+        report["heard"] = t
+        self.readings.joints += 1
+        came, lost = np.array(report["came"]), motors["lost"].astype(np.int64)[wiring.index]
+        taken = self.readings.take_motors(
+            wiring.angles(motors["q"]),
+            wiring.joints(motors["dq"]),
+            wiring.joints(motors["tau_est"]),
+            motors["temperature"].astype(np.float64)[wiring.index],
+            t,
+        )
+        if taken:
+            first = not np.isfinite(came).any()
+            silent, self._lost = (lost > self._lost) & (not first), lost
+            report["came"] = np.where(silent, came, t)  # the robot did not hear this motor itself
+            serves = motors["mode"][wiring.index] == SERVO
+            report["running"] = serves if self._says_mode else True
+            report["voltage"] = float(message["power_v"]) if message["power_v"] > 1.0 else np.nan
+        imu = message["imu_state"]
+        self.readings.take_orientation(imu["quaternion"].astype(np.float64), imu["gyroscope"].astype(np.float64), t)
+        self._modes = motors["mode"][wiring.index]
+
+    def counts(self) -> dict[str, int]:
+        """Return how many messages came so far."""
+        return {LOWSTATE: self.readings.joints, "orientation": int(self.report["imu_count"])}
+
+    # ------------------------------------------------------------------ its own mode, and other programs
+
+    def _ask(self, service: str, api: int) -> Call | None:
+        """Ask a service of the robot; None if it does not answer."""
+        for _ in range(ASKED):
+            number = next(self._calls)
+            self._publish(f"{service}request", Call(id=number, api=api).to_bytes())
+            end = self.now() + ANSWER
+            while self.now() < end:
+                self.listen(self.now() + PERIOD)
+                if number in self._answers_to:
+                    return self._answers_to.pop(number)
+        return None
+
+    def ask_mode(self) -> str | None:
+        """Ask for its own active mode, and return it: empty for none, None if it does not say."""
+        self.mode = ""
+        if self._wiring.motion_switcher:
+            answer = self._ask(SWITCHER, CHECK_MODE)
+            self.mode = None if answer is None or answer.code != 0 else answer.name()
+        return self.mode
+
+    def notes(self) -> list[str]:
+        """Return what is known of its own mode."""
+        others = self._dds.others()
+        return [f"commands may come from {', '.join(others)}"] if others else ["nobody else may command it"]
+
+    def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
+        self.ask_mode()
+        found, text = [], "none commands this robot"
+        others, came = self._dds.others(), int(self.report["foreign"])
+        if self.mode is None:
+            text = (
+                "its motion switcher does not answer, so its own sport mode may command it: restart it, and wait until "
+                "it has stood up; is it a Go2 EDU? No other one obeys"
+            )
+            found.append(Check(name="own mode", verdict="stop", text=text))
+        elif self.mode:
+            text = f"its own mode {self.mode!r} is active: it lies down and is released when you begin"
+            found.append(Check(name="own mode", verdict="note", text=text))
+        else:
+            found.append(Check(name="own mode", verdict="ok", text="none is active"))
+        if others or came:
+            text = f"{came} commands came; who may send: {', '.join(others) or 'unknown'}"
+            expected = bool(self.mode)  # the robot's own mode commands it until it is released
+            text += "; looked at again once its own mode is released" if expected else "; end that program first"
+            found.append(Check(name="other programs", verdict="note" if expected else "stop", text=text))
+        else:
+            found.append(Check(name="other programs", verdict="ok", text="none commands this robot"))
+        own = "not published: it is expected to hold its last command, so mimic never falls silent before damping"
+        return found, "lay it down with its remote control", [Check(name="own timeout", verdict="note", text=own)]
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot by listening to it and asking for its own mode; nothing moves."""
+        found = super().checks(options)
+        if not self.mode:
+            return found
+        later = ("pose", "IMU and legs")  # it lies down first
+        return [
+            replace(check, verdict="note", text=f"{check.text}; looked at again once it lies")
+            if check.name in later and check.verdict == "stop"
+            else check
+            for check in found
+        ]
+
+    # ------------------------------------------------------------------ start
+
+    def start(self, *, suspended: bool) -> None:
+        """Release the robot's own mode, look for other programs, damp it, and check it once more.
+
+        Raises:
+            PlantError: If it does not follow, or something stands against moving.
+        """
+        self._await(
+            lambda: self._dds.ready(LOWCMD),
+            ENTER_TIMEOUT,
+            lambda: None,
+            "nobody on the robot's network hears commands on rt/lowcmd; only a Go2 EDU does",
+        )
+        self._release(suspended)
+        self.report["foreign"] = 0
+        self.listen(self.now() + LISTEN)
+        if self.report["foreign"]:
+            raise PlantError(
+                f"the robot was not moved: {int(self.report['foreign'])} commands came of another program "
+                f"({', '.join(self._dds.others()) or 'unknown'}); end it first"
+            )
+        began = self.now()
+        self._await(
+            lambda: self.now() - began >= DAMPED_BEFORE, 2.0 * DAMPED_BEFORE, self.damp, "the clock stands still"
+        )
+        self._says_mode = bool((self._modes == SERVO).any())
+        problems = self._problems(suspended)
+        if self._says_mode:
+            problems += [f"motor {JOINTS[j]} does not switch on" for j in np.flatnonzero(self._modes != SERVO)]
+        if not self._answers():
+            problems.append("it no longer answers")
+        if problems:
+            raise PlantError(f"the robot was not moved: {'; '.join(problems)}")
+
+    def _release(self, suspended: bool) -> None:
+        """Let the robot lie down and give up its own mode.
+
+        Raises:
+            PlantError: If it does not.
+        """
+        for _ in range(RELEASES):
+            self.ask_mode()
+            if self.mode is None:
+                raise PlantError("the robot was not moved: its motion switcher does not answer; restart the robot")
+            if not self.mode:
+                return
+            if self._ask(SPORT, STAND_DOWN) is None:
+                raise PlantError(
+                    "the robot was not moved: its sport service does not answer; lay it down with its remote control"
+                )
+            rested, end = self.now(), self.now() + LIES_WITHIN
+            while self.now() - rested < self._limits.rest_seconds:
+                self.listen(self.now() + PERIOD)
+                away = np.abs(self.report["q"] - self._description.poses["lie"]).max()
+                if self.speed() > self._limits.rest_speed or (away > LYING_TOLERANCE and not suspended):
+                    rested = self.now()
+                if self.now() > end:
+                    raise PlantError("the robot did not lie down by itself; lay it down with its remote control")
+            if self._ask(SWITCHER, RELEASE_MODE) is None:
+                raise PlantError("the robot lies in its own mode, which was not released; restart it")
+            self._released = True
+            self.listen(self.now() + 2.0 * ANSWER)
+        raise PlantError(f"the robot lies, and its own mode {self.mode!r} stays active; switch it off in its app")
+
+    def abandon(self) -> str:
+        """Return how a robot is left that was sent no command; empty where it must be damped."""
+        if self._sent:
+            return ""
+        return f"{NOT_DRIVEN}; its own mode was released: restart it" if self._released else NOT_DRIVEN
+
+    # ------------------------------------------------------------------ messages
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command; a message holds those of all joints."""
+        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
+            raise FrameError("a command holds numbers that are not finite")
+        wiring, report = self._wiring, self.report
+        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        dq_des = np.clip(command.dq_des, -wiring.velocity_max, wiring.velocity_max)
+        self._send(command.q_des, dq_des, kp, kd, np.clip(command.tau_ff, -wiring.torque_max, wiring.torque_max))
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = command.q_des, kp, kd
+
+    def damp(self) -> None:
+        """Send damping."""
+        q, zero = self.report["q"], np.zeros(len(JOINTS))
+        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
+
+    def _send(self, q: Any, dq: Any, kp: Any, kd: Any, tau: Any) -> None:
+        wiring, motors = self._wiring, self._message["motor_cmd"][: len(JOINTS)]
+        motors["q"], motors["dq"], motors["tau"] = wiring.wire_angles(q), wiring.wire(dq), wiring.wire(tau)
+        motors["kp"], motors["kd"] = wiring.wire_gains(kp), wiring.wire_gains(kd)
+        self._sent = True
+        self.report["sent"] += 1
+        self._publish(LOWCMD, encode(LOWCMD, self._message))
+
+    @property
+    def lost(self) -> bool:
+        """Whether the robot no longer answers: it may hold its last command, and is damped for as long as possible."""
+        return not self._answers()
+
+    def end(self, *, since: float, rested: bool) -> str | None:
+        """Send damping for a moment; return how the robot was left."""
+        if self.now() - since <= LAST_DAMPING:
+            self.damp()
+            return None
+        if self.now() - self._foreign < LAST_DAMPING:
+            return GONE_ON
+        if rested:
+            return RESTED
+        if not self._answers():
+            return f"{UNREACHED} ({self.problem})" if self.problem else UNREACHED
+        seconds = self._limits.damp_seconds
+        return f"the robot was damped for {seconds:g} s and still moves; damping is the last it was sent: hold it"
+
+
+def open_go2_driver(settings: DriverSettings, *, quick: bool = False) -> Go2Driver:
+    """Open the driver of a Go2; see `mimic.hardware.robot.driver.open_driver`."""
+    wiring = load_go2(None if settings.wiring is None else Path(settings.wiring))
+    interface = check_network(wiring, settings.interface)
+    description = load_description(settings.robot)
+    network = "messages stay on this computer" if interface == "lo" else f"messages leave through {interface}"
+    return Go2Driver(
+        DdsBus(wiring, interface), wiring, description, network=network, torque_limit=settings.torque_limit
+    )

@@ -1,0 +1,47 @@
+"""Where a Go2 is and how its messages map to the joints: ``assets/go2/board.toml``, or your copy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mimic.errors import ConfigError
+from mimic.hardware.robot.board_wiring import JointWiring, joint_fields
+from mimic.hardware.toml_fields import read_file, whole
+from mimic.io.assets import shipped
+
+BOARD = "go2"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Go2Wiring(JointWiring):
+    """Domain, order and signs of a Go2. Joint arrays are (12,) in the order of JOINTS."""
+
+    domain: int
+    """Of DDS."""
+    motion_switcher: bool
+    """Whether it has the service that releases its sport mode; a simulator may have none."""
+
+
+def load_go2(path: Path | None = None) -> Go2Wiring:
+    """Read the wiring of a Go2.
+
+    Args:
+        path: File; None takes the one that ships with the robot.
+
+    Raises:
+        AssetError: If there is no such file.
+        ConfigError: If it is not TOML or not consistent.
+    """
+    path = shipped("assets", BOARD, "board.toml") if path is None else path
+
+    def understand(raw: Mapping[str, Any]) -> Go2Wiring:
+        switcher = raw.get("motion_switcher")
+        if not isinstance(switcher, bool):
+            raise ConfigError(f"motion_switcher is {switcher!r}; expected true, or false for a simulator without it")
+        domain = whole(raw, "domain", "the file", 0, 230)
+        return Go2Wiring(**joint_fields(path, raw, BOARD), domain=domain, motion_switcher=switcher)
+
+    return read_file(path, understand)

@@ -1,0 +1,290 @@
+"""What all motion boards have in common: messages at 500 Hz, readings that count from when they came, a pre-flight that
+listens, and a second check before anything moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from mimic.control.safety_limits import limits_for
+from mimic.errors import PlantError
+from mimic.hardware.robot.board_wiring import JointWiring
+from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
+from mimic.hardware.robot.driver import NEVER, CheckOptions, no_report
+from mimic.records import JOINTS, FloatArray
+from mimic.robot.description import RobotDescription
+
+PERIOD = 0.002
+"""Time between two messages [s]: the firmware's own cycle."""
+
+ENTER_TIMEOUT = 2.0
+"""A board does what the first messages ask for within this [s]."""
+
+START_TILT = 0.3
+"""Largest tilt of the robot when it is taken over [rad]."""
+
+FRESH = 0.05
+"""A reading at most this old shows that the robot answers [s]."""
+
+LYING_TOLERANCE = 0.6
+"""Largest distance of a joint from the lying pose at the start [rad].
+
+A limp robot rests on its trunk, its legs splayed: 0.37 rad from the lying pose, in the maker's firmware on the bench as
+in the emulation. One that stands is 1.1 rad from it.
+"""
+
+NO_ERR_FLAG = -1
+"""err_flag before the first word of the board about it."""
+
+LISTEN = 1.5
+"""How long to listen [s]: three times as long as the firmware waits for another command."""
+
+LOWEST_RATE = 30.0
+"""Orientations a second that a robot sends at least [Hz]: 50 before the first command, 500 afterwards."""
+
+
+class Bus(Protocol):
+    """The network of a board, or of an emulated one."""
+
+    heard: Callable[[str, bytes, float], None]
+    """Called with channel or topic, bytes and time [s] of each message."""
+
+    def now(self) -> float:
+        """Return the time of the messages [s]."""
+        ...
+
+    def publish(self, channel: str, data: bytes) -> None:
+        """Send a message.
+
+        Raises:
+            OSError: If the network does not take it.
+        """
+        ...
+
+    def listen(self, until: float, wake: int | None = None) -> None:
+        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the network."""
+        ...
+
+
+class BoardReadings:
+    """The newest readings of a board.
+
+    Readings count from when their messages came: the robot's own clock may be set at any time, and is not used.
+    """
+
+    def __init__(self, wiring: JointWiring) -> None:
+        self._wiring = wiring
+        self.report: Any = no_report()
+        """Newest readings; a scalar of REPORT."""
+        self.report["err_flag"] = NO_ERR_FLAG
+        self.joints = 0
+        """Messages with joint angles so far."""
+
+    def take_joints(self, q: FloatArray, dq: FloatArray) -> bool:
+        """Take angles (12,) [rad] and velocities (12,) [rad/s], if joints can have them; else count an error."""
+        ranges = self._wiring.readings
+        if not bool(np.all(np.abs(q) <= ranges.angle) and np.all(np.abs(dq) <= ranges.velocity)):  # false for NaN
+            self.report["errors"] += 1
+            return False
+        self.report["q"], self.report["dq"] = q, dq
+        return True
+
+    def take_motors(self, q: FloatArray, dq: FloatArray, tau: FloatArray, temperature: FloatArray, t: float) -> bool:
+        """Take a full set of readings (12,) that came at time t [s], if motors can have them; else count an error."""
+        report, (coldest, warmest) = self.report, self._wiring.readings.temperature
+        if not (
+            np.all(np.abs(tau) <= self._wiring.readings.torque)
+            and temperature.min() >= coldest
+            and temperature.max() <= warmest
+        ):
+            report["errors"] += 1
+            return False
+        if not self.take_joints(q, dq):
+            return False
+        report["tau"], report["temperature"], report["came"] = tau, temperature, t
+        report["readings"] += 1
+        return True
+
+    def take_orientation(self, quat: FloatArray, omega: FloatArray, t: float) -> None:
+        """Take a quaternion in the board's order (4,) and a rate of turn (3,) [rad/s], or count an error."""
+        report, quat = self.report, quat[self._wiring.quat]
+        length = float(np.linalg.norm(quat))
+        if not (np.all(np.abs(omega) <= self._wiring.readings.turn_rate) and abs(length - 1.0) < 0.05):
+            report["errors"] += 1
+            return
+        quat = quat / length
+        if not (np.array_equal(quat, report["quat_WB"]) and np.array_equal(omega, report["omega_B"])):
+            report["imu_changed"] = t
+        report["quat_WB"], report["omega_B"] = quat, omega
+        report["imu_came"] = t
+        report["imu_count"] += 1
+
+
+class BoardDriver:
+    """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `drive`, `damp` and `end` are its own."""
+
+    period, repeats = PERIOD, True
+
+    def __init__(
+        self,
+        bus: Bus,
+        wiring: JointWiring,
+        description: RobotDescription,
+        readings: BoardReadings,
+        *,
+        network: str,
+        torque_limit: float | None,
+    ) -> None:
+        """Take an open bus; nothing is sent.
+
+        Args:
+            bus: The network.
+            wiring: Of the board.
+            description: The robot; its largest velocity gain damps.
+            readings: Takes its messages.
+            network: How messages leave this computer, in words.
+            torque_limit: Refused if below the motors' own: a board has no such limit.
+
+        Raises:
+            PlantError: If a torque limit is asked for.
+        """
+        if torque_limit is not None and torque_limit < description.torque_max.max():
+            raise PlantError(
+                f"the stock board has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
+            )
+        self.bus, self.network, self.problem = bus, network, ""
+        bus.heard = self.heard
+        self._description, self._limits = description, limits_for(description)
+        self._kd = min(description.kd_max, wiring.kd_max)
+        self.readings, self._foreign = readings, NEVER
+
+    @property
+    def report(self) -> Any:
+        """Newest readings; a scalar of REPORT."""
+        return self.readings.report
+
+    def now(self) -> float:
+        """Return the time of the messages [s]."""
+        return self.bus.now()
+
+    def heard(self, channel: str, data: bytes, t: float) -> None:
+        """Take a message that arrived at time t [s]."""
+        raise NotImplementedError
+
+    def listen(self, until: float, wake: int | None = None) -> bool:
+        """Take what comes until a time [s], or until something is to be read from a descriptor."""
+        self.bus.listen(until, wake)
+        return False
+
+    def speed(self) -> float:
+        """Return how fast the fastest joint moves [rad/s]; infinite where the robot does not answer."""
+        return float(np.max(np.abs(self.report["dq"]))) if self._answers() else float("inf")
+
+    def _answers(self) -> bool:
+        return bool(self.now() - self.report["came"].max() <= FRESH)
+
+    def close(self) -> None:
+        """Let go of the network."""
+        self.bus.close()
+
+    def _await(self, reached: Callable[[], bool], timeout: float, send: Callable[[], None], problem: str) -> None:
+        """Send messages until something is reached.
+
+        Raises:
+            PlantError: If that takes too long.
+        """
+        end = self.now() + timeout
+        while self.now() < end:
+            send()
+            self.listen(self.now() + PERIOD)
+            if reached():
+                return
+        raise PlantError(problem)
+
+    def _publish(self, channel: str, data: bytes) -> None:
+        """Send a message; where the network does not take it, ``problem`` says so."""
+        try:
+            self.bus.publish(channel, data)
+        except OSError as reason:
+            self.problem = f"the network takes no messages: {reason.strerror or reason}"
+
+    def _problems(self, suspended: bool) -> list[str]:
+        """Return what stands against moving of what is known only in motor mode, or may have changed meanwhile."""
+        report, found = self.report, []
+        found += [
+            f"motor {JOINTS[j]} reports the error {int(bits):#x}" for j, bits in enumerate(report["faults"]) if bits
+        ]
+        warmest = int(np.argmax(report["temperature"]))
+        if report["temperature"][warmest] >= HOT:
+            found.append(f"motor {JOINTS[warmest]} is at {report['temperature'][warmest]:.0f} degC; let it cool")
+        if report["foreign"]:
+            found.append("another program commands this robot")
+        if not suspended:
+            _, x, y, _ = report["quat_WB"]
+            if 1.0 - 2.0 * (x * x + y * y) < np.cos(START_TILT):
+                found.append("the robot is tilted")
+            away = np.abs(report["q"] - self._description.poses["lie"])
+            worst = int(np.argmax(away))
+            if away[worst] > LYING_TOLERANCE:
+                found.append(f"{JOINTS[worst]} is {np.rad2deg(away[worst]):.0f} deg from the lying pose")
+        return found
+
+    # ------------------------------------------------------------------ pre-flight
+
+    def counts(self) -> dict[str, int]:
+        """Return how many messages of each kind came so far."""
+        raise NotImplementedError
+
+    def notes(self) -> list[str]:
+        """Return what there is to say of the robot beside its readings."""
+        raise NotImplementedError
+
+    def _own_checks(self) -> tuple[list[Check], str, list[Check]]:
+        """Return what is found of commands, what to do about a robot that does not lie, and what else to say."""
+        raise NotImplementedError
+
+    asleep = "is it switched on, the cable in, and this computer at the wiring's address?"
+    """What to look at if nothing comes."""
+
+    def checks(self, options: CheckOptions) -> list[Check]:
+        """Check a robot by listening to it; nothing moves."""
+        description, suspended = self._description, options.suspended
+        self.listen(self.now() + 0.02)
+        begin, before = self.now(), self.counts()
+        self.listen(begin + LISTEN)
+        last, seconds = self.report, self.now() - begin
+        found = [Check(name="network", verdict="ok", text=self.network)]
+        if last["heard"] < begin:
+            text = f"no message came from the robot; {self.asleep}"
+            return [*found, Check(name="messages", verdict="stop", text=text)]
+        rates = {name: (count - before[name]) / seconds for name, count in self.counts().items()}
+        commands, advice, more = self._own_checks()
+        found += [_messages(rates, int(last["errors"])), *commands]
+        q = np.array(last["q"])
+        if np.isnan(q).any():
+            return [*found, Check(name="pose", verdict="stop", text="the robot sends no joint angles")]
+        found.append(pose_check(q, description, LYING_TOLERANCE, suspended=suspended, advice=advice))
+        if last["imu_came"] == NEVER:
+            found.append(Check(name="IMU", verdict="stop", text="the robot sends no orientation"))
+        else:
+            quat, omega = np.array(last["quat_WB"]), np.array(last["omega_B"])
+            text = f"turns at {np.linalg.norm(omega):.3f} rad/s"
+            found += imu_checks(quat, omega, q, description, suspended=suspended, text=text)
+        return [*found, *more]
+
+
+def _messages(rates: dict[str, float], errors: int) -> Check:
+    text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
+    if errors:
+        text += f"; {errors} could not be read: the firmware may define its messages differently"
+        return Check(name="messages", verdict="stop", text=text)
+    if min(rates.values()) < LOWEST_RATE:
+        return Check(name="messages", verdict="stop", text=f"{text}; expected at least {LOWEST_RATE:g} Hz of each")
+    return Check(name="messages", verdict="ok", text=text)
