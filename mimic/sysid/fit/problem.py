@@ -197,6 +197,10 @@ class Problem:
         """Return the problem with targets sent at these times."""
         return self.changed(replay=self.replay.sent_at(sending), correction=None)
 
+    def in_short_segments(self) -> Problem:
+        """Return the problem of a replay in short segments, whose fits find the way from far off."""
+        return self.changed(replay=self.replay.in_short_segments(), correction=None)
+
     @property
     def readings(self) -> IntArray:
         """Number of readings of each fitted block that judges (B_train,)."""

@@ -146,6 +146,14 @@ def acting(
     return mean, [(first, before), (1.0 - first - last, older), (last, newer)]
 
 
+LEAD_IN = 0.8
+"""Time that a segment runs before its readings count [s]."""
+
+SHOOT = 0.5
+"""Length of short segments, which need no time to settle [s]. What a joint does that sticks and slips depends on all that
+it did before: over a long time the error has many local minima in the numbers, over a short one hardly any (multiple
+shooting; Ribeiro et al. 2020)."""
+
 SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 """Segments of a log, and the least and greatest length of one [s]: steps in sequence cost more than simulations."""
 
@@ -185,7 +193,7 @@ class Replay:
         *,
         timestep: float = 0.001,
         segment: float | None = None,
-        lead_in: float = 0.8,
+        lead_in: float = LEAD_IN,
         threads: int = 0,
         torque: bool = False,
         sending: SendingTimes | None = None,
@@ -254,12 +262,18 @@ class Replay:
         self._finer[times, segment] = fine
         return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
-    def _again(self, timestep: float, segment: float) -> Self:
+    def in_short_segments(self) -> Self:
+        """Return this replay in short segments, each from its measured position and velocity, see `SHOOT`."""
+        short = self._again(self.dt, SHOOT, 0.0).with_late(self.late)
+        return short._with(heat=self.heat, _count=self._count)
+
+    def _again(self, timestep: float, segment: float, lead_in: float = LEAD_IN) -> Self:
         return type(self)(
             self.machine,
             self.log,
             timestep=timestep,
             segment=segment,
+            lead_in=lead_in,
             threads=self.threads,
             torque=self.torque,
             sending=self.sending,

@@ -44,6 +44,9 @@ elasticity of its own."""
 MOST_STEPS = 6
 """Most steps of the fit of a candidate."""
 
+POORLY_EXPLAINED = 4.0
+"""Mean square of what is left, in noise floors, from which on fits begin in short segments."""
+
 MOST_REPLAYS = 900
 """Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
 
@@ -235,6 +238,14 @@ class FittedModel:
         squares = self.trial.squares if self.trial is not None and late else self.squares
         return _score(self.problem, squares, len(self.fitted.free_parameters))
 
+    def in_short_segments(self) -> FittedModel:
+        """Return the model fitted in short segments, from where effects are found that much is left for; else itself."""
+        if float(np.mean(self.problem.mean_squares(self.fitted.residual, False))) <= POORLY_EXPLAINED:
+            return self
+        problem = self.problem.in_short_segments()
+        fitted = fit(problem, self.fitted.point, self.names, self.joints, most=MOST_STEPS)
+        return replace(self, problem=problem, fitted=fitted)
+
     def mask(self, name: str) -> BoolArray:
         """Return the joints (J,) that have an effect."""
         return self.joints.get(name, np.ones(self.problem.joints, dtype=bool))
@@ -411,30 +422,40 @@ class Selection:
 
     def _tried(self, model: FittedModel, names: Sequence[str]) -> list[Trial]:
         """Return effects beside a model, the strongest of them fitted to the end."""
-        problem = model.problem
         self.tick(f"refitting {len(names)} effects")
-        starts = starting_points(problem, model.fitted, names, predicted(problem, model.fitted))
-        asked = [self._fitting(model, s, s.point, 2, None if s.own_baseline else model.fitted) for s in starts]
-        quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
+        near = model.in_short_segments()
+        problem = near.problem
+        starts = starting_points(problem, near.fitted, names, predicted(problem, near.fitted))
+        asked = [self._fitting(near, s, s.point, 2, near.fitted) for s in starts]
+        quick = self._judged(near, starts, fit_all(problem, asked), replays=False)
         asked_first = list(names[:2])  # by gain and by z
         strong = [t for t in quick if t.name in asked_first or (t.numbers and t.against.gain >= RULES.gain)]
         best = max(strong, key=lambda t: t.score(problem), default=None)
-        strong = [t for t in strong if t.name in asked_first or not self._hopeless(model, t, best)]
+        strong = [t for t in strong if t.name in asked_first or not self._hopeless(near, t, best)]
         strong.sort(key=lambda t: (t.name not in asked_first, -t.score(problem)))
         strong = strong[: RULES.finished]
         if not strong:
             return quick
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         again = {s.name: s for s in starts}
-        fits = self._finished(model, [again[t.name] for t in strong], [t.fitted for t in strong])
-        done = self._judged(model, [again[t.name] for t in strong], fits)
+        first = [again[t.name] for t in strong]
+        fits = self._finished(near, first, [t.fitted for t in strong])
+        if near is not model and fits:  # what does not pay in short segments does not in long ones
+            use = [i for i, t in enumerate(self._judged(near, first, fits)) if t.better]
+            first = [first[i] for i in use]
+            fits = self._finished(model, first, [fits[i] for i in use], known=False)
+        done = self._judged(model, first, fits)
         names_done = [t.name for t in done]
-        return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
+        share = model.squares / np.maximum(near.squares, 1e-9)
+        quick = [replace(t, finished=False, squares=t.squares * share) for t in quick if t.name not in names_done]
+        return [*quick, *done]
 
-    def _finished(self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit]) -> list[Fit]:
-        """Return quick fits fitted to the end."""
+    def _finished(
+        self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit], known: bool = True
+    ) -> list[Fit]:
+        """Return quick fits fitted to the end; their derivatives are known where they are of the same segments."""
         asked = [
-            self._fitting(model, s, _apart_from_shared(f.point, s), MOST_STEPS, f, every=3)
+            self._fitting(model, s, _apart_from_shared(f.point, s), MOST_STEPS, f if known else None, every=3)
             for s, f in zip(starts, quick, strict=True)
         ]
         return fit_all(model.problem, asked)
