@@ -257,8 +257,11 @@ def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str
     where = {} if moves.all() else {n: moves for n in settings.baseline if effect(n).scope == "joint"}
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
-    fitted = fit(problem.in_short_segments(), Point.of(names, machine), names, where, most=MOST_STEPS)
-    fitted = fit(problem, fitted.point, names, where, most=MOST_STEPS)
+    fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
+    if problem.poorly_explained(fitted.residual):
+        short = fit(problem.in_short_segments(), fitted.point, names, where, most=MOST_STEPS)
+        again = fit(problem, short.point, names, where, most=MOST_STEPS)
+        fitted = min(fitted, again, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
     problem, fitted = fit_sending_times(problem, fitted, names, where)
     for name in settings.baseline:
         if name not in names:

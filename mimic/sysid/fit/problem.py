@@ -147,6 +147,9 @@ WIDE, NARROW = 0.25, 0.0625
 """Shares of a free parameter's step over which one-sided and central differences are taken."""
 
 
+POORLY_EXPLAINED = 4.0
+"""Mean square of what is left, in noise floors, from which on fits may stand in a local minimum."""
+
 LEAST_WEIGHT = 1e-4
 """Of a chain of which very much is left."""
 
@@ -196,6 +199,10 @@ class Problem:
     def sent_at(self, sending: SendingTimes) -> Problem:
         """Return the problem with targets sent at these times."""
         return self.changed(replay=self.replay.sent_at(sending), correction=None)
+
+    def poorly_explained(self, residual: FloatArray) -> bool:
+        """Return whether so much is left (T, C) that fits are also begun in short segments."""
+        return float(np.mean(self.mean_squares(residual, False))) > POORLY_EXPLAINED
 
     def in_short_segments(self) -> Problem:
         """Return the problem of a replay in short segments, whose fits find the way from far off."""

@@ -149,10 +149,10 @@ def acting(
 LEAD_IN = 0.8
 """Time that a segment runs before its readings count [s]."""
 
-SHOOT = 0.5
-"""Length of short segments, which need no time to settle [s]. What a joint does that sticks and slips depends on all that
-it did before: over a long time the error has many local minima in the numbers, over a short one hardly any (multiple
-shooting; Ribeiro et al. 2020)."""
+SHOOT, SHORT_LEAD_IN = 0.5, 0.1
+"""Length of short segments and what they run before [s]: filters and rotors settle, but a joint that sticks and slips
+does not get far from where it was. What it does depends on all that it did before: over a long time the error has many
+local minima, over a short one hardly any (multiple shooting; Ribeiro et al. 2020)."""
 
 SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 """Segments of a log, and the least and greatest length of one [s]: steps in sequence cost more than simulations."""
@@ -263,8 +263,8 @@ class Replay:
         return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
     def in_short_segments(self) -> Self:
-        """Return this replay in short segments, each from its measured position and velocity, see `SHOOT`."""
-        short = self._again(self.dt, SHOOT, 0.0).with_late(self.late)
+        """Return this replay in short segments, see `SHOOT`."""
+        short = self._again(self.dt, SHOOT, SHORT_LEAD_IN).with_late(self.late)
         return short._with(heat=self.heat, _count=self._count)
 
     def _again(self, timestep: float, segment: float, lead_in: float = LEAD_IN) -> Self:
@@ -283,14 +283,14 @@ class Replay:
     def _cut(self, part: Part, segment: float) -> IntArray:
         """Return the steps at which the segments of a part begin, and its last.
 
-        None begins while a drive is switched off: a joint that swings freely does not forget where it began.
+        No long one begins while a drive is switched off: a joint that swings freely does not forget where it began.
         """
         begin, end = round(part.begin / self.dt), math.ceil(part.end / self.dt - 1e-6)
         cuts = np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
         off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
         t = self.log.t - self.log.t[0]
         rows = [np.searchsorted(t, np.maximum(cuts - back, begin) * self.dt) for back in (self._lead, 0)]
-        free = off[rows[0]] == off[rows[1]]
+        free = (off[rows[0]] == off[rows[1]]) | (self._lead * self.dt < LEAD_IN / 2)
         free[[0, -1]] = True
         return cuts[free]
 
