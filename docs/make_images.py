@@ -25,11 +25,12 @@ from mimic.io import store
 from mimic.io.joint_log import read_log
 from mimic.metrics import toe_error
 from mimic.policy.runtime import load_policy
-from mimic.records import JOINTS, PHASES, RunLog
+from mimic.records import JOINTS, PHASES, PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import load_description
 from mimic.simulation.plant import SimulatedPlant
 from mimic.sysid.predict import predict
-from mimic.view.film.side_by_side import RobotFilm
+from mimic.view.film.footage import read_frames
+from mimic.view.film.side_by_side import RobotFilm, save_video
 from mimic.view.scene.live import LiveView
 from mimic.view.scene.viewer import screenshot
 
@@ -51,6 +52,8 @@ WORST = (29.0, 32.0)
 """Part of the log that the figure of the loop shows [s]."""
 BOXING = (0.5, 2.3, 4.1, 5.9, 7.7, 9.5, 11.3)
 """Times of the clip that the strip of the loop shows [s]."""
+FILM_HZ = 10
+"""Pictures a second of the film of two robots."""
 
 
 def strip(log: RunLog, path: Path, begin: float, times: tuple[float, ...]) -> None:
@@ -140,6 +143,29 @@ def loop(folder: Path, images: Path) -> None:
     small(images / "loop_run.png", width=1600)
 
 
+def two_robots(folder: Path, images: Path) -> None:
+    """Film a person, a CyberDog 2 and a Go2 side by side, as an animated picture."""
+    clip, films = CLIPS / "boxing.mp4", []
+    for name in ("cyberdog2", "go2"):
+        run, film = folder / name, folder / f"{name}.mp4"
+        if not film.exists():
+            words = [str(clip), "--rate", "0.1", "--sim", "--no-view", "--robot-model", name, "-o", str(run)]
+            assert mimic(words) == 0, f"{name} failed"
+            pose, targets = (
+                store.load(run / f, kind) for f, kind in (("pose.parquet", PoseTrack), ("targets.parquet", TargetTrack))
+            )
+            log, description = store.load(run / "log.parquet", RunLog), load_description(name)
+            save_video(
+                film, log=log, description=description, targets=targets, pose=pose, video=clip, fps=FILM_HZ, height=300
+            )
+        films.append([picture for _, picture in read_frames(film)])
+    beside = [np.hstack([one, other[:, -other.shape[0] :]]) for one, other in zip(*films, strict=False)]
+    animation = cv2.Animation()
+    animation.frames = [cv2.cvtColor(p, cv2.COLOR_RGB2BGR) for p in beside[FILM_HZ // 5 : 10 * FILM_HZ]]
+    animation.durations = np.full(len(animation.frames), 1000 // FILM_HZ, np.int32)
+    assert cv2.imwriteanimation(str(images / "boxing.webp"), animation, [cv2.IMWRITE_WEBP_QUALITY, 25])
+
+
 def main() -> None:
     images = HERE / "images"
     images.mkdir(exist_ok=True)
@@ -147,6 +173,7 @@ def main() -> None:
         words(Path(folder), images)
         loop(Path(folder), images)
         live(Path(folder), images)
+        two_robots(Path(folder) / "two", images)
         for name, moment in MOMENTS.items():
             run = Path(folder) / name
             status = mimic([str(CLIPS / f"{name}.mp4"), "--rate", "0.1", "--sim", "--no-view", "-o", str(run)])

@@ -28,7 +28,7 @@ import numpy as np
 
 from mimic.config.play import NOMINAL, Randomisation
 from mimic.control.plant import Plant
-from mimic.dynamics.robot_model import Variation, draw_variation
+from mimic.dynamics.robot_model import Variation, draw_variation, load_model
 from mimic.errors import PlantError
 from mimic.evaluation.calm import SETTLED
 from mimic.evaluation.episode import play_episode
@@ -130,7 +130,9 @@ class DrakePlant:
             shift = v.com if name == "base" else np.zeros(3)
             inertia = self._drake.SpatialInertia.MakeFromCentralInertia(mass, com + shift, unit * mass)
             body.SetSpatialInertiaInBodyFrame(context, inertia)
-        for joint, damping in zip(self._joints, v.joint_damping, strict=True):
+        nominal = load_model(self._d, visuals=False)
+        self._dry = nominal.dof_frictionloss[6:] * v.dry_friction
+        for joint, damping in zip(self._joints, nominal.dof_damping[6:] * v.viscous_friction, strict=True):
             joint.SetDamping(context, float(damping))
 
     @property
@@ -204,7 +206,7 @@ class DrakePlant:
             v = self.plant.GetVelocities(self._context)[self._at_v]
             self._tau = self._torque(target, q, v, command)
             u = np.zeros(12)
-            u[self._at_u] = self._tau - self.variation.joint_friction * np.tanh(v / RUB)
+            u[self._at_u] = self._tau - self._dry * np.tanh(v / RUB)
             port.FixValue(self._context, u)
             self._simulator.AdvanceTo(begin + (k + 1) * STEP)
         if not np.all(np.isfinite(self.plant.GetPositions(self._context))):

@@ -31,13 +31,13 @@ def train(
     out
         Folder for checkpoints, TensorBoard files, settings.json and policy.onnx.
     recipe
-        Settings: stand_track, sit_down, or a TOML file; missing settings are those of stand_track.
+        Settings: stand_track, sit_down, go2_stand_track, or a TOML file; missing settings are those of stand_track.
     set
         NAME=VALUE for single settings, such as minutes=9 worlds=4096 rewards.slip=-0.4 effects=effects.toml.
     robot_model
         cyberdog2, go2, or the folder of another robot with its robot.toml and MJCF.
     resume
-        Checkpoint (.pt) to continue from, or a policy (.onnx), with a new critic.
+        Checkpoint (.pt) to continue from, or a policy (.onnx), with a new critic; that of another robot begins easy.
     """
     from mimic.cli.console import ConsoleReporter, console, note
     from mimic.config.training import ENDLESS

@@ -145,10 +145,10 @@ class Randomisation:
     Source: Li et al. 2024, Table II, and its public code (c2_common_config.py, c2_standdance_env.py).
     """
 
-    joint_friction: tuple[float, float] = (0.03, 0.08)
-    """Dry friction of each joint [N m]."""
-    joint_damping: tuple[float, float] = (0.02, 0.06)
-    """Viscous friction of each joint [N m s/rad]."""
+    dry_friction: tuple[float, float] = (0.6, 1.6)
+    """Factor on the dry friction of each joint; the paper has 0.03 to 0.08 N m, for a CyberDog 2 the same."""
+    viscous_friction: tuple[float, float] = (0.5, 1.5)
+    """Factor on the viscous friction of each joint; the paper has 0.02 to 0.06 N m s/rad."""
     ground_friction: tuple[float, float] = (1.0, 3.0)
     """Sliding friction coefficient of the ground."""
     restitution: tuple[float, float] = (0.0, 0.4)
@@ -187,8 +187,8 @@ DESCRIBED_REBOUND = math.exp(-2.0)
 """Restitution of the robot description's ground: a contact at MuJoCo's default damping ratio of 1 rebounds so."""
 
 NOMINAL = Randomisation(
-    joint_friction=(0.05, 0.05),
-    joint_damping=(0.04, 0.04),
+    dry_friction=(1.0, 1.0),
+    viscous_friction=(1.0, 1.0),
     ground_friction=(1.0, 1.0),
     restitution=(DESCRIBED_REBOUND, DESCRIBED_REBOUND),
     base_mass=(0.0, 0.0),

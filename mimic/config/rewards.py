@@ -46,12 +46,12 @@ class RewardWeights:
     """The same of the hind legs while the robot is asked to stand and does not topple [per (unit of action)^2]."""
     shuffle: float = -30.0
     """Speed of hind toes on the ground meanwhile [per m/s]."""
-    torque: float = -2e-4
-    """Sum of squared torques [per N^2 m^2]."""
-    heat: float = -0.015
-    """The same up to a limit [per N^2 m^2]: it heats the windings."""
-    overload: float = -0.01
-    """Squared torque beyond the rated one [per N^2 m^2]."""
+    torque: float = -0.03
+    """Sum of squared torques, each as a share of its motor's largest."""
+    heat: float = -2.0
+    """The same up to a limit: it heats the windings."""
+    overload: float = -1.5
+    """Squared torque beyond the rated one, the same way."""
     joint_velocity: float = -3e-4
     """Sum of squared joint velocities [per rad^2/s^2]."""
     joint_speed: float = -0.02

@@ -14,8 +14,8 @@ from mimic.config.rewards import FinishFactors, RewardWeights
 from mimic.errors import ConfigError
 
 TRAINING_RANDOMISATION = Randomisation(
-    joint_friction=(0.0, 0.2),
-    joint_damping=(0.0, 0.08),
+    dry_friction=(0.0, 4.0),
+    viscous_friction=(0.0, 2.0),
     ground_friction=(0.4, 3.0),
     restitution=(0.0, 0.45),
     base_mass=(-1.5, 1.5),

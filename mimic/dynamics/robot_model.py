@@ -68,10 +68,10 @@ def load_model(
 class Variation:
     """One robot out of the randomised many; joint arrays are (12,), leg arrays (4,)."""
 
-    joint_friction: FloatArray
-    """[N m]"""
-    joint_damping: FloatArray
-    """[N m s/rad]"""
+    dry_friction: FloatArray
+    """Factor."""
+    viscous_friction: FloatArray
+    """Factor."""
     ground_friction: float
     restitution: float
     base_mass: float
@@ -101,8 +101,8 @@ class Variation:
 
 
 _SHAPES = {
-    "joint_friction": (12,),
-    "joint_damping": (12,),
+    "dry_friction": (12,),
+    "viscous_friction": (12,),
     "abad_mass": (4,),
     "hip_mass": (4,),
     "knee_mass": (4,),
@@ -163,8 +163,8 @@ def bouncing(time: float, restitution: float) -> tuple[float, float]:
 def vary_model(model: mujoco.MjModel, nominal: mujoco.MjModel, variation: Variation) -> None:
     """Write one variation into ``model``, starting from the numbers of ``nominal``; repeatable on the same model."""
     joints = slice(6, 18)
-    model.dof_frictionloss[joints] = variation.joint_friction
-    model.dof_damping[joints] = variation.joint_damping
+    model.dof_frictionloss[joints] = nominal.dof_frictionloss[joints] * variation.dry_friction
+    model.dof_damping[joints] = nominal.dof_damping[joints] * variation.viscous_friction
     floor = model.geom(FLOOR).id
     model.geom_friction[floor, 0] = variation.ground_friction
     model.geom_solref[floor] = bouncing(nominal.geom_solref[floor, 0], variation.restitution)

@@ -81,7 +81,7 @@ def _axes() -> dict[str, Axis]:
     friction = (0.2, 0.3, 0.4, 0.5, 0.6, 1.0, 2.0, 3.0)
     delays = (0.0, 5.0, 15.0, 25.0, 35.0, 40.0, 50.0, 60.0)
     masses = (-2.0, -1.5, -1.0, 0.0, 1.0, 1.5, 2.0, 3.0)
-    dry = (0.0, 0.05, 0.12, 0.2, 0.25, 0.3, 0.4, 0.5)
+    dry = (0.0, 1.0, 2.4, 4.0, 5.0, 6.0, 8.0, 10.0)
     payload = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
     noise = _disturb(noise_q=0.01, noise_imu=0.015, noise_gyro=0.2, noise_dq=1.0)  # the default noise of training
     tilts, pulls = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0), (0.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0, 20.0)
@@ -96,7 +96,7 @@ def _axes() -> dict[str, Axis]:
         "base_mass": Axis("kg", 0.0, masses, (-1.5, 1.5), t.base_mass, _range("base_mass")),
         "kp": Axis("x", 1.0, gains, (0.7, 1.3), d.kp, _range("kp")),
         "kd": Axis("x", 1.0, gains, (0.7, 1.3), d.kd, _range("kd")),
-        "joint_friction": Axis("N m", 0.05, dry, (0.0, 0.3), t.joint_friction, _range("joint_friction")),
+        "dry_friction": Axis("x", 1.0, dry, (0.0, 6.0), t.dry_friction, _range("dry_friction")),
         "toe_payload": Axis("kg", 0.0, payload, (0.0, 0.3), d.toe_payload, _disturb(toe_payload=1.0)),
         "push": Axis("m/s", 0.0, (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0), (0.0, 0.8), t.push, _push),
         "noise": Axis("x training's", 0.0, (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0), (0.0, 2.0), (0.0, 1.0), noise),

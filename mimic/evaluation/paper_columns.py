@@ -102,6 +102,9 @@ TERMINATIONS = {
 EARLY_FOOT_HEIGHT, EARLY_JOINT_STEP = 0.06, 0.3
 """Highest hind toe [m] and largest joint motion in a step [rad] that the paper allows in the first 30 steps."""
 
+STANDING_HEIGHT = 0.42
+"""Base height from which on the paper's robot stands [m]."""
+
 
 def _ramp(value: FloatArray, low: float, high: float) -> FloatArray:
     return np.clip((value - low) / (high - low), 0.0, 1.0)
@@ -111,7 +114,8 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
     """Return each unweighted term of WEIGHTS for each step (ticks - 1,)."""
     step = np.arange(1, len(log.t))
     early = step <= GRACE_STEPS
-    z, q, dq = log.p_WB[1:, 2], log.q[1:], log.dq[1:]
+    q, dq = log.q[1:], log.dq[1:]
+    z = log.p_WB[1:, 2] * (STANDING_HEIGHT / description.training.rise_to)  # as if it were as large as a CyberDog 2
     up = uprightness(log.quat_WB[1:], description)
     heading = heading_from_quat(log.quat_WB[1:])
     standing = _ramp(z, 0.25, 0.35) * (up > 0.9)
@@ -131,7 +135,7 @@ def terms(log: RunLog, ground: GroundFacts, description: RobotDescription) -> di
         "velocity": np.exp(-np.square(velocity).sum(-1) / 0.05) * standing,
         "heading": np.exp(-np.square(turn / np.pi) / 0.05) * standing,
         "toes": np.exp(-toes / 0.02) * toes_count,
-        "height": _ramp(z, 0.15, 0.42),
+        "height": _ramp(z, 0.15, STANDING_HEIGHT),
         "slip": (planted * sliding).sum(-1),
         "upright": np.square((1 + up) / 2),
         "collision": np.sum([touching[part] for part in COLLIDING], axis=0) * ~early,

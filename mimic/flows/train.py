@@ -18,7 +18,7 @@ from mimic.io.assets import shipped
 
 S = TypeVar("S")
 
-RECIPES = ("stand_track", "sit_down")
+RECIPES = ("stand_track", "sit_down", "go2_stand_track")
 """Shipped recipes, in policies/."""
 
 

@@ -55,7 +55,7 @@ class LawMotors:
         h = self._d.timestep
         static_model(model, self._machine, self._p)
         model.dof_solref[6:] = [SOLREF_STEPS * h, 1.0]
-        parameters = {("coulomb", "level"): variation.joint_friction[None]} | self._p
+        parameters = {("coulomb", "level"): self._machine.drives.friction * variation.dry_friction[None]} | self._p
         self._law = Law(self._machine.drives, parameters, h, (1, 12), np)
         self._kp, self._kd = variation.kp, variation.kd
         self._applied = np.zeros((1, 12))

@@ -100,6 +100,7 @@ class WorldsEnv(VecEnv, Chance):
         self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
         self._soft_min = self._tensor(d.q_min + self.soft_margin)
         self._soft_max, self._rated = self._tensor(d.q_max - self.soft_margin), self._tensor(d.torque_rated)
+        self._peak = self._tensor(d.torque_max)
         self._upright = tuple(d.upright_direction.tolist())
         w = self.worlds
         front, hind = LEGS[:2], LEGS[2:]

@@ -106,7 +106,8 @@ def train(
     Args:
         folder: Receives checkpoints, TensorBoard files, settings.json and policy.onnx.
         resume: Checkpoint (.pt) to go on from; the settings must shape the same networks. Or a policy (.onnx): its
-            critic is learned anew, and the task is as hard as at the end of a training from the first step on.
+            critic is learned anew. The task is as hard as at the end of a training from the first step on, unless the
+            policy is another robot's: standing and stepping carry over, and the task begins easy.
 
     Returns:
         Path of the ONNX file.
@@ -150,9 +151,9 @@ def train(
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and resume.suffix == ".onnx":
-        compare_contracts(resume, contract)
+        if compare_contracts(resume, contract):
+            env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
         take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
-        env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
         log.info("go on from the policy %s; only the critic learns in the first %d updates", resume, critic_alone)

@@ -112,7 +112,8 @@ class WorldMotors:
         self._usual = self._tensor(drives.kp), self._tensor(drives.kd)
         factors = (np.array([getattr(v, name) for v in variations])[index] for name in ("kp", "kd"))
         self._own = tuple(u * self._tensor(factor) for u, factor in zip(self._usual, factors, strict=True))
-        p.setdefault(("coulomb", "level"), self._tensor(np.array([v.joint_friction for v in variations])[index]))
+        dry = drives.friction * np.array([v.dry_friction for v in variations])
+        p.setdefault(("coulomb", "level"), self._tensor(dry[index]))
         given = {f.name: getattr(drives, f.name) for f in fields(Drives) if f.name != "neighbour"}
         rows = {name: self._tensor(value) for name, value in given.items() if value is not None}
         neighbour = torch.as_tensor(np.asarray(drives.neighbour), device=self._device)

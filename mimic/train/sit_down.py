@@ -88,7 +88,7 @@ WEIGHTS = {
     "slip": -0.25,  # per m/s
     "beyond": -1.0,  # per rad^2
     "action_rate": -0.008,  # per (unit of action)^2
-    "torque": -2e-4,  # per N^2 m^2
+    "torque": -0.03,  # each as a share of its motor's largest
     "joint_velocity": -4e-4,  # per rad^2/s^2
     "joint_speed": -0.02,  # per rad/s
     "joint_acceleration": -1e-7,  # per rad^2/s^4

@@ -27,15 +27,15 @@ NEW_SPREAD = {"gyro": 0.2, "joint_velocity": 0.1, "slow_mean": 0.2}
 SPREAD = 0.2
 """Spread of the actions with which the training begins, where the settings give none."""
 
-MEANING = ("robot", "joints", "default_q", "action_scale", "action_clip", "dt")
+MEANING = ("joints", "action_scale", "action_clip", "dt")
 """Fields of the contract without which the numbers of a network mean something else."""
 
-WAY_OF_PLAYING = ("kp", "kd", "clock_hz", "clock_fade", "interpolate")
+WAY_OF_PLAYING = ("robot", "default_q", "kp", "kd", "clock_hz", "clock_fade", "interpolate")
 """Fields that a training can get used to."""
 
 
-def compare_contracts(path: Path, contract: PolicyContract) -> None:
-    """Tell how a policy was played otherwise than it will be.
+def compare_contracts(path: Path, contract: PolicyContract) -> bool:
+    """Tell how a policy was played otherwise than it will be; return whether it was on the same robot.
 
     Args:
         path: An ONNX policy as this package writes it; of one without a contract nothing is known.
@@ -60,6 +60,7 @@ def compare_contracts(path: Path, contract: PolicyContract) -> None:
                 "something else; use the settings of its training"
             )
         log.info("%s was trained with %s %s and goes on with %s", path.name, name, there[name], here[name])
+    return bool(there.get("robot", here["robot"]) == here["robot"])
 
 
 def take_over(actor: Any, path: Path, terms: tuple[tuple[str, int], ...], spread: float = 0.0) -> None:

@@ -198,7 +198,7 @@ class Worlds:
             for name in names:
                 rows[name].append(np.array(getattr(varied, name)))
             features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
-            features[-1] += [*(10 * v.com), 10 * v.joint_friction.mean()]
+            features[-1] += [*(10 * v.com), 0.5 * v.dry_friction.mean()]
             features[-1] += [10 * payload * (side == k) for k in range(2)]
         index = np.arange(n) % count
         for name in names:

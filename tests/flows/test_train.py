@@ -1,10 +1,18 @@
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from hashlib import sha256
+
 import pytest
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.errors import ConfigError
 from mimic.flows.train import training_settings
+from mimic.io.assets import shipped
+from mimic.io.store import plain
+from mimic.policy.runtime import load_policy
+from mimic.robot.description import load_description
 
 
 def overridden(*words: str) -> tuple[MdpSettings, LearnSettings]:
@@ -68,6 +76,15 @@ def test_the_recipe_of_sitting_down_has_another_task_and_other_numbers():
     assert mdp.randomisation.push == (0.0, 0.9)
 
 
+def test_the_recipe_of_the_go2_and_the_settings_beside_its_policy_are_those_of_its_training():
+    mdp, learn = training_settings("go2_stand_track")
+    stored = shipped("policies", "go2_stand_track.settings.json").read_text(encoding="utf-8")
+    taken_up = replace(learn, reaching=0.0)  # as in every training that goes on from a policy
+    assert json.loads(json.dumps({"mdp": plain(mdp), "learn": plain(taken_up)})) == json.loads(stored)
+    policy = load_policy(shipped("policies", "go2_stand_track.onnx"), load_description("go2"))
+    assert policy.contract.training == sha256(stored.encode()).hexdigest()
+
+
 def test_a_recipe_of_one_s_own_goes_down_into_tables_and_words_come_after_it(tmp_path):
     (tmp_path / "own.toml").write_text('device = "cpu"\nstd_range = [0.1, 1]\n[rewards]\nslip = -0.4\ngait = 3\n')
     mdp, learn = training_settings(str(tmp_path / "own.toml"), ["rewards.gait=7"])
@@ -77,7 +94,7 @@ def test_a_recipe_of_one_s_own_goes_down_into_tables_and_words_come_after_it(tmp
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("dance", None, "there is no recipe 'dance'; give a .toml file or one of stand_track, sit_down"),
+        ("dance", None, "there is no recipe 'dance'; give a .toml file or one of stand_track, sit_down, go2_"),
         ("gone.toml", None, "cannot be read"),
         ("broken.toml", "rewards = [", "is not a TOML file"),
     ],

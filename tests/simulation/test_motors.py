@@ -136,7 +136,7 @@ def test_declared_friction_wins_and_gain_factors_multiply(description):
     assert plant.model.actuator_gainprm[:, 0] == pytest.approx(description.kp * plant.variation.kp)
     drawn = SimulatedPlant(description, effects=EffectSet(), ranges=Randomisation(), seed=4)
     drawn.step(command(plant.description, drawn.start().q))
-    assert drawn.model.dof_frictionloss[6:] == pytest.approx(drawn.variation.joint_friction)
+    assert drawn.model.dof_frictionloss[6:] == pytest.approx(0.05 * drawn.variation.dry_friction)
 
 
 def test_a_command_with_other_gains_is_obeyed(description):

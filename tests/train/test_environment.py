@@ -230,14 +230,14 @@ def test_smooth_friction_moves_the_robot_as_dry_friction_does(description):
     """The same robots from the same starts with the same actions, through friction of either kind."""
 
     def moved(speed: float, friction: float) -> np.ndarray:
-        ranges = dataclasses.replace(NOMINAL, joint_friction=(friction, friction))
+        ranges = dataclasses.replace(NOMINAL, dry_friction=(friction, friction))
         lying = {"upright_share": 0.0, "upright_share_at_first": 0.0, "timestep": 0.0025}
         env = make(description, worlds=24, friction_speed=speed, randomisation=ranges, solver_iterations=50, **lying)
         for step in range(10):
             env.step(0.3 * actions(step, 24))
         return env.worlds.qpos[:, 7:].numpy().copy()
 
-    dry, smooth, none = moved(0.0, 0.2), moved(MdpSettings().friction_speed, 0.2), moved(0.0, 0.0)
+    dry, smooth, none = moved(0.0, 4.0), moved(MdpSettings().friction_speed, 4.0), moved(0.0, 0.0)
     away, without = (np.median(np.abs(other - dry).mean(axis=1)) for other in (smooth, none))
     assert without > 0.003
     assert away < 0.4 * without
@@ -248,7 +248,7 @@ def test_quiet_worlds_are_the_papers_robots_and_nobody_pulls_them(description):
         description,
         worlds=40,
         quiet_share=0.5,
-        randomisation=dataclasses.replace(FEW.randomisation, joint_friction=(0.2, 0.2), push=(1.0, 1.0)),
+        randomisation=dataclasses.replace(FEW.randomisation, dry_friction=(4.0, 4.0), push=(1.0, 1.0)),
         disturbances=dataclasses.replace(UNDISTURBED, drag=(8.0, 8.0), drag_share=1.0, slope=(4.0, 4.0)),
     )
     quiet, d = env.worlds.quiet, env.disturbances

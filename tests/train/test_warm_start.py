@@ -127,3 +127,16 @@ def test_a_training_goes_on_from_a_policy_without_gyro_as_that_policy_acts(polic
     before = answers(tmp_path / "paper.onnx", description, seen[..., :old].reshape(20, -1))
     assert np.abs(answers(taken, description, seen.reshape(20, -1)) - before).max() < 1e-4
     assert np.abs(before).max() > 1e-2
+
+
+def test_a_training_goes_on_from_the_policy_of_another_robot_with_an_easy_task(policy, tmp_path, caplog):
+    def terminations(name: str) -> float:
+        rows = []
+        robot = load_description(name)
+        learn = dataclasses.replace(LEARN, iterations=3)
+        train_robot(tmp_path / name, MDP, learn, robot, resume=policy, report=lambda _, row: rows.append(row))
+        return rows[-1]["track/termination_share"]
+
+    with caplog.at_level("INFO", logger="mimic.train"):
+        assert (terminations("cyberdog2"), terminations("go2")) == (1.0, 0.0)
+    assert "policy.onnx was trained with robot cyberdog2 and goes on with go2" in caplog.messages
