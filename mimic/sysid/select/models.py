@@ -73,7 +73,7 @@ class Comparison:
     @property
     def better(self) -> bool:
         """Whether the one is better."""
-        return self.gain >= RULES.gain and self.z >= RULES.z and self.share >= RULES.share
+        return not self.why_not
 
     @property
     def why_not(self) -> str:
