@@ -21,15 +21,7 @@ from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
-from mimic.sysid.fit.least_squares import (
-    Asking,
-    Fit,
-    fit,
-    fit_all,
-    fitting,
-    left_out,
-    left_out_all,
-)
+from mimic.sysid.fit.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
@@ -571,16 +563,16 @@ def _without_least(model: FittedModel) -> FittedModel | None:
     units = _units(model)
     if not units:
         return None
-    full = model.compared
-    problem, chain, least = full.problem, full.problem.machine.chain, None
-    bare = [_bare(full, name, joints) for name, joints in units]
-    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=full.fitted, every=0) for n, w, p in bare])
+    near = model.compared
+    problem, chain, least = near.problem, near.problem.machine.chain, None
+    bare = [_bare(near, name, joints) for name, joints in units]
+    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=near.fitted, every=0) for n, w, p in bare])
     for (name, joints), (squares, _) in zip(units, left_out_all(fits, problem), strict=True):
         parts = [joints] if CATALOGUE[name].scope == "machine" else [joints & (chain == c) for c in np.unique(chain)]
         for part in (p for p in parts if p.any()):
             own = [k for k in model.fitted.free_parameters if k.key[0] == name and (k.joint < 0 or part[k.joint])]
             channels = model.channels(part, name)
-            with_it = compare(problem, full.squares, squares, max(len(own), 1), channels)
+            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels)
             none = all(_is_none(model, k) for k in own if not _is_shape(k)) and bool(own)
             if (none or not with_it.better) and (least is None or with_it.z < least[0]):
                 least = (-np.inf if none else with_it.z, name, part, with_it)
@@ -643,7 +635,7 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     model.
     """
     groups: dict[str, tuple[str, ...]] = {}
-    full = model.compared
+    near = model.compared
     for m in [m for m in model.path if m.trial is not None and m.trial.name in model.names]:
         best = m.trial
         assert best is not None
@@ -652,19 +644,19 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         if not alike or best.lateness is not None:
             continue
         tick(f"comparing {CATALOGUE[best.name].title} with {', '.join(CATALOGUE[t.name].title for t in alike)}")
-        names, where, point = _bare(full, best.name, model.mask(best.name))
+        names, where, point = _bare(near, best.name, model.mask(best.name))
         asked = []
         for t in alike:
             row = {k: v for k, v in _only_on(model, t.name, t.joints, t.fitted.point).values.items() if k[0] == t.name}
             start = Point({**point.values, **row})
             asked.append(
-                fitting(full.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS, every=3)
+                fitting(near.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS, every=3)
             )
-        fits = fit_all(full.problem, asked)
+        fits = fit_all(near.problem, asked)
         same = []
-        for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, full.problem), strict=True):
+        for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, near.problem), strict=True):
             more = len(model.fitted.free_parameters) - len(f.free_parameters)
-            if not compare(full.problem, full.squares, squares, more).better:
+            if not compare(near.problem, near.squares, squares, more).better:
                 same.append(t.name)
         groups[best.name] = tuple(same)
     return replace(model, groups=groups)
