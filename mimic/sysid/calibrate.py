@@ -258,6 +258,10 @@ def _baseline(problem: Problem, settings: CalibrateSettings, tick: Callable[[str
     tick("fitting the baseline model")
     names = [n for n in settings.baseline if not effect(n).structural]
     fitted = fit(problem, Point.of(names, machine), names, where, most=MOST_STEPS)
+    if problem.poorly_explained(fitted.residual):
+        short = fit(problem.in_short_segments(), fitted.point, names, where, most=MOST_STEPS)
+        again = fit(problem, short.point, names, where, most=MOST_STEPS)
+        fitted = min(fitted, again, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
     problem, fitted = fit_sending_times(problem, fitted, names, where)
     for name in settings.baseline:
         if name not in names:
@@ -301,8 +305,10 @@ def _torques(h: FittedModel) -> tuple[Torques, ...]:
 def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:
     """Return the best fit with an effect that has no derivative where it is none, from all its starts."""
     starts = starts_of(name, fitted, problem, predicted(problem, fitted))
-    fits = fit_all(problem, [fitting(problem, p, [*names, name], where, most=MOST_STEPS) for p in starts])
-    return min(fits, key=lambda f: float(problem.mean_squares(f.residual, False).sum()))
+    short = problem.in_short_segments()
+    fits = fit_all(short, [fitting(short, p, [*names, name], where, most=MOST_STEPS) for p in starts])
+    best = min(fits, key=lambda f: float(short.mean_squares(f.residual, False).sum()))
+    return fit(problem, best.point, [*names, name], where, most=MOST_STEPS)
 
 
 def _check_bounds(start: Point, machine: MachineModel) -> None:

@@ -13,11 +13,11 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, fit
+from mimic.sysid.fit.least_squares import Asking, Fit, answered, fit, fitting
 from mimic.sysid.fit.problem import WIDE, Key, Point, Problem
 from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.noise import coarse_steps, noise_floor
-from mimic.sysid.log.pool import Pool, enabled, make_blocks, pool, valid_samples
+from mimic.sysid.log.pool import Part, Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.result import Errors, LogErrors
 
 
@@ -93,25 +93,23 @@ def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str,
         final: That of everything.
         where: Joints that have an effect.
     """
-    parts, found = problem.replay.parts, []
-    alone = len(parts) >= LEAST_LOGS
-    for part in parts:
-        here = np.zeros(len(problem.replay.log.t), dtype=bool)
-        here[part.slice] = True
-        unseen = [
-            _rms(problem, _without(problem, one, where, here), here) if alone else None for one in (before, final)
-        ]
-        found.append(
-            LogErrors(
-                name=part.name,
-                fitted=True,
-                baseline=_rms(problem, before.residual, here),
-                final=_rms(problem, final.residual, here),
-                left_out_baseline=unseen[0],
-                left_out_final=unseen[1],
-            )
+    rows = [_rows(problem, part) for part in problem.replay.parts]
+    refits = [_without(problem, one, where, here) for here in rows for one in (before, final)]
+    apart = answered(problem.residuals, refits) if len(rows) >= LEAST_LOGS else []
+    unseen = [
+        _rms(problem, f.residual, here) for f, here in zip(apart, [r for r in rows for _ in range(2)], strict=False)
+    ]
+    return tuple(
+        LogErrors(
+            name=part.name,
+            fitted=True,
+            baseline=_rms(problem, before.residual, here),
+            final=_rms(problem, final.residual, here),
+            left_out_baseline=unseen[2 * i] if unseen else None,
+            left_out_final=unseen[2 * i + 1] if unseen else None,
         )
-    return tuple(found)
+        for i, (part, here) in enumerate(zip(problem.replay.parts, rows, strict=True))
+    )
 
 
 def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogErrors, ...]:
@@ -119,11 +117,17 @@ def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogError
     left = [unseen.in_fine_steps(one.point) for one in (before, final)]
     found = []
     for part in unseen.replay.parts:
-        here = np.zeros(len(unseen.replay.log.t), dtype=bool)
-        here[part.slice] = True
+        here = _rows(unseen, part)
         baseline, after = (_rms(unseen, residual, here) for residual in left)
         found.append(LogErrors(name=part.name, fitted=False, baseline=baseline, final=after))
     return tuple(found)
+
+
+def _rows(problem: Problem, part: Part) -> BoolArray:
+    """Return which rows (T,) are a log's."""
+    here = np.zeros(len(problem.replay.log.t), dtype=bool)
+    here[part.slice] = True
+    return here
 
 
 def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
@@ -133,10 +137,10 @@ def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
     return np.sqrt(np.nanmean(inside**2, axis=0)) * problem.noise[:joints]
 
 
-def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> FloatArray:
-    """Return the residual (T, C) of a fit to all but some rows."""
+def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> Asking:
+    """Return a fit to all but some rows (T,)."""
     names = list(dict.fromkeys(name for name, _ in fitted.point.values))
-    return fit(problem.holding_out(rows), fitted.point, names, where, most=REFITS, frozen=fitted, every=0).residual
+    return fitting(problem.holding_out(rows), fitted.point, names, where, most=REFITS, frozen=fitted, every=0)
 
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)

@@ -13,11 +13,8 @@ from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.log.pool import Sums
 from mimic.sysid.result import Correlations
 
-DAMPINGS = (0.0, 0.3)
+DAMPINGS = (0.0, 0.3, 10.0)
 """Values of Levenberg's parameter that are tried side by side."""
-
-STIFFER = (10.0, 300.0)
-"""Those that are tried where none of them leads down."""
 
 LARGEST = 1e12
 """Stands for the sum of squares of a replay that blew up."""
@@ -190,19 +187,14 @@ def fitting(
             stale = stale and not anew
         stacked = [columns[k.key, k.joint] for k in free_parameters]
         sums = problem.sums(residual, stacked, free_parameters)
-        _, gradient = sums.over(problem.blocks.train)
         at, before = point.read(free_parameters), best
-        steps: list[FloatArray] = [np.zeros(len(free_parameters))]
-        costs, replayed = [best], [residual]
-        for dampings in (DAMPINGS, STIFFER):
-            if dampings is STIFFER and not _promised(problem, free_parameters, gradient * steps[-1], best, costs):
-                break
-            tried = [solve(sums, problem.blocks.train, free_parameters, at, damping) for damping in dampings]
-            trials = [point.moved(free_parameters, step) for step in tried]
-            answers = yield trials
-            steps += tried
-            replayed += list(answers)
-            costs += [chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, answers, strict=True)]
+        tried = [solve(sums, problem.blocks.train, free_parameters, at, damping) for damping in DAMPINGS]
+        trials = [point.moved(free_parameters, step) for step in tried]
+        steps, replayed = [np.zeros(len(free_parameters)), *tried], [residual, *(yield trials)]
+        costs = [
+            best,
+            *(chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, replayed[1:], strict=True)),
+        ]
         if (
             mixed := best_of_chains(problem, free_parameters, steps, costs)
         ) is not None:  # no one step suits all chains
@@ -276,29 +268,6 @@ def best_of_chains(
         return None
     of = [overall if k.joint < 0 else int(choice[problem.machine.chain[k.joint]]) for k in free_parameters]
     return np.stack(steps)[of, np.arange(len(free_parameters))]
-
-
-def _promised(
-    problem: Problem,
-    free_parameters: Sequence[FreeParameter],
-    fall: FloatArray,
-    best: FloatArray,
-    costs: Sequence[FloatArray],
-) -> bool:
-    """Return whether some chain has not come down though a linear model says that it should by a twentieth.
-
-    Args:
-        problem: Log and model.
-        free_parameters: Fitted numbers (P,).
-        fall: What the linear model promises of a step, by number (P,).
-        best: Cost of each chain before (K,).
-        costs: Those of the steps that were tried.
-    """
-    promised = np.zeros(len(best))
-    for free, by in zip(free_parameters, fall, strict=True):
-        if free.joint >= 0:
-            promised[problem.machine.chain[free.joint]] += by
-    return bool(((promised > 0.05 * best) & (np.min(costs, axis=0) > 0.98 * best)).any())
 
 
 Judged = tuple[FloatArray, FloatArray]

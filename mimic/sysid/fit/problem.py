@@ -147,6 +147,10 @@ WIDE, NARROW = 0.25, 0.0625
 """Shares of a free parameter's step over which one-sided and central differences are taken."""
 
 
+POORLY_EXPLAINED = 100.0
+"""Mean square of what is left, in noise floors, from which on short segments say more than long ones. What is not
+measured begins each of them wrong: a low-pass on the targets, at eight noise floors, was missed in short segments."""
+
 LEAST_WEIGHT = 1e-4
 """Of a chain of which very much is left."""
 
@@ -196,6 +200,14 @@ class Problem:
     def sent_at(self, sending: SendingTimes) -> Problem:
         """Return the problem with targets sent at these times."""
         return self.changed(replay=self.replay.sent_at(sending), correction=None)
+
+    def poorly_explained(self, residual: FloatArray) -> bool:
+        """Return whether so much is left (T, C) that fits are also begun in short segments."""
+        return float(np.mean(self.mean_squares(residual, False))) > POORLY_EXPLAINED
+
+    def in_short_segments(self) -> Problem:
+        """Return the problem of a replay in short segments, whose fits find the way from far off."""
+        return self.changed(replay=self.replay.in_short_segments(), correction=None)
 
     @property
     def readings(self) -> IntArray:

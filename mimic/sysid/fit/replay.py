@@ -146,6 +146,14 @@ def acting(
     return mean, [(first, before), (1.0 - first - last, older), (last, newer)]
 
 
+LEAD_IN = 0.8
+"""Time that a segment runs before its readings count [s]."""
+
+SHOOT, SHORT_LEAD_IN = 0.5, 0.1
+"""Length of short segments and what they run before [s]: filters and rotors settle, but a joint that sticks and slips
+does not get far from where it was. What it does depends on all that it did before: over a long time the error has many
+local minima, over a short one hardly any (multiple shooting; Ribeiro et al. 2020)."""
+
 SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 """Segments of a log, and the least and greatest length of one [s]: steps in sequence cost more than simulations."""
 
@@ -185,7 +193,7 @@ class Replay:
         *,
         timestep: float = 0.001,
         segment: float | None = None,
-        lead_in: float = 0.8,
+        lead_in: float = LEAD_IN,
         threads: int = 0,
         torque: bool = False,
         sending: SendingTimes | None = None,
@@ -254,12 +262,18 @@ class Replay:
         self._finer[times, segment] = fine
         return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
-    def _again(self, timestep: float, segment: float) -> Self:
+    def in_short_segments(self) -> Self:
+        """Return this replay in short segments, see `SHOOT`."""
+        short = self._again(self.dt, SHOOT, SHORT_LEAD_IN).with_late(self.late)
+        return short._with(heat=self.heat, _count=self._count)
+
+    def _again(self, timestep: float, segment: float, lead_in: float = LEAD_IN) -> Self:
         return type(self)(
             self.machine,
             self.log,
             timestep=timestep,
             segment=segment,
+            lead_in=lead_in,
             threads=self.threads,
             torque=self.torque,
             sending=self.sending,
@@ -269,14 +283,14 @@ class Replay:
     def _cut(self, part: Part, segment: float) -> IntArray:
         """Return the steps at which the segments of a part begin, and its last.
 
-        None begins while a drive is switched off: a joint that swings freely does not forget where it began.
+        No long one begins while a drive is switched off: a joint that swings freely does not forget where it began.
         """
         begin, end = round(part.begin / self.dt), math.ceil(part.end / self.dt - 1e-6)
         cuts = np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
         off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
         t = self.log.t - self.log.t[0]
         rows = [np.searchsorted(t, np.maximum(cuts - back, begin) * self.dt) for back in (self._lead, 0)]
-        free = off[rows[0]] == off[rows[1]]
+        free = (off[rows[0]] == off[rows[1]]) | (self._lead * self.dt < LEAD_IN / 2)
         free[[0, -1]] = True
         return cuts[free]
 

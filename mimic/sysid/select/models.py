@@ -65,7 +65,7 @@ class Comparison:
     @property
     def better(self) -> bool:
         """Whether the one is better."""
-        return self.gain >= RULES.gain and self.z >= RULES.z and self.share >= RULES.share
+        return not self.why_not
 
     @property
     def why_not(self) -> str:
@@ -159,6 +159,8 @@ class Trial:
     """With the model that lacks it."""
     finished: bool = True
     """Whether it was fitted to the end: others can only be worse than they seem."""
+    short: bool = False
+    """Whether it was fitted in short segments."""
     lateness: Lateness | None = None
     why: str = ""
     """Why it was not taken though it is better."""
@@ -234,6 +236,22 @@ class FittedModel:
         late = self.trial is not None and self.trial.lateness is not None
         squares = self.trial.squares if self.trial is not None and late else self.squares
         return _score(self.problem, squares, len(self.fitted.free_parameters))
+
+    @cached_property
+    def in_short_segments(self) -> FittedModel:
+        """The model fitted in short segments."""
+        problem = self.problem.in_short_segments()
+        fitted = fit(problem, self.fitted.point, self.names, self.joints, most=MOST_STEPS)
+        return replace(self, problem=problem, fitted=fitted)
+
+    @property
+    def compared(self) -> FittedModel:
+        """The model as others are compared with it: in short segments where much is left.
+
+        What a joint that sticks and slips does cannot be told for long: of two models that are both far off after three
+        seconds neither is better, but one is in what happens next.
+        """
+        return self.in_short_segments if self.problem.poorly_explained(self.fitted.residual) else self
 
     def mask(self, name: str) -> BoolArray:
         """Return the joints (J,) that have an effect."""
@@ -368,7 +386,8 @@ class Selection:
             child = self._with(model, t, tried)
             numbers = len(child.fitted.free_parameters) - len(model.fitted.free_parameters)
             channels = child.channels(t.joints, t.name)
-            if compare(child.problem, child.squares, model.squares, numbers, channels).better:
+            one, other = (child, model) if model.compared is model else (child.in_short_segments, model.compared)
+            if compare(one.problem, one.squares, other.squares, numbers, channels).better:
                 grown.append(child)
             if grown and grown[0].explained:
                 break
@@ -411,33 +430,31 @@ class Selection:
 
     def _tried(self, model: FittedModel, names: Sequence[str]) -> list[Trial]:
         """Return effects beside a model, the strongest of them fitted to the end."""
-        problem = model.problem
         self.tick(f"refitting {len(names)} effects")
-        starts = starting_points(problem, model.fitted, names, predicted(problem, model.fitted))
-        asked = [self._fitting(model, s, s.point, 2, None if s.own_baseline else model.fitted) for s in starts]
-        quick = self._judged(model, starts, fit_all(problem, asked), replays=False)
+        near, problem = model.compared, model.compared.problem
+        starts = starting_points(problem, near.fitted, names, predicted(problem, near.fitted))
+        asked = [self._fitting(near, s, s.point, 2, near.fitted) for s in starts]
+        quick = self._judged(near, starts, fit_all(problem, asked), replays=False)
         asked_first = list(names[:2])  # by gain and by z
         strong = [t for t in quick if t.name in asked_first or (t.numbers and t.against.gain >= RULES.gain)]
         best = max(strong, key=lambda t: t.score(problem), default=None)
-        strong = [t for t in strong if t.name in asked_first or not self._hopeless(model, t, best)]
+        strong = [t for t in strong if t.name in asked_first or not self._hopeless(near, t, best)]
         strong.sort(key=lambda t: (t.name not in asked_first, -t.score(problem)))
         strong = strong[: RULES.finished]
-        if not strong:
-            return quick
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
         again = {s.name: s for s in starts}
-        fits = self._finished(model, [again[t.name] for t in strong], [t.fitted for t in strong])
-        done = self._judged(model, [again[t.name] for t in strong], fits)
-        names_done = [t.name for t in done]
-        return [*(replace(t, finished=False) for t in quick if t.name not in names_done), *done]
-
-    def _finished(self, model: FittedModel, starts: Sequence[StartingPoint], quick: Sequence[Fit]) -> list[Fit]:
-        """Return quick fits fitted to the end."""
+        first = [again[t.name] for t in strong]
         asked = [
-            self._fitting(model, s, _apart_from_shared(f.point, s), MOST_STEPS, f, every=3)
-            for s, f in zip(starts, quick, strict=True)
+            self._fitting(near, s, _apart_from_shared(t.fitted.point, s), MOST_STEPS, t.fitted, every=3)
+            for s, t in zip(first, strong, strict=True)
         ]
-        return fit_all(model.problem, asked)
+        done = self._judged(near, first, fit_all(problem, asked))
+        names_done = [t.name for t in done]
+        done += [replace(t, finished=False) for t in quick if t.name not in names_done]
+        if near is model:
+            return done
+        longer = model.squares / np.maximum(near.squares, 1e-9)  # what is left in long segments, as those of trials
+        return [replace(t, squares=t.squares * longer, short=True) for t in done]
 
     def _fitting(
         self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 0
@@ -483,7 +500,8 @@ class Selection:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
             child = replace(child, joints={**model.joints, t.name: t.joints})
             problem = model.problem.weighed(t.fitted.residual)
-            fitted = fit(problem, point, child.names, child.joints, most=MOST_STEPS, frozen=t.fitted)
+            known = None if t.short else t.fitted
+            fitted = fit(problem, point, child.names, child.joints, most=MOST_STEPS, frozen=known)
         problem, fitted = settled(problem, fitted, child.names, child.joints)
         return replace(child, problem=problem, fitted=fitted)
 
@@ -542,18 +560,19 @@ def _units(model: FittedModel) -> list[Unit]:
 
 def _without_least(model: FittedModel) -> FittedModel | None:
     """Return the model without what it needs least, if it is not better with that; None if all stays."""
-    problem, units = model.problem, _units(model)
+    units = _units(model)
     if not units:
         return None
-    chain, least = problem.machine.chain, None
-    bare = [_bare(model, name, joints) for name, joints in units]
-    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=model.fitted, every=0) for n, w, p in bare])
+    near = model.compared
+    problem, chain, least = near.problem, near.problem.machine.chain, None
+    bare = [_bare(near, name, joints) for name, joints in units]
+    fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=near.fitted, every=0) for n, w, p in bare])
     for (name, joints), (squares, _) in zip(units, left_out_all(fits, problem), strict=True):
         parts = [joints] if CATALOGUE[name].scope == "machine" else [joints & (chain == c) for c in np.unique(chain)]
         for part in (p for p in parts if p.any()):
             own = [k for k in model.fitted.free_parameters if k.key[0] == name and (k.joint < 0 or part[k.joint])]
             channels = model.channels(part, name)
-            with_it = compare(problem, model.squares, squares, max(len(own), 1), channels)
+            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels)
             none = all(_is_none(model, k) for k in own if not _is_shape(k)) and bool(own)
             if (none or not with_it.better) and (least is None or with_it.z < least[0]):
                 least = (-np.inf if none else with_it.z, name, part, with_it)
@@ -561,7 +580,7 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         return None
     _, name, part, with_it = least
     names, where, point = _bare(model, name, part)
-    fitted = fit(problem, point, names, where, most=3)
+    fitted = fit(model.problem, point, names, where, most=3)
     whole = name not in names
     at = "" if whole else f" in {', '.join(np.array(problem.machine.joints)[part])}"
     why = with_it.why_not or "its number is that of none"
@@ -616,6 +635,7 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     model.
     """
     groups: dict[str, tuple[str, ...]] = {}
+    near = model.compared
     for m in [m for m in model.path if m.trial is not None and m.trial.name in model.names]:
         best = m.trial
         assert best is not None
@@ -624,19 +644,19 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         if not alike or best.lateness is not None:
             continue
         tick(f"comparing {CATALOGUE[best.name].title} with {', '.join(CATALOGUE[t.name].title for t in alike)}")
-        names, where, point = _bare(model, best.name, model.mask(best.name))
+        names, where, point = _bare(near, best.name, model.mask(best.name))
         asked = []
         for t in alike:
             row = {k: v for k, v in _only_on(model, t.name, t.joints, t.fitted.point).values.items() if k[0] == t.name}
             start = Point({**point.values, **row})
             asked.append(
-                fitting(model.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS, every=3)
+                fitting(near.problem, start, [*names, t.name], {**where, t.name: t.joints}, most=MOST_STEPS, every=3)
             )
-        fits = fit_all(model.problem, asked)
+        fits = fit_all(near.problem, asked)
         same = []
-        for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, model.problem), strict=True):
+        for t, f, (squares, _) in zip(alike, fits, left_out_all(fits, near.problem), strict=True):
             more = len(model.fitted.free_parameters) - len(f.free_parameters)
-            if not compare(model.problem, model.squares, squares, more).better:
+            if not compare(near.problem, near.squares, squares, more).better:
                 same.append(t.name)
         groups[best.name] = tuple(same)
     return replace(model, groups=groups)

@@ -18,9 +18,6 @@ from mimic.sysid.fit.least_squares import Fit, linear_step
 from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.torque.columns import best_order
 
-POORLY_EXPLAINED = 4.0
-"""Mean square of what is left, in noise floors, from which on fits also begin with the model's own baseline."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StartingPoint:
@@ -30,8 +27,6 @@ class StartingPoint:
     point: Point
     joints: BoolArray
     """Joints that may have the effect (J,)."""
-    own_baseline: bool = False
-    """Whether the baseline parameters are the model's own, not those that made up for the effect."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,14 +79,9 @@ def starting_points(
 ) -> list[StartingPoint]:
     """Return the best start of each of the named effects: a joint takes the one that suits it best, or none.
 
-    Each start is replayed alone, with the numbers of the incumbent free to make up for it. Where much is unexplained,
-    those away from neutral are also tried with the model's own baseline: without the effect it was bent to make up for
-    it, as dry friction does for friction that grows with the load.
+    Each start is replayed alone, with the numbers of the incumbent free to make up for it.
     """
     points = [(name, p) for name in names for p in starts_of(name, incumbent, problem, motion)]
-    bent = float(np.mean(problem.mean_squares(incumbent.residual, False))) > POORLY_EXPLAINED
-    own_from = len(points)
-    points += [(name, own_baseline(problem, p)) for name, p in points if bent and _acts(name, p, problem)]
     moving = [i for i, (name, p) in enumerate(points) if _acts(name, p, problem)]
     replayed = dict(zip(moving, problem.residuals([points[i][1] for i in moving]), strict=True)) if moving else {}
     left = {
@@ -102,33 +92,16 @@ def starting_points(
     own = _channel_squares(problem, incumbent.residual)
     found = []
     for name in names:
-        usable = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
-        best = np.inf
-        for rows in ([i for i in usable if i < own_from], [i for i in usable if i >= own_from]):
-            if not rows:
-                continue
-            point, joints, least = points[rows[0]][1], np.ones(problem.joints, dtype=bool), 0.0
-            if rows[0] in replayed and CATALOGUE[name].scope == "machine":
-                i = min(rows, key=lambda i: float(left[i].sum()))
-                point, least = points[i][1], float(left[i].sum())
-            elif rows[0] in replayed:
-                mine = [left[i] for i in rows]
-                point, joints = _mixed(name, [points[i][1] for i in rows], mine, own, problem)
-                least = float(np.minimum.reduce(mine).sum())
-            start = StartingPoint(name=name, point=point, joints=joints, own_baseline=rows[0] >= own_from)
-            if least < best:
-                found = [*(s for s in found if s.name != name), start]
-                best = least
+        rows = [i for i, (n, _) in enumerate(points) if n == name and (i in left or i not in replayed)]
+        if not rows:
+            continue
+        point, joints = points[rows[0]][1], np.ones(problem.joints, dtype=bool)
+        if rows[0] in replayed and CATALOGUE[name].scope == "machine":
+            point = points[min(rows, key=lambda i: float(left[i].sum()))][1]
+        elif rows[0] in replayed:
+            point, joints = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
+        found.append(StartingPoint(name=name, point=point, joints=joints))
     return found
-
-
-def own_baseline(problem: Problem, point: Point) -> Point:
-    """Return a start with the model's own baseline parameters of each joint."""
-    values = dict(point.values)
-    for name, parameter in values:
-        if CATALOGUE[name].baseline and CATALOGUE[name].scope != "machine" and not CATALOGUE[name].structural:
-            values[name, parameter] = neutral(name, parameter, problem.machine)
-    return Point(values)
 
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:

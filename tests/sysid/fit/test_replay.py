@@ -162,3 +162,19 @@ def test_a_joint_without_a_servo_begins_each_segment_with_its_own_velocity(tmp_p
     replay = Replay(machine, log, timestep=0.0005, segment=2.0, threads=1)
     residual = replay.run({("delay", "time"): np.zeros((1, 1))}, 1).residual[0]
     assert np.nanstd(residual[replay.counts]) < 0.001 * np.ptp(log.q)
+
+
+def test_short_segments_begin_where_the_machine_was_whatever_the_model_says(pendulum: MachineModel) -> None:
+    """A joint that sticks in the model alone is soon not far off; and where a drive is off is cut as well."""
+    t = np.arange(0.0, 8.0, 0.02)
+    quiet = LogSettings(noise=0.0, resolution=0.0, timestep=0.001, rate_hz=200.0)
+    log = simulate_log(pendulum, t, 0.8 * np.sin(t)[:, None], EffectSet(), quiet)
+    log = replace(log, extra={**log.extra, "enabled": (log.t - log.t[0] < 6.0).astype(float)})
+    stuck = {("coulomb", "level"): np.full((1, 1), 50.0)}
+    long = Replay(pendulum, log, timestep=0.0025, threads=1)
+    short = long.in_short_segments()
+    on = log.t - log.t[0] < 5.0
+    errors = [np.sqrt(np.nanmean(r.run(stuck, 1).residual[0][on] ** 2)) for r in (long, short)]
+    assert errors[1] < 0.5 * errors[0]
+    assert short.segments >= 15
+    assert short.length * short.dt < 0.7
