@@ -7,6 +7,8 @@ import shutil
 
 import pytest
 
+from mimic.io.assets import shipped
+
 pytestmark = pytest.mark.acceptance
 
 
@@ -16,6 +18,13 @@ def test_the_boxing_clip_in_simulation(shell):
     shell.figures.append(f"boxing in simulation: {shell.check_run(done, out)}")
     assert done.row("run folder") == str(out)
     assert (out / "scene.rrd").stat().st_size > 100_000
+
+
+def test_the_boxing_clip_on_a_simulated_go2(shell):
+    sits = (shipped("policies") / "go2_sit_down.onnx").is_file()
+    done = shell.mimic(shell.videos / "boxing.npz", "--sim", "--robot-model", "go2", "--out", "out")
+    figures = shell.check_run(done, shell.folder / "out", toes_cm=4.0, robot="go2", sits=sits)  # the policy: 3.4
+    shell.figures.append(f"boxing on a simulated Go2: {figures}")
 
 
 def test_a_sentence_in_simulation_on_a_model_with_the_effects_of_a_calibration(shell):
