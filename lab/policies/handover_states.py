@@ -42,15 +42,15 @@ def rows_of(log: RunLog) -> np.ndarray:
     return np.concatenate([at_origin, log.quat_WB, log.q, log.v_WB, log.omega_B, log.dq, before], axis=1)
 
 
-def play(seed: int, policy: str) -> dict[str, np.ndarray]:
+def play(seed: int, policy: str, robot: str) -> dict[str, np.ndarray]:
     """Return the rows of one episode; of three seeds one is pushed hard."""
-    description = load_description("cyberdog2")
+    description = load_description(robot)
     pushed = seed % 3 == 0
     rng = np.random.default_rng([seed, 83])
     track = command_script(description, SECONDS - TIMING.stand_up - TIMING.blend, rng)
     ranges = HARD_PUSH if pushed else TRAINING_RANDOMISATION
     plant = SimulatedPlant(description, ranges=ranges, seed=100_000 + seed, samples=False)
-    log = play_episode(plant, cached_policy(policy, "cyberdog2"), track, TIMING).log
+    log = play_episode(plant, cached_policy(policy, robot), track, TIMING).log
     rows, up = rows_of(log), up_cosine(*log.quat_WB.T)
     since = (log.t - HARD_PUSH.push_interval) % HARD_PUSH.push_interval
     falling = pushed & (log.t > HARD_PUSH.push_interval) & (since < 0.8) & (up < 0.95) & (up > HOPELESS_COSINE)
@@ -67,10 +67,11 @@ def main() -> None:
     """Collect and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("policy", type=Path)
+    parser.add_argument("--robot", default="cyberdog2")
     parser.add_argument("--episodes", type=int, default=450)
     parser.add_argument("--write", type=Path, required=True)
     options = parser.parse_args()
-    found = run_all(partial(play, policy=str(options.policy)), range(options.episodes))
+    found = run_all(partial(play, policy=str(options.policy), robot=options.robot), range(options.episodes))
     kinds = {kind: np.concatenate([rows[kind] for rows in found]) for kind in found[0]}
     with written_whole(options.write) as part:
         np.savez_compressed(part, **{kind: rows.astype(np.float16) for kind, rows in kinds.items()})

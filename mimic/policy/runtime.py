@@ -68,6 +68,11 @@ SHIPPED = ("stand_track", "sit_down")
 """Names of the policies that come with mimic."""
 
 
+def robot_file(name: str, robot: str) -> str:
+    """Return the name of a robot's file in policies/; the default robot's has no prefix."""
+    return name if robot == DEFAULT_ROBOT else f"{robot}_{name}"
+
+
 def find_policy(policy: str | Path, robot: str) -> Path:
     """Return the file of a policy: an ONNX file, or a shipped policy of a robot by its name.
 
@@ -83,12 +88,12 @@ def find_policy(policy: str | Path, robot: str) -> Path:
     if path.is_file():
         return path
     if path.stem in SHIPPED and path.suffix in ("", ".onnx") and path.parent in (Path(), Path("policies")):
-        path = shipped("policies") / f"{'' if robot == DEFAULT_ROBOT else f'{robot}_'}{path.stem}.onnx"
-        if path.is_file():
-            return path
+        file = shipped("policies") / robot_file(f"{path.stem}.onnx", robot)
+        if file.is_file():
+            return file
         raise AssetError(
             f"there is no shipped {policy} policy for {robot}; give your own ONNX file, or train one: "
-            f"mimic train OUT --robot-model {robot}"
+            f"mimic train OUT --recipe {path.stem} --robot-model {robot}"
         )
     raise AssetError(f"there is no policy {policy}; give an ONNX file or a shipped policy: {', '.join(SHIPPED)}")
 

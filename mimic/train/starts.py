@@ -13,6 +13,7 @@ from mimic.config.training import MdpSettings
 from mimic.errors import AssetError
 from mimic.geometry import heading_sin_cos
 from mimic.io.assets import shipped
+from mimic.policy.runtime import robot_file
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
 from mimic.train.tensors import Chance, quat_from_euler
@@ -139,7 +140,7 @@ class SitDownStarts(Starts):
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str) -> None:
         super().__init__(description, settings, device)
         self._q_min, self._q_max = self._q_min + 0.01, self._q_max - 0.01
-        kinds = recorded_states("handovers.npz")
+        kinds = recorded_states(robot_file("handovers.npz", description.name))
         counts = [len(kinds[kind]) for kind in KINDS]
         self._recorded = self._tensor(np.concatenate([kinds[kind] for kind in KINDS]))
         self._first = self._tensor(np.concatenate([[0], np.cumsum(counts[:-1])]))
