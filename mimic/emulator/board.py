@@ -84,6 +84,8 @@ _SIGN = np.tile([1.0, -1.0, -1.0], len(LEGS))
 class EmulatedBoard(NetworkBoard):
     """A stock robot from power-up on, lying or suspended."""
 
+    name = "the stock board"
+
     def __init__(
         self,
         description: RobotDescription,
@@ -95,20 +97,7 @@ class EmulatedBoard(NetworkBoard):
         timestep: float = TICK,
         visuals: bool = False,
     ) -> None:
-        """Switch it on.
-
-        Args:
-            description: The robot.
-            wiring: Temperature unit; order and signs are the firmware's own.
-            settings: How it lies or hangs, and its noise.
-            effects: What its drives have besides.
-            faults: What goes wrong.
-            timestep: Of the physics [s].
-            visuals: Keep the shapes that are only looked at.
-
-        Raises:
-            ConfigError: If a fault does not exist on this robot.
-        """
+        """Switch it on. See `mimic.emulator.board_base.NetworkBoard`; wiring gives the unit of temperatures."""
         super().__init__(
             description,
             settings,

@@ -38,6 +38,9 @@ class Published(NamedTuple):
 class NetworkBoard:
     """A robot behind a network, from power-up on, lying or suspended. `_cycle` is its firmware."""
 
+    name: str
+    """In messages."""
+
     def __init__(
         self,
         description: RobotDescription,
@@ -93,8 +96,6 @@ class NetworkBoard:
         self._outgoing: list[tuple[float, int, str, bytes]] = []
         self._count = 0
         self._frozen: tuple[FloatArray, FloatArray, int] | None = None
-
-    name = "the stock board"
 
     # ------------------------------------------------------------------ the network
 

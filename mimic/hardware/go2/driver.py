@@ -88,6 +88,8 @@ class Go2Bus(Bus, Protocol):
 class Go2Driver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
+    name = "a Go2"
+
     def __init__(
         self,
         bus: Go2Bus,

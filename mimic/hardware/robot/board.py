@@ -131,6 +131,8 @@ class BoardDriver:
     """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `drive`, `damp` and `end` are its own."""
 
     period, repeats = PERIOD, True
+    name: str
+    """In messages."""
 
     def __init__(
         self,
@@ -157,7 +159,7 @@ class BoardDriver:
         """
         if torque_limit is not None and torque_limit < description.torque_max.max():
             raise PlantError(
-                f"the stock board has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
+                f"{self.name} has no torque limit to set; leave out --torque-limit (given: {torque_limit:g} N m)"
             )
         self.bus, self.network, self.problem = bus, network, ""
         bus.heard = self.heard

@@ -64,6 +64,8 @@ RESTED = "the robot was damped until it rested, and its motors are without torqu
 class StockDriver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
+    name = "the stock board"
+
     def __init__(
         self,
         bus: Bus,
@@ -73,18 +75,7 @@ class StockDriver(BoardDriver):
         network: str = "",
         torque_limit: float | None = None,
     ) -> None:
-        """Take an open bus; nothing is sent.
-
-        Args:
-            bus: LCM.
-            wiring: Of the board.
-            description: The robot; its largest velocity gain damps.
-            network: How messages leave this computer, in words.
-            torque_limit: Refused if below the motors' own: the board has no such limit.
-
-        Raises:
-            PlantError: If a torque limit is asked for.
-        """
+        """Take an open bus; nothing is sent. See `mimic.hardware.robot.board.BoardDriver`."""
         readings = Readings(wiring)
         super().__init__(bus, wiring, description, readings, network=network, torque_limit=torque_limit)
         self._board, self._wiring = readings, wiring
