@@ -48,10 +48,7 @@ class Disturbances(Chance):
         self._leads = settings.disturbances.lead_share * (settings.task == "stand_track")
         most = settings.disturbances.imu_tilt[1]
         self._quiet_tilt = min(QUIET_TILT / most, 1.0) if most else 0.0
-
-        def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-            return torch.zeros(self._n, *shape, device=device, dtype=dtype)
-
+        zeros = self._zeros
         self.mount = zeros(4)
         """Rotation from the IMU as it should be to the IMU as it is mounted, wxyz (N, 4)."""
         self.mount[:, 0] = 1.0

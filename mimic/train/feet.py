@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
-from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
+from mimic.robot.leg_kinematics import all_legs
 
 
 class Feet:
     """Horizontal velocity of each toe and turning of each lower leg, from joint and base velocities."""
 
     def __init__(self, description: RobotDescription, device: str) -> None:
-        own = description.leg
-        x, y, z = own.origin
-        front = [1.0 if leg.startswith("F") else -1.0 for leg in LEGS]
-        left = [1.0 if leg.endswith("L") else -1.0 for leg in LEGS]
-
-        def tensor(values: object) -> torch.Tensor:
-            return torch.as_tensor(values, dtype=torch.float32, device=device)
-
-        self._origin = tensor([[f * x, s * y, z] for f, s in zip(front, left, strict=True)])
-        self._offset = tensor([s * own.offset for s in left])
-        self._thigh = own.thigh
-        self._toe_x, _, self._toe_z = (float(v) for v in own.toe)
+        legs = all_legs(description)
+        self._origin, self._offset = (
+            torch.as_tensor(np.array(rows), dtype=torch.float32, device=device)
+            for rows in ([leg.origin for leg in legs], [leg.offset for leg in legs])
+        )
+        self._thigh = legs[0].thigh
+        self._toe_x, _, self._toe_z = (float(v) for v in legs[0].toe)
 
     def motion(
         self, quat_WB: torch.Tensor, v_WB: torch.Tensor, omega_B: torch.Tensor, q: torch.Tensor, dq: torch.Tensor
@@ -53,22 +49,17 @@ class Feet:
         inside = torch.stack([dx, -up * d_abad - dz * sa, across * d_abad + dz * ca], -1)
         turning = omega_B[:, None, :].expand_as(position)
         velocity_B = torch.linalg.cross(turning, position) + inside
-        rows = self._rows(quat_WB)
+        w, x, y, z = (quat_WB[:, k] for k in range(4))
+        rows = (  # of R_WB, each (N, 3)
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        )
         horizontal = [(rows[k][:, None, :] * velocity_B).sum(-1) + v_WB[:, k, None] for k in range(2)]
         shank = torch.stack(
             [omega_B[:, 0:1] + d_abad, omega_B[:, 1:2] + ca * d_bend, omega_B[:, 2:3] + sa * d_bend], -1
         )
         return torch.stack(horizontal, -1), (rows[2][:, None, :] * shank).sum(-1)
-
-    @staticmethod
-    def _rows(quat: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the rows of R_WB, each (N, 3)."""
-        w, x, y, z = (quat[:, k] for k in range(4))
-        return (
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-        )
 
 
 FASTEST = 4.0

@@ -124,7 +124,7 @@ def train(
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
-    if ranks.first:
+    if ranks.rank == 0:
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / "settings.json") as part:
             part.write_text(settings_text(mdp, learn), encoding="utf-8")
@@ -174,7 +174,7 @@ def train(
         raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
-    if ranks.first:
+    if ranks.rank == 0:
         runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
         policy = runner.alg.get_policy().as_onnx(verbose=False)
         export_network(policy, contract, description, folder / "policy.onnx")

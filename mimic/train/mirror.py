@@ -52,25 +52,21 @@ MIRRORED["slow_mean"] = _together(AVERAGED)
 
 
 @cache
-def _frame(device: str, history: int) -> tuple[torch.Tensor, torch.Tensor]:
-    order, signs = _together([name for name, _ in TERMS] * history)
+def _image(device: torch.device, names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    order, signs = _together(names)
     return torch.tensor(order, device=device), torch.tensor(signs, device=device)
-
-
-@cache
-def _action(device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.tensor(_JOINTS[0], device=device), torch.tensor(_JOINTS[1], device=device)
 
 
 def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
     """Return actions (N, 12) in the mirror."""
-    order, signs = _action(str(actions.device))
+    order, signs = _image(actions.device, ("last_action",))
     return actions[:, order] * signs
 
 
 def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
-    order, signs = _frame(str(observations.device), observations.shape[1] // FRAME_SIZE)
+    names = tuple(name for name, _ in TERMS) * (observations.shape[1] // FRAME_SIZE)
+    order, signs = _image(observations.device, names)
     return observations[:, order] * signs
 
 

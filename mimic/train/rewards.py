@@ -149,8 +149,3 @@ def grown(weights: dict[str, float], steps: int) -> dict[str, float]:
     """Return the weights after so many control steps of a world, in which the REGULARISERS grow."""
     factor = 1 + (REGULARISATION - 1) * min(1.0, steps / RAMP_STEPS)
     return {name: value * (factor if name in REGULARISERS else 1.0) for name, value in weights.items()}
-
-
-def total(terms: dict[str, torch.Tensor], weights: torch.Tensor) -> torch.Tensor:
-    """Return the weighted sum (N,) of terms (N,), with a weight for each in their order."""
-    return (torch.stack(list(terms.values())) * weights[:, None]).sum(0)

@@ -44,11 +44,6 @@ class Ranks:
         rank, local, count = (int(os.environ.get(k, d)) for k, d in (("RANK", 0), ("LOCAL_RANK", 0), ("WORLD_SIZE", 1)))
         return cls(rank=rank, local=local, count=count)
 
-    @property
-    def first(self) -> bool:
-        """True for the process that writes."""
-        return self.rank == 0
-
     def device(self, wanted: str) -> str:
         """Return the device of this process.
 
@@ -75,20 +70,14 @@ class Runner(OnPolicyRunner):
     """rsl_rl's runner, with processes on CPUs too."""
 
     def _configure_multi_gpu(self) -> None:
-        if str(self.device).startswith("cuda"):
+        ranks = Ranks.of_environment()
+        if ranks.count == 1 or str(self.device).startswith("cuda"):
             super()._configure_multi_gpu()
             return
-        ranks = Ranks.of_environment()
         self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = ranks.count, ranks.local, ranks.rank
-        self.is_distributed = ranks.count > 1
-        self.cfg["multi_gpu"] = None
-        if self.is_distributed:
-            self.cfg["multi_gpu"] = {
-                "global_rank": ranks.rank,
-                "local_rank": ranks.local,
-                "world_size": ranks.count,
-            }
-            torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
+        self.is_distributed = True
+        self.cfg["multi_gpu"] = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.count}
+        torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
 
 
 class QuietLogger(Logger):
@@ -169,8 +158,8 @@ class QuietLogger(Logger):
         with contextlib.redirect_stdout(io.StringIO()):
             super().log(it=it, **figures)
         row |= {
-            "reward": rewards / count if count else float("nan"),
-            "episode": lengths / count if count else float("nan"),
+            "reward": rewards / count if count else math.nan,
+            "episode": lengths / count if count else math.nan,
             "std": float(figures["action_std"].detach().mean()),
             "learning_rate": figures["learning_rate"],
             "collect_s": figures["collect_time"],

@@ -56,18 +56,15 @@ class GoalSchedule(Chance):
     def __init__(
         self, description: RobotDescription, contract: PolicyContract, settings: MdpSettings, device: str, seed: int
     ) -> None:
-        n = settings.worlds
-        super().__init__(n, device)
+        super().__init__(settings.worlds, device)
         self._hold_share, self._dt = settings.hold_share, contract.dt
         rng = np.random.default_rng([seed, 29])
-        pool = draw_goals(description, POOL, rng, anywhere=ANYWHERE)
-        self._pool = torch.as_tensor(pool, dtype=torch.float32, device=device)
-        self._neutral = torch.tensor(contract.neutral_toes, dtype=torch.float32, device=device).reshape(2, 3)
-        self.now = torch.zeros(n, 2, 3, device=device)
+        self._pool = self._tensor(draw_goals(description, POOL, rng, anywhere=ANYWHERE))
+        self._neutral = self._tensor(contract.neutral_toes).reshape(2, 3)
+        self.now = self._zeros(2, 3)
         """Desired base -> front toe (worlds, 2, 3) [m]."""
         self._begin, self._end = torch.zeros_like(self.now), torch.zeros_like(self.now)
-        self._time, self._length = torch.zeros(n, device=device), torch.ones(n, device=device)
-        self._straight = torch.zeros(n, device=device)
+        self._time, self._straight, self._length = self._zeros(), self._zeros(), self._zeros() + 1.0
 
     def advance(self, tracking: torch.Tensor, first: torch.Tensor, toes: torch.Tensor) -> None:
         """Let one control step pass.
@@ -110,17 +107,16 @@ class MoveSchedule(Chance):
     """Velocity and heading commands, drawn anew every few seconds."""
 
     def __init__(self, contract: PolicyContract, settings: MdpSettings, device: str) -> None:
-        n = settings.worlds
-        super().__init__(n, device)
+        super().__init__(settings.worlds, device)
         self._settings, self._dt = settings, contract.dt
-        self.velocity = torch.zeros(n, 2, device=device)
+        self.velocity = self._zeros(2)
         """Desired base velocity in the heading frame (N, 2) [m/s]."""
-        self.heading = torch.zeros(n, device=device)
+        self.heading = self._zeros()
         """Desired heading, world (N,) [rad]."""
-        self.wanted = torch.zeros(n, 2, device=device)
+        self.wanted = self._zeros(2)
         """Velocity that the robot is judged by: the desired one, and sideways that of the hand that leads it (N, 2)."""
-        self._felt = torch.zeros(n, 2, device=device)
-        self._rate, self._left, self._since = (torch.zeros(n, device=device) for _ in range(3))
+        self._felt = self._zeros(2)
+        self._rate, self._left, self._since = (self._zeros() for _ in range(3))
 
     @property
     def settled(self) -> torch.Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 
@@ -12,9 +11,8 @@ from mimic.geometry import smoothstep, up_cosine
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import MARGIN
-from mimic.train.environment import Judged
-from mimic.train.rewards import Facts, grown
-from mimic.train.stand_track import StandTrackEnv, mean
+from mimic.train.rewards import grown
+from mimic.train.stand_track import Judged, StandTrackEnv, mean
 from mimic.train.starts import SitDownStarts, Start
 from mimic.train.tensors import put
 
@@ -49,27 +47,6 @@ ON_ITS_BACK, ON_ITS_SIDE = -0.6, 0.85
 """An episode fails where the base's z axis points less up, or its y axis more up or down, than this (cosines)."""
 
 
-@dataclass
-class Descent:
-    """What the rewards of sitting down look at besides the facts that both tasks share; one row a world."""
-
-    progress: torch.Tensor  # how far the sitting down should be, 0 to 1 (N,)
-    height_error: torch.Tensor  # base height - wanted one (N,) [m]
-    pitch_error: torch.Tensor  # angle of base x above the horizontal - wanted one (N,) [rad]
-    left_up: torch.Tensor  # cosine between base y and up (N,)
-    pose_error: torch.Tensor  # joint positions - lying pose (N, 12) [rad]
-    velocity: torch.Tensor  # of the base, world axes (N, 3) [m/s]
-    turning: torch.Tensor  # angular velocity of the base (N, 3) [rad/s]
-    acceleration: torch.Tensor  # of the base, mean over the control step (N,) [m/s^2]
-    slip: torch.Tensor  # horizontal speed of the front toes that touch the ground, else 0 (N, 2) [m/s]
-    landing: torch.Tensor  # downward speed of each front toe and hind knee that has just landed, else 0 (N, 4) [m/s]
-    trunk: torch.Tensor  # true where trunk, hips or shoulders touch the ground (N,)
-    thighs: torch.Tensor  # number of thighs on the ground (N,)
-    beyond: torch.Tensor  # how far actions ask for joint positions beyond the limits of commands (N, 12) [rad]
-    head: torch.Tensor  # height of the lowest point of the head (N,) [m]
-    failed: torch.Tensor  # true where the episode ends: head on the ground, a crash, on its back or side (N,)
-
-
 WEIGHTS = {
     "height": 1.6,
     "level": 0.8,
@@ -95,40 +72,7 @@ WEIGHTS = {
     "limits": -2.0,  # per rad
     "fail": -10.0,
 }
-"""Weight of each term of sit_down_terms; a term without a unit lies between 0 and 1."""
-
-
-def sit_down_terms(f: Facts, d: Descent, joint_speed: float) -> dict[str, torch.Tensor]:
-    """Return each unweighted term (N,), in the order of WEIGHTS; joints faster than joint_speed [rad/s] pay."""
-    off, near = d.pose_error.square().mean(-1), torch.exp(-((d.pose_error / 0.12) ** 2)).mean(-1)
-    speed, turning = d.velocity.norm(dim=-1), d.turning.norm(dim=-1)
-    there = (d.progress >= 1).float()
-    at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
-    return {
-        "height": torch.exp(-((d.height_error / 0.06) ** 2)),
-        "level": torch.exp(-((d.pitch_error / 0.4) ** 2)),
-        "roll": d.left_up.square(),
-        "pose": 0.5 * (torch.exp(-off / 0.6) + torch.exp(-off / 0.1)) * d.progress,
-        "pose_fine": near * there,
-        "still": at_rest * there * torch.exp(-((d.height_error / 0.08) ** 2)),
-        "sinking": torch.clamp(-d.velocity[:, 2] - SINKING, 0.0, 3.0).square(),
-        "fast": torch.clamp(speed - MOVING, 0.0, 3.0).square(),
-        "tumbling": torch.clamp(turning - TUMBLING, 0.0, 10.0).square(),
-        "jolt": torch.clamp((d.acceleration - JOLT) / 20.0, 0.0, 5.0),
-        "landing": d.landing.square().sum(-1),
-        "trunk": d.trunk.float() * (0.3 + speed.clamp(max=3.0)),
-        "thighs": d.thighs,
-        "head_low": torch.clamp((HEAD_ROOM - d.head) / HEAD_ROOM, 0.0, 1.0),
-        "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1) + d.slip.clamp(max=2.0).sum(-1),
-        "beyond": d.beyond.square().sum(-1),
-        "action_rate": f.action_change.square().sum(-1),
-        "torque": f.torque.square().sum(-1),
-        "joint_velocity": f.dq.square().sum(-1),
-        "joint_speed": torch.clamp(f.dq.abs() - joint_speed, min=0.0).sum(-1),
-        "joint_acceleration": f.ddq.square().sum(-1),
-        "limits": f.limit_excess.sum(-1),
-        "fail": d.failed.float(),
-    }
+"""Weight of each reward term; one without a unit lies between 0 and 1."""
 
 
 class SitDownEnv(StandTrackEnv):
@@ -153,11 +97,9 @@ class SitDownEnv(StandTrackEnv):
 
     def _buffers(self) -> None:
         super()._buffers()
-        n, device = self.num_envs, self.device
-        self._height_at_start, self._pitch_at_start = torch.zeros(n, device=device), torch.zeros(n, device=device)
-        self._velocity_before = torch.zeros(n, 3, device=device)
-        self._front_before = torch.zeros(n, 2, 3, device=device)
-        self._clearance_before = torch.zeros(n, len(self._landing), device=device)
+        self._height_at_start, self._pitch_at_start = self._zeros(), self._zeros()
+        self._velocity_before, self._front_before = self._zeros(3), self._zeros(2, 3)
+        self._clearance_before = self._zeros(len(self._landing))
 
     def _weights_at(self, ramp: float) -> dict[str, float]:
         return grown(WEIGHTS, self._calls)
@@ -177,65 +119,75 @@ class SitDownEnv(StandTrackEnv):
     def _pitch(self) -> torch.Tensor:
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
-    def _descent(self, finite: torch.Tensor, low: torch.Tensor) -> Descent:
-        w, dt = self.worlds, self.contract.dt
+    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
+        f, w, dt = self._facts(finite, low), self.worlds, self.contract.dt
         progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
-        smooth = smoothstep(progress)
+        there, smooth = (progress >= 1).float(), smoothstep(progress)
         lying = self.description.training.lying_height
-        height = self._height_at_start + (lying - self._height_at_start) * smooth
-        qw, qx, qy, qz = self._quat()
-        velocity, turning = w.qvel[:, :3], w.qvel[:, 3:6]
+        height_error = w.qpos[:, 2] - (self._height_at_start + (lying - self._height_at_start) * smooth)
+        pitch_error = self._pitch() - self._pitch_at_start * (1 - smooth)  # of base x above the horizontal
+        pose_error = w.qpos[:, 7:] - self._lie
+        velocity = w.qvel[:, :3]
+        speed, turning = velocity.norm(dim=-1), w.qvel[:, 3:6].norm(dim=-1)
         later = self.episode_length_buf > 1
         acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
+        acceleration = torch.where(later, acceleration, torch.zeros_like(acceleration))
         front = w.site_xpos[:, self._toe_sites[:2]]
-        motion = (front - self._front_before) / dt
-        down, none = front[..., 2] < self.description.toe_radius + NEAR, torch.zeros_like(front[..., 2])
+        front_speed = ((front - self._front_before) / dt)[..., :2].norm(dim=-1)
+        down = front[..., 2] < self.description.toe_radius + NEAR
+        front_slip = torch.where(down & later[:, None], front_speed, torch.zeros_like(front_speed))
         clearance = low[:, self._landing]
         landed = (clearance < NEAR) & (self._clearance_before > NEAR) & later[:, None]
-        landing = ((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed
-        slip = torch.where(down & later[:, None], motion[..., :2].norm(dim=-1), none)
+        landing = (((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed).square().sum(-1)
         trunk, head = low[:, self._belly].amin(-1) < 0.002, low[:, self._head].amin(-1)
-        left_up = 2 * (qy * qz + qw * qx)
+        qw, qx, qy, qz = self._quat()
+        left_up = 2 * (qy * qz + qw * qx)  # cosine between base y and up
         overturned = (1 - 2 * (qx * qx + qy * qy) < ON_ITS_BACK) | (left_up.abs() > ON_ITS_SIDE)
         asked = self._default_q + self.settings.action_scale * self._last_action
-        crashed = trunk & (velocity.norm(dim=-1) > CRASH_SPEED)
+        beyond = torch.relu(self._q_min - asked) + torch.relu(asked - self._q_max)  # the limits of commands
+        failed = finite & ((head < 0.002) | overturned | (trunk & (speed > CRASH_SPEED)))
         self._velocity_before.copy_(velocity)
         self._front_before.copy_(front)
         self._clearance_before.copy_(clearance)
-        return Descent(
-            progress=progress,
-            height_error=w.qpos[:, 2] - height,
-            pitch_error=self._pitch() - self._pitch_at_start * (1 - smooth),
-            left_up=left_up,
-            pose_error=w.qpos[:, 7:] - self._lie,
-            velocity=velocity,
-            turning=turning,
-            acceleration=torch.where(later, acceleration, torch.zeros_like(acceleration)),
-            slip=slip,
-            landing=landing,
-            trunk=trunk,
-            thighs=(low[:, self._thighs] < 0.002).float().sum(-1),
-            beyond=torch.relu(self._q_min - asked) + torch.relu(asked - self._q_max),
-            head=head,
-            failed=finite & ((head < 0.002) | overturned | crashed),
-        )
-
-    def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        facts, descent = self._facts(finite, low), self._descent(finite, low)
-        there = (descent.progress >= 1).float()
-        lies = (descent.height_error.abs() < 0.03) & (descent.pitch_error.abs() < 0.15)
-        lies &= descent.pose_error.abs().amax(-1) < 0.25
+        off, near = pose_error.square().mean(-1), torch.exp(-((pose_error / 0.12) ** 2)).mean(-1)
+        at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
+        terms = {
+            "height": torch.exp(-((height_error / 0.06) ** 2)),
+            "level": torch.exp(-((pitch_error / 0.4) ** 2)),
+            "roll": left_up.square(),
+            "pose": 0.5 * (torch.exp(-off / 0.6) + torch.exp(-off / 0.1)) * progress,
+            "pose_fine": near * there,
+            "still": at_rest * there * torch.exp(-((height_error / 0.08) ** 2)),
+            "sinking": torch.clamp(-velocity[:, 2] - SINKING, 0.0, 3.0).square(),
+            "fast": torch.clamp(speed - MOVING, 0.0, 3.0).square(),
+            "tumbling": torch.clamp(turning - TUMBLING, 0.0, 10.0).square(),
+            "jolt": torch.clamp((acceleration - JOLT) / 20.0, 0.0, 5.0),
+            "landing": landing,
+            "trunk": trunk.float() * (0.3 + speed.clamp(max=3.0)),
+            "thighs": (low[:, self._thighs] < 0.002).float().sum(-1),
+            "head_low": torch.clamp((HEAD_ROOM - head) / HEAD_ROOM, 0.0, 1.0),
+            "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
+            "beyond": beyond.square().sum(-1),
+            "action_rate": f.action_change.square().sum(-1),
+            "torque": f.torque.square().sum(-1),
+            "joint_velocity": f.dq.square().sum(-1),
+            "joint_speed": torch.clamp(f.dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
+            "joint_acceleration": f.ddq.square().sum(-1),
+            "limits": f.limit_excess.sum(-1),
+            "fail": failed.float(),
+        }
+        lies = (height_error.abs() < 0.03) & (pitch_error.abs() < 0.15) & (pose_error.abs().amax(-1) < 0.25)
         length = self.max_episode_length
         figures = {
             "sit_down/lying": mean(lies.float(), there),
-            "sit_down/pose_error": mean(descent.pose_error.abs().mean(-1), there),
-            "sit_down/height_error": mean(descent.height_error.abs(), 1 - there),
-            "sit_down/failed": descent.failed.float().mean() * length,
-            "sit_down/head": (descent.head < 0.002).float().mean() * length,
-            "sit_down/trunk": descent.trunk.float().mean(),
-            "sit_down/landing": descent.landing.square().sum(-1).mean() * length,
+            "sit_down/pose_error": mean(pose_error.abs().mean(-1), there),
+            "sit_down/height_error": mean(height_error.abs(), 1 - there),
+            "sit_down/failed": failed.float().mean() * length,
+            "sit_down/head": (head < 0.002).float().mean() * length,
+            "sit_down/trunk": trunk.float().mean(),
+            "sit_down/landing": landing.mean() * length,
         }
-        return sit_down_terms(facts, descent, self.description.training.joint_speed), descent.failed, figures
+        return terms, failed, figures
 
     def _reset(self, mask: torch.Tensor) -> None:
         super()._reset(mask)

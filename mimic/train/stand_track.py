@@ -1,17 +1,58 @@
-"""The first task: stand up from lying, keep a velocity and a heading, and bring the front toes to goals."""
+"""The MDP of all worlds, without a branch on the device's data, and the first task: standing up and tracking.
+
+Everything after the physics is element-wise tensor code over static buffers, so that on a GPU a whole control step is
+two captured graphs: the physics (`mimic.train.worlds`) and the rest (here).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
+from typing import Any
 
+import numpy as np
 import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
 
 from mimic.config.rewards import REFINING_TERMS
-from mimic.robot.goals import leg_joints
-from mimic.train.contract import STAND_UP_STEPS
-from mimic.train.environment import Judged, WorldsEnv
-from mimic.train.feet import sliding
-from mimic.train.rewards import BEARS, Facts, grown, reward_terms
+from mimic.config.training import MdpSettings
+from mimic.dynamics.cuda_graphs import Replayed
+from mimic.dynamics.robot_model import command_in_effect
+from mimic.geometry import heading_sin_cos, upright_cosine
+from mimic.io.store import plain
+from mimic.policy.contract import (
+    AVERAGED,
+    FRAME_SIZE,
+    commanded_joints,
+    heading_error,
+    next_gait,
+    observation_frame,
+    push_frame,
+    with_slow_mean,
+)
+from mimic.records import JOINTS, LEGS
+from mimic.robot.description import RobotDescription, with_timestep
+from mimic.robot.goals import MARGIN, leg_joints
+from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.model import TOES
+from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
+from mimic.train.disturbances import Disturbances
+from mimic.train.feet import Feet, sliding
+from mimic.train.rewards import BEARS, REWARD_SCALE, Facts, grown, reward_terms
+from mimic.train.schedules import GoalSchedule, MoveSchedule
+from mimic.train.starts import Start, Starts
+from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
+from mimic.train.worlds import Worlds
+
+CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
+"""Width of what the critic sees beyond the observation."""
+
+RISE_SECONDS = 0.7
+"""Time that standing up should take [s]; faster and slower both cost."""
+
+PUSHED_SIDEWAYS = 0.4
+"""Share of the pushes that come from within 30 degrees of straight from the side, besides those from anywhere."""
 
 SWAY_SECONDS = 0.25
 """Time constant of the averaged base velocity [s]: half a gait cycle."""
@@ -32,16 +73,233 @@ CAPTURE_REACH = 0.05
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
 
+Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
+
 
 def mean(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """Return the mean of values (N,) with these weights (N,)."""
     return (values * weights).sum() / weights.sum().clamp(min=1.0)
 
 
-class StandTrackEnv(WorldsEnv):
-    """Worlds in which a robot stands up, keeps a velocity and a heading, and brings its front toes to goals."""
+class StandTrackEnv(VecEnv, Chance):
+    """Worlds, as rsl_rl steps them, in which a robot stands up, keeps a velocity and heading, and reaches for goals."""
+
+    soft_margin = np.deg2rad(8.0)
+    """A joint nearer to its limit than this costs [rad]."""
+
+    def __init__(self, description: RobotDescription, settings: MdpSettings, device: str, seed: int) -> None:
+        description = with_timestep(description, settings.timestep or description.timestep)
+        self.description, self.settings = description, settings
+        self._calls, self._ramp = 0, 0.0
+        self.contract = make_contract(description, settings)
+        self.device = device
+        Chance.__init__(self, settings.worlds, device)
+        self.num_envs = settings.worlds
+        self.num_actions = len(JOINTS)
+        self.max_episode_length = settings.episode_steps
+        self.cfg: Any = plain(settings)
+        torch.manual_seed(seed)
+        self.worlds = Worlds(description, settings, device, seed)
+        self.goals = GoalSchedule(description, self.contract, settings, device, seed)
+        self.moves = MoveSchedule(self.contract, settings, device)
+        self._starts = Starts(description, settings, device)
+        self._feet = Feet(description, device)
+        self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
+        self._constants()
+        self._buffers()
+        self._before, self._after = Replayed(self._before_physics, device), Replayed(self._after_physics, device)
+        everyone = torch.ones(self.num_envs, dtype=torch.bool, device=device)
+        self._reset(everyone)
+        self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
+        self._observe(everyone, self.worlds.lowest())
+
+    # ------------------------------------------------------------------ set-up
+
+    def _constants(self) -> None:
+        d, c = self.description, self.contract
+        self._default_q = self._tensor(c.default_q)
+        self._q_min, self._q_max = self._tensor(c.q_min), self._tensor(c.q_max)
+        self._near_min, self._near_max = self._tensor(d.q_min + MARGIN), self._tensor(d.q_max - MARGIN)
+        self._soft_min = self._tensor(d.q_min + self.soft_margin)
+        self._soft_max, self._rated = self._tensor(d.q_max - self.soft_margin), self._tensor(d.torque_rated)
+        self._peak = self._tensor(d.torque_max)
+        self._upright = tuple(d.upright_direction.tolist())
+        w = self.worlds
+        front, hind = LEGS[:2], LEGS[2:]
+        self._grounding = torch.cat(
+            [
+                w.columns("thigh", "shank", "knee", "toe", legs=front),
+                w.columns("trunk", "head", "shoulder", "abad"),
+                w.columns("thigh", legs=hind),
+            ]
+        )
+        self._near_ground = torch.cat([w.columns("toe", "knee", legs=front), w.columns("knee", legs=hind)])
+        self._hind_toes = w.columns("toe", legs=hind)
+        self._toe_sites = torch.tensor([w.mj_model.site(name).id for name in TOES], device=self.device)
+        knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
+        self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
+        self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
+        half = np.zeros(FRAME_SIZE - len(c.columns("slow_mean")))
+        for name, width in c.noise:
+            half[c.columns(name)] = width
+        self._noise_half = self._tensor(half)
+        self._averaged = torch.as_tensor(c.columns(*AVERAGED), device=self.device)
+        steps = self.settings.randomisation.delay
+        self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
+
+    def _buffers(self) -> None:
+        n, device, zeros = self.num_envs, self.device, self._zeros
+        self.episode_length_buf = zeros(dtype=torch.long)
+        self._actions = zeros(12)
+        self._last_action, self._before_last = zeros(12), zeros(12)
+        self._commands = [zeros(12) for _ in range(4)]
+        self._delay = zeros(1, dtype=torch.long)
+        self._history = zeros(self.settings.history, FRAME_SIZE)
+        self.phase_at_start, self._gait, self._noise = zeros(), zeros(), zeros()
+        self._upright_start, self._heading = zeros(dtype=torch.bool), zeros()
+        self._toes_at_start, self._dq_before, self._q_before = zeros(2, 3), zeros(12), zeros(12)
+        self._termination_share = torch.zeros(1, device=device)
+        seen = self.settings.history * FRAME_SIZE
+        self._policy_obs, self._critic_obs = zeros(seen), zeros(seen + CRITIC_EXTRAS)
+        self._reaching = zeros(2, 2, 3)
+        self._reward = zeros()
+        self._done, self._time_out = zeros(dtype=torch.bool), zeros(dtype=torch.bool)
+        self._load = zeros(2)
+        self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
+        self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
+        self._rest_share = torch.full((1,), self.settings.rest_share_at_first, device=device)
+        self._weights = torch.tensor(list(self._weights_at(0.0).values()), device=device)
+        self._log: dict[str, torch.Tensor] = {}
+
+    def resume_at(self, steps: int) -> None:
+        """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
+        self._calls = 240 * (steps // 240)
+        self._ramp = min(
+            max((self._calls - self.settings.curriculum_latest) / self.settings.curriculum_steps, 0.0), 1.0
+        )
+
+    # ------------------------------------------------------------------ the interface of rsl_rl
+
+    def get_observations(self) -> TensorDict:
+        """Return what actor (policy) and critic see of each world, and what nobody sees but the learner.
+
+        ``reaching`` (N, 2, 2, 3): actions of the front legs that would bring their toes to where they are wanted if the
+        joints followed at once, and 1 where that counts, 0 where there are none or the robot does not stand.
+        """
+        seen = {"policy": self._policy_obs, "critic": self._critic_obs, "reaching": self._reaching}
+        return TensorDict({name: tensor.clone() for name, tensor in seen.items()}, batch_size=[self.num_envs])
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
+        self._actions.copy_(actions)
+        if self._calls % 240 == 0:
+            ramp = self._ramp_share()
+            self._weights.copy_(torch.tensor(list(self._weights_at(ramp).values())))
+            self._termination_share.fill_(ramp**2)
+            self._set_difficulty(ramp)
+        self._before()
+        self.worlds.step()
+        self._after()
+        self._calls += 1
+        extras: dict[str, Any] = {"time_outs": self._time_out.clone()}
+        if self._calls % 12 == 0:
+            extras["log"] = dict(zip(self._log, self._log_values.clone().unbind(), strict=True))
+        return self.get_observations(), self._reward.clone(), self._done.long(), extras
+
+    # ------------------------------------------------------------------ one control step
+
+    def _before_physics(self) -> None:
+        c = self.contract
+        action = torch.clamp(torch.nan_to_num(self._actions), -ACTION_CLIP, ACTION_CLIP)
+        self._before_last.copy_(self._last_action)
+        self._last_action.copy_(action)
+        for age in reversed(range(1, len(self._commands))):
+            self._commands[age].copy_(self._commands[age - 1])
+        newest, before, before_that, oldest = self._commands
+        asked = commanded_joints(action, self._default_q, self.settings.action_scale, self._q_min, self._q_max, torch)
+        arrives, motors = self.disturbances.arrives(), self.worlds.motors
+        if motors is not None:
+            arrives = arrives & motors.arrives()
+        newest.copy_(torch.where(arrives, asked, before))
+        self._pull()
+        if motors is not None:
+            motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
+            motors.send(newest)
+            self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
+            return
+        n = self.worlds.decimation
+        for k in range(n):
+            ages = newest, before, before_that, torch.where, [oldest]
+            ctrl = command_in_effect(k, n, self._delay, *ages, interpolate=True)
+            self.worlds.substep_ctrl[k].copy_(ctrl)
+
+    def _delay_seen(self) -> torch.Tensor:
+        """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
+        motors = self.worlds.motors
+        steps = self._delay.float() if motors is None else motors.delay(self._delay).mean(-1, keepdim=True)
+        return steps * (self.description.timestep / 0.005)
+
+    def _pull(self) -> None:
+        """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
+        w = self.worlds
+        toes = w.site_xpos[:, self._toe_sites[:2]]
+        self.disturbances.advance(self.episode_length_buf, toes, self._heading)
+        force = self.disturbances.pull
+        lever = toes - w.xipos[:, self._front_knees]
+        moment = torch.linalg.cross(lever, force)
+        w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
+
+    def _measure(self) -> None:
+        """Work out, once for each state, what many look at.
+
+        ``quat_WB`` is the orientation of the base in the true world, whose z is up also where the ground is inclined.
+        """
+        w = self.worlds
+        self._quat_WB = quat_multiply(w.slope_quat, w.qpos[:, 3:7])
+        self._heading.copy_(torch.arctan2(*heading_sin_cos(*self._quat())))  # both captured graphs read it
+        self._up = upright_cosine(*self._quat(), heading=self._heading, direction=self._upright, xp=torch)
+        self._toes = front_toes(w.qpos[:, 7:], self.description, torch)
+
+    def _quat(self) -> tuple[torch.Tensor, ...]:
+        return self._quat_WB.unbind(-1)
+
+    def _velocity(self) -> torch.Tensor:
+        """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
+        return self._in_heading_frame(self.worlds.qvel[:, :2])
+
+    def _in_heading_frame(self, v: torch.Tensor) -> torch.Tensor:
+        """Return horizontal vectors (N, 2) forward and left."""
+        cosine, sine = torch.cos(self._heading), torch.sin(self._heading)
+        return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
+
+    def _tracking(self) -> torch.Tensor:
+        return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
+
+    def _after_physics(self) -> None:
+        w = self.worlds
+        finite = torch.isfinite(w.qpos).all(-1) & torch.isfinite(w.qvel).all(-1) & (w.qvel.abs().amax(-1) < 300.0)
+        w.qpos.copy_(torch.nan_to_num(w.qpos, nan=0.0, posinf=0.0, neginf=0.0))
+        w.qvel.copy_(torch.nan_to_num(w.qvel, nan=0.0, posinf=0.0, neginf=0.0))
+        self.episode_length_buf.add_(1)
+        self._measure()
+        self._command()
+        low = w.lowest()
+        terms, failed, figures = self._evaluate(finite, low)
+        reward = REWARD_SCALE * (torch.stack(list(terms.values())) * self._weights[:, None]).sum(0)
+        self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
+        self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
+        self._done.copy_(failed | self._time_out | ~finite)
+        self._dq_before.copy_(w.qvel[:, 6:])
+        self._q_before.copy_(w.qpos[:, 7:])
+        self._remember(terms, figures, finite)
+        self._push()
+        self._reset(self._done)
+        self._observe(self._done, low)
+
+    # ------------------------------------------------------------------ the task: what sitting down does in its own way
 
     def _weights_at(self, ramp: float) -> dict[str, float]:
+        """Return the weight of each reward term by now; ``ramp`` of what makes the task hard is there, 0 to 1."""
         s = self.settings
         begin, end = s.finish_steps
         finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
@@ -73,13 +331,13 @@ class StandTrackEnv(WorldsEnv):
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
+        """Return the reward terms in the order of the weights, which worlds failed (N,), and figures for the log."""
         facts = self._facts(finite, low)
         return reward_terms(facts, self.settings.swing_height, self.description), facts.fallen, self._figures(facts)
 
     def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
         w = self.worlds
-        heading, up = self._heading, self._up
-        step = self.episode_length_buf
+        up, step = self._up, self.episode_length_buf
         toes = w.site_xpos[:, self._toe_sites]
         hind = w.site_xpos[:, self._toe_sites[2:]]
         self._toes_at_start.copy_(torch.where((step == 1)[:, None, None], hind, self._toes_at_start))
@@ -87,10 +345,10 @@ class StandTrackEnv(WorldsEnv):
         shift = (hind - self._toes_at_start).norm(dim=-1).mean(-1) * rising_up
         motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
         slip = sliding(toes[..., 2], *motion, below=SLIP_HEIGHT)
-        height = w.qpos[:, 2]
-        velocity = self._velocity()
+        rising = torch.clamp(step * self.contract.dt / RISE_SECONDS, max=1.0)
+        height, velocity = w.qpos[:, 2], self._velocity()
         self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
-        error = self.moves.heading - heading
+        error = self.moves.heading - self._heading
         error = torch.arctan2(torch.sin(error), torch.cos(error))
         tracking = self._tracking()
         self._load.copy_(w.load())
@@ -109,7 +367,7 @@ class StandTrackEnv(WorldsEnv):
         fallen = finite & (fallen | (broken & (self._rand() < self._termination_share)))
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = (dq - self._dq_before) / self.contract.dt
-        ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
+        ddq = torch.where((step > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
         toppling = self._toppled = self._toppling(hind)
         return Facts(
             height=height,
@@ -121,7 +379,7 @@ class StandTrackEnv(WorldsEnv):
             toppling=toppling & ~w.quiet,
             settled=settled,
             heading_error=error,
-            rising=torch.where(self._upright_start, torch.ones_like(height), self._rising()),
+            rising=torch.where(self._upright_start, torch.ones_like(height), rising),
             toe_error=self._toes - self.goals.now,
             tracking=tracking.float(),
             contact=low[:, self._hind_toes] < 0.003,
@@ -196,3 +454,117 @@ class StandTrackEnv(WorldsEnv):
         counts = counts[..., None].expand_as(actions)
         self._reaching[:, 0].copy_(torch.where(counts, actions, torch.zeros_like(actions)))
         self._reaching[:, 1].copy_(counts)
+
+    def _first_phase(self, start: Start) -> torch.Tensor:
+        """Return the gait phase (N,) at the first step [rad]."""
+        return self._uniform(-math.pi, math.pi)
+
+    def _remember(self, terms: dict[str, torch.Tensor], figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
+        # stacked, since on a GPU a launch costs more than the numbers
+        means = torch.stack([value.float() for value in terms.values()]).mean(-1)
+        others = torch.stack([*figures.values(), 1 - finite.float().mean()])
+        values = torch.cat([means, others])
+        if not self._log:
+            names = [*(f"reward/{name}" for name in terms), *figures, "track/non_finite"]
+            self._log_values = values.clone()
+            self._log = dict(zip(names, self._log_values.unbind(), strict=True))
+        self._log_values.copy_(values)
+
+    def _phase(self) -> torch.Tensor:
+        rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
+        return self.phase_at_start + rate * self.episode_length_buf
+
+    # ------------------------------------------------------------------ chance and pushes
+
+    def _push(self) -> None:
+        r = self.settings.randomisation
+        every = round(r.push_interval / self.contract.dt)
+        due = (self.episode_length_buf % every == 0) & (self.episode_length_buf > STAND_UP_STEPS)
+        side = math.pi * (torch.floor(self._uniform(0.0, 2.0)) - 0.5) + self._uniform(-1.0, 1.0) * (math.pi / 6)
+        angle, speed = self._uniform(-math.pi, math.pi), self._uniform(*r.push) * self.disturbances.push_share
+        angle = torch.where(self._rand() < PUSHED_SIDEWAYS, self._heading + side, angle)
+        kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
+        self.worlds.qvel[:, :2].add_(kick * due[:, None])
+
+    # ------------------------------------------------------------------ resets and observations
+
+    def _reset(self, mask: torch.Tensor) -> None:
+        w, start = self.worlds, self._starts.draw()
+        put(w.qpos, mask, start.qpos)
+        put(w.qvel, mask, start.qvel)
+        self._measure()
+        for command in self._commands:
+            put(command, mask, start.command)
+        old = w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
+        for buffer in old:
+            put(buffer, mask, 0.0)
+        put(self._noise, mask, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
+        low, high = self._delay_range
+        put(self._delay, mask, torch.randint_like(self._delay, low, high + 1))
+        if w.motors is not None:
+            w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
+        put(self._upright_start, mask, start.upright)
+        put(self.phase_at_start, mask, self._first_phase(start))
+        self.disturbances.reset(mask)
+        put(self._q_before, mask, start.qpos[:, 7:])
+        self.episode_length_buf.mul_(~mask)
+        self.moves.reset(mask, start.heading)
+        self.goals.reset(mask, start.upright, self._toes)
+
+    def _observe(self, fresh: torch.Tensor, low: torch.Tensor) -> None:
+        w, n = self.worlds, self.num_envs
+        read_quat = quat_multiply(self._quat_WB, self.disturbances.mount)
+        error = heading_error(read_quat, self.moves.heading, torch)
+        gait = next_gait(self._gait, self.moves.velocity, error, self.contract, torch)
+        self._gait.copy_(torch.where(self._rank < self._rest_share, gait, torch.ones_like(gait)))
+        omega = quat_rotate(self.disturbances.mount, w.qvel[:, 3:6], inverse=True) + self.disturbances.gyro_bias
+        frame = observation_frame(
+            terms=self.contract.terms,
+            q_offset=w.read_q - self._default_q,
+            quat_WB=read_quat,
+            last_action=self._last_action,
+            v_des=self.moves.velocity,
+            error=error,
+            toes_des=self.goals.now.reshape(n, 6),
+            phase=self._phase(),
+            gait=self._gait,
+            omega_B=omega,
+            dq=w.qvel[:, 6:],
+            xp=torch,
+        )
+        noisy = frame + self._noise[:, None] * self._noise_half * (2 * torch.rand_like(frame) - 1)
+        before = torch.where(fresh[:, None], noisy[:, self._averaged], self._slow)
+        noisy, slow = with_slow_mean(noisy, before, self._averaged, self.contract.dt, torch)
+        self._slow.copy_(slow)
+        pushed = push_frame(self._history, noisy, torch)
+        first = noisy[:, None, :].expand_as(pushed)
+        self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
+        self._policy_obs.copy_(self._history.reshape(n, -1))
+        feet = low[:, self._hind_toes]
+        extras = [
+            torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
+            self._mean_velocity,
+            self._in_heading_frame(w.qpos[:, :2] - self._anchor) * 3,
+            w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
+            w.qvel[:, 6:].clamp(-40, 40) * 0.1,
+            w.qpos[:, 2:3] * 3,
+            self._up[:, None],
+            (self._delay_seen() - 3.5) * 0.3,
+            (feet < 0.003).float(),
+            self._load,
+            feet.clamp(max=0.2) * 10,
+            (self._toes - self.goals.now).reshape(n, 6) * 5,
+            self._tracking().float()[:, None],
+            torch.clamp(self.episode_length_buf.float() / STAND_UP_STEPS, max=2.0)[:, None],
+            w.features,
+            quat_rotate(w.qpos[:, 3:7], self._floor_up, inverse=True),
+            quat_rotate(self._quat_WB, self._floor_up, inverse=True),
+            (self.disturbances.pull[..., :2] * 0.2).reshape(n, 4),
+            self.disturbances.lost_share * 10,
+            self._gait[:, None],
+            self._noise[:, None],
+            w.quiet.float()[:, None],
+        ]
+        seen = torch.cat([self._policy_obs, *extras], -1)  # a world that exploded has its shapes back after a step
+        self._critic_obs.copy_(torch.nan_to_num(seen).clamp(-50, 50))
+        self._show_reaching()

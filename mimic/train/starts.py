@@ -51,8 +51,6 @@ class Start:
     """True where the world starts upright (N,)."""
     heading: torch.Tensor
     """(N,) [rad]"""
-    q: torch.Tensor
-    """Joint positions (N, 12) [rad]."""
     command: torch.Tensor
     """Commanded joint positions in effect until the first command arrives (N, 12) [rad]."""
     qpos: torch.Tensor
@@ -91,16 +89,13 @@ class Starts(Chance):
         q = torch.clamp(q, self._q_min + 0.01, self._q_max - 0.01)
         qpos = self._at(upright, self._uniform(*r.start_height), quat, q)
         qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
-        return Start(upright=upright, heading=heading, q=q, command=q, qpos=qpos, qvel=qvel, anytime=upright)
+        return Start(upright=upright, heading=heading, command=q, qpos=qpos, qvel=qvel, anytime=upright)
 
     def _at(self, upright: torch.Tensor, above: torch.Tensor, quat: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
         """Return positions (N, 19) in the pose's height and a little above (N,) [m]."""
         height = torch.where(upright, self._heights["upright"], self._heights["lie"]) + LIFTED + above
         zeros = torch.zeros_like(height)
         return torch.cat([torch.stack([zeros, zeros, height], -1), quat, q], -1)
-
-    def _tensor(self, values: object) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32, device=self._device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +173,4 @@ class SitDownStarts(Starts):
         sine, cosine = heading_sin_cos(*qpos[:, 3:7].unbind(-1))
         never = torch.zeros_like(is_recorded)
         heading = torch.arctan2(sine, cosine)
-        return Start(
-            upright=never, heading=heading, q=qpos[:, 7:], command=command, qpos=qpos, qvel=qvel, anytime=lying
-        )
+        return Start(upright=never, heading=heading, command=command, qpos=qpos, qvel=qvel, anytime=lying)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
 
 
 class Chance:
-    """Numbers drawn for each of N worlds."""
+    """Numbers drawn for each of N worlds, and where they go."""
 
     def __init__(self, worlds: int, device: str) -> None:
         self._n, self._device = worlds, device
@@ -16,6 +19,12 @@ class Chance:
 
     def _uniform(self, low: float, high: float, *shape: int) -> torch.Tensor:
         return low + (high - low) * self._rand(*shape)
+
+    def _zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return torch.zeros(self._n, *shape, device=self._device, dtype=dtype)
+
+    def _tensor(self, values: Any) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self._device)
 
 
 def put(buffer: torch.Tensor, where: torch.Tensor, value: torch.Tensor | float) -> None:

@@ -45,7 +45,7 @@ def compare_contracts(path: Path, contract: PolicyContract) -> bool:
         AssetError: If the file is no ONNX file.
         ConfigError: If its observations or actions mean something else.
     """
-    there, here = _stored(path), stored_fields(contract.to_json())
+    there, here = _stored(_loaded(path)), stored_fields(contract.to_json())
     given, expected = (tuple(map(tuple, c.get("terms", PAPER_TERMS))) for c in (there, here))
     if given != expected[: len(given)]:
         raise ConfigError(
@@ -79,11 +79,17 @@ def take_over(actor: Any, path: Path, terms: tuple[tuple[str, int], ...], spread
         AssetError: If the file is no such policy.
         ConfigError: If the settings shape another network.
     """
-    mean, scale, layers = _network(path)
+    model = _loaded(path)
+    values = {i.name: numpy_helper.to_array(i).copy() for i in model.graph.initializer}
+    nodes = [n for n in model.graph.node if n.op_type != "Elu"]
+    if [n.op_type for n in nodes[:2]] != ["Sub", "Div"] or {n.op_type for n in nodes[2:]} != {"Gemm"}:
+        raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in model.graph.node)}")
+    mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])  # of the observation
+    layers = [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]]  # weights (out, in), biases (out,)
     linear = [m for m in actor.mlp if isinstance(m, torch.nn.Linear)]
     here = [(m.out_features, m.in_features) for m in linear]
     there = [w.shape for w, _ in layers]
-    known = tuple((name, width) for name, width in _stored(path).get("terms", PAPER_TERMS))
+    known = tuple((name, width) for name, width in _stored(model).get("terms", PAPER_TERMS))
     width, old = (sum(w for _, w in t) for t in (terms, known))
     frames, had = here[0][1] // width, len(mean) // old
     if frames < had or [(o, frames * width if k == 0 else i) for k, (o, i) in enumerate(there)] != here:
@@ -115,20 +121,9 @@ def take_over(actor: Any, path: Path, terms: tuple[tuple[str, int], ...], spread
         actor.distribution.log_std_param.fill_(math.log(spread or SPREAD))
 
 
-def _network(path: Path) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Return mean and scale (inputs,) of the observation, and the weights (out, in) and biases (out,) of each layer."""
-    graph = _loaded(path).graph
-    values = {i.name: numpy_helper.to_array(i).copy() for i in graph.initializer}
-    nodes = [n for n in graph.node if n.op_type != "Elu"]
-    if [n.op_type for n in nodes[:2]] != ["Sub", "Div"] or {n.op_type for n in nodes[2:]} != {"Gemm"}:
-        raise AssetError(f"{path} is no policy that can be trained on: {' '.join(n.op_type for n in graph.node)}")
-    mean, scale = (values[n.input[1]].reshape(-1) for n in nodes[:2])
-    return mean, scale, [(values[n.input[1]], values[n.input[2]]) for n in nodes[2:]]
-
-
-def _stored(path: Path) -> dict[str, Any]:
+def _stored(model: Any) -> dict[str, Any]:
     """Return the contract in a policy as it is written; empty without one."""
-    entries = {entry.key: entry.value for entry in _loaded(path).metadata_props}
+    entries = {entry.key: entry.value for entry in model.metadata_props}
     return stored_fields(entries.get(METADATA_KEY, "{}"))
 
 

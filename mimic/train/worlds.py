@@ -9,10 +9,9 @@ true world, whose z is up.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,8 +33,6 @@ from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR
 from mimic.train.motors import WorldMotors
 from mimic.train.tensors import quat_rotate
-
-log = logging.getLogger(__name__)
 
 RANDOMISED = (
     "dof_frictionloss",
@@ -74,15 +71,6 @@ ROWS = 64
 
 VARIANTS = 1024
 """Different robots; world i is variant i modulo this."""
-
-
-@dataclass
-class _Support:
-    """What is needed for the lowest point of each collision shape."""
-
-    geoms: torch.Tensor
-    kind: torch.Tensor
-    size: torch.Tensor
 
 
 @wp.kernel
@@ -156,7 +144,11 @@ class Worlds:
             """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl: list[Any] = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
-        self._support = self._make_support()
+        ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
+        self._shapes = [model.geom(g).name for g in ids]
+        self._geoms = torch.tensor(ids, device=device)
+        self._kinds = torch.tensor([int(model.geom_type[g]) for g in ids], device=device)
+        self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=device)
         self._whole = ReplayedWarp(self._run, device)
         self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
         self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
@@ -271,34 +263,22 @@ class Worlds:
         q = self.qpos[:, 7:]
         return q if self.motors is None else self.motors.reading(q)
 
-    def _make_support(self) -> _Support:
-        model = self.mj_model
-        ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
-        kinds = [int(model.geom_type[g]) for g in ids]
-        return _Support(
-            geoms=torch.tensor(ids, device=self.device),
-            kind=torch.tensor(kinds, device=self.device),
-            size=torch.tensor(model.geom_size[ids], dtype=torch.float32, device=self.device),
-        )
-
     def columns(self, *roles: str, legs: Sequence[str] = LEGS) -> torch.Tensor:
         """Return the columns of `lowest` of the collision shapes with these roles (mimic.robot.parts.ROLES)."""
-        names = [self.mj_model.geom(int(g)).name for g in self._support.geoms]
         wanted = self._description.names.shapes(*roles, legs=legs)
-        return torch.tensor([i for i, name in enumerate(names) if name in wanted], dtype=torch.long, device=self.device)
+        found = [i for i, name in enumerate(self._shapes) if name in wanted]
+        return torch.tensor(found, dtype=torch.long, device=self.device)
 
     def lowest(self) -> torch.Tensor:
         """Return the height of the lowest point of each collision shape (worlds, shapes) [m]."""
-        s = self._support
-        up = self.geom_xmat[:, s.geoms, 2, :]
-        size = s.size
+        up, size = self.geom_xmat[:, self._geoms, 2, :], self._sizes
         box = (up.abs() * size).sum(-1)
         round_ = size[:, 1] * up[..., 2].abs() + size[:, 0] * torch.sqrt(torch.clamp(1 - up[..., 2] ** 2, min=0.0))
         capsule = size[:, 1] * up[..., 2].abs() + size[:, 0]
-        drop = torch.where(s.kind == BOX, box, size[:, 0])
-        drop = torch.where(s.kind == CYLINDER, round_, drop)
-        drop = torch.where(s.kind == CAPSULE, capsule, drop)
-        return self.geom_xpos[:, s.geoms, 2] - drop
+        drop = torch.where(self._kinds == BOX, box, size[:, 0])
+        drop = torch.where(self._kinds == CYLINDER, round_, drop)
+        drop = torch.where(self._kinds == CAPSULE, capsule, drop)
+        return self.geom_xpos[:, self._geoms, 2] - drop
 
     def load(self) -> torch.Tensor:
         """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
@@ -325,14 +305,13 @@ class Worlds:
         wp.launch(_smooth_friction, dim=d.qvel.shape, inputs=inputs, outputs=[m.dof_damping])
 
     def step(self) -> None:
-        """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad]."""
-        if self.motors is not None:
-            self._step_driven()
-            return
-        self._whole()
+        """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad].
 
-    def _step_driven(self) -> None:
-        """Let the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's."""
+        With effects the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's.
+        """
+        if self.motors is None:
+            self._whole()
+            return
         for drive in self._between[:-1]:
             drive()
             self._physics()

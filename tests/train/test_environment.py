@@ -375,7 +375,7 @@ def test_the_finish_makes_a_term_count_for_more_once_all_is_learned(description)
 @pytest.fixture
 def upright(description, monkeypatch):
     """Makes worlds in which every robot starts upright, with rewards at their full weight and size."""
-    monkeypatch.setattr("mimic.train.environment.REWARD_SCALE", 1.0)
+    monkeypatch.setattr("mimic.train.stand_track.REWARD_SCALE", 1.0)
     monkeypatch.setattr("mimic.train.stand_track.REFINING_SHARE", 1.0)
     return lambda **settings: make(description, upright_share=1.0, upright_share_at_first=1.0, **settings)
 

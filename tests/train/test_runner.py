@@ -102,7 +102,7 @@ def test_the_first_process_writes_and_each_has_a_gpu_of_its_own(monkeypatch):
     for name, value in (("RANK", "5"), ("LOCAL_RANK", "1"), ("WORLD_SIZE", "8")):
         monkeypatch.setenv(name, value)
     ranks = Ranks.of_environment()
-    assert not ranks.first
+    assert ranks == Ranks(rank=5, local=1, count=8)
     assert ranks.device("cpu") == "cpu"
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)

@@ -18,7 +18,7 @@ for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train.learn import train as train_robot  # noqa: E402
 from mimic.train.rewards import REWARD_SCALE  # noqa: E402
-from mimic.train.sit_down import WEIGHTS, SitDownEnv, sit_down_terms  # noqa: E402
+from mimic.train.sit_down import WEIGHTS, SitDownEnv  # noqa: E402
 from mimic.train.starts import SitDownStarts, StartShares, recorded_states  # noqa: E402
 
 train = partial(train_robot, description=load_description("cyberdog2"))
@@ -84,9 +84,7 @@ def test_a_robot_that_drops_pays_for_it(description, monkeypatch):
 
 def test_there_is_a_weight_for_each_term_in_its_order(env):
     env.step(torch.zeros(SIT.worlds, 12))
-    finite = torch.ones(SIT.worlds, dtype=torch.bool)
-    low = env.worlds.lowest()
-    terms = sit_down_terms(env._facts(finite, low), env._descent(finite, low), env.description.training.joint_speed)
+    terms, _, _ = env._evaluate(torch.ones(SIT.worlds, dtype=torch.bool), env.worlds.lowest())
     assert list(terms) == list(WEIGHTS)
 
 
