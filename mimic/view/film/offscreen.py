@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import AbstractContextManager
+from importlib import import_module
 from typing import Any
 
 import mujoco
@@ -13,16 +15,14 @@ from mimic.errors import MimicError
 from mimic.records import FloatArray
 
 SUPERSAMPLE = 1.25
-"""Supersampling factor of films; at 1.5 a picture takes 1.3 times as long and looks the same."""
-FINE_SUPERSAMPLE = 2.0
-"""Supersampling factor of single pictures."""
+"""Supersampling factor; at 1.5 a picture takes 1.3 times as long and looks the same."""
 _SHADOW_SIZE = 1024
 _SHADOW_CLIP = 1.6
 """Radius of the shadows around the point that the camera looks at [extents of the model]."""
 _LIGHT_DISTANCE = 1.0
 """Distance from that point to the light [m]; at other distances the floor shadows itself."""
-_SLICES, _FINE_SLICES = 14, 20
-"""Slices of a sphere in films and in single pictures."""
+_SLICES = 14
+"""Slices of a sphere."""
 
 
 class NoOffscreenGL(MimicError):
@@ -52,41 +52,30 @@ def _backends() -> list[str]:
 
 def _context_of(backend: str, width: int, height: int) -> Any:
     """Return a current MuJoCo OpenGL context of this backend; MuJoCo itself chooses one only at import."""
-    if backend == "egl":
-        from mujoco.egl import GLContext
-    elif backend == "osmesa":
-        from mujoco.osmesa import GLContext
-    elif backend == "cgl":
-        from mujoco.cgl import GLContext
-    else:
-        from mujoco.glfw import GLContext
-    context = GLContext(width, height)
+    context = import_module(f"mujoco.{backend}").GLContext(width, height)
     context.make_current()
     return context
 
 
-class Offscreen:
+class Offscreen(AbstractContextManager["Offscreen"]):
     """Renders one model to RGB pictures. Use it in one thread, and close it or use a ``with`` block."""
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, fine: bool = False) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         """Prepare rendering; lowers the visual quality of ``model`` to suit software rendering.
 
         Args:
             model: The robot.
             width: Width of the pictures [px].
             height: Height of the pictures [px].
-            fine: Render smoother pictures, which takes longer.
 
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
         """
         self.model, self.size = model, (width, height)
-        supersample = FINE_SUPERSAMPLE if fine else SUPERSAMPLE
-        self._drawn = round(width * supersample), round(height * supersample)
+        self._drawn = round(width * SUPERSAMPLE), round(height * SUPERSAMPLE)
         quality, view = model.vis.quality, model.vis.global_
         quality.shadowsize, quality.offsamples = _SHADOW_SIZE, 0
-        quality.numslices = _FINE_SLICES if fine else _SLICES
-        quality.numstacks = quality.numslices // 2
+        quality.numslices, quality.numstacks = _SLICES, _SLICES // 2
         model.vis.map.shadowclip = _SHADOW_CLIP
         model.mat_reflectance[:] = 0.0
         view.offwidth, view.offheight = self._drawn
@@ -137,23 +126,24 @@ class Offscreen:
 
     def add_ball(self, centre: FloatArray, radius: float, rgba: tuple[float, float, float, float]) -> None:
         """Add a ball to the current picture; its centre (3,) is in world axes [m]."""
-        if self.scene.ngeom >= self.scene.maxgeom:
-            return
-        geom = self.scene.geoms[self.scene.ngeom]
-        ball, size, straight = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), np.eye(3).ravel()
-        mujoco.mjv_initGeom(geom, ball, size, np.asarray(centre), straight, np.array(rgba, dtype=np.float32))
-        self.scene.ngeom += 1
+        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), centre, rgba)
 
     def add_arrow(
         self, begin: FloatArray, end: FloatArray, radius: float, rgba: tuple[float, float, float, float]
     ) -> None:
         """Add an arrow to the current picture, from one point (3,) to another, world axes [m]."""
-        if self.scene.ngeom >= self.scene.maxgeom or np.allclose(begin, end):
-            return
-        geom, arrow = self.scene.geoms[self.scene.ngeom], mujoco.mjtGeom.mjGEOM_ARROW
-        mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32))
-        mujoco.mjv_connector(geom, arrow, radius, np.asarray(begin), np.asarray(end))
+        arrow = mujoco.mjtGeom.mjGEOM_ARROW
+        if not np.allclose(begin, end) and (geom := self._add(arrow, np.zeros(3), np.zeros(3), rgba)) is not None:
+            mujoco.mjv_connector(geom, arrow, radius, np.asarray(begin), np.asarray(end))
+
+    def _add(self, kind: Any, size: FloatArray, position: FloatArray, rgba: tuple[float, float, float, float]) -> Any:
+        """Return a shape added to the current picture; None where no more fits."""
+        if self.scene.ngeom >= self.scene.maxgeom:
+            return None
+        geom, colour = self.scene.geoms[self.scene.ngeom], np.array(rgba, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, size, np.asarray(position), np.eye(3).ravel(), colour)
         self.scene.ngeom += 1
+        return geom
 
     def picture(self) -> np.ndarray:
         """Return the picture (H, W, 3), RGB."""
@@ -175,9 +165,6 @@ class Offscreen:
             self._context.free()
             self._gl.free()
             self._gl = None
-
-    def __enter__(self) -> Offscreen:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,9 +1,10 @@
-"""Film of human and robot side by side, and single pictures of the robot."""
+"""Film of human and robot side by side."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
 
@@ -46,8 +47,8 @@ METRES_PER_NEWTON = 0.08
 """Length of the arrow of a pull."""
 
 
-class RobotFilm:
-    """Renders the robot of a run at any tick, from a camera that follows it."""
+class RobotFilm(AbstractContextManager["RobotFilm"]):
+    """Renders the robot of a run at any tick, from a camera that follows it; a ``with`` block releases its memory."""
 
     def __init__(
         self,
@@ -58,7 +59,6 @@ class RobotFilm:
         height: int,
         targets: TargetTrack | None = None,
         pose: PoseTrack | None = None,
-        fine: bool = False,
     ) -> None:
         """Prepare rendering.
 
@@ -69,7 +69,6 @@ class RobotFilm:
             height: Height of the pictures [px].
             targets: Also shows the targets before clamping.
             pose: The person; the robot is seen from where the camera saw them.
-            fine: Render smoother pictures, which takes longer.
 
         Raises:
             NoOffscreenGL: If off-screen rendering is not available.
@@ -82,7 +81,7 @@ class RobotFilm:
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path = camera_path(log, self._qpos[:, :3])
         self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
-        self._screen = Offscreen(model, width, height, fine=fine)
+        self._screen = Offscreen(model, width, height)
 
     def _unclamped_targets(self, targets: TargetTrack) -> FloatArray:
         """Return the targets before clamping, world axes (ticks, 2, 3) [m]; NaN where clamping changed nothing."""
@@ -113,33 +112,8 @@ class RobotFilm:
             screen.add_arrow(at, at + METRES_PER_NEWTON * force, 0.012, (0.95, 0.75, 0.1, 1.0))
         return screen.picture()
 
-    def close(self) -> None:
-        """Release the graphics memory."""
-        self._screen.close()
-
-    def __enter__(self) -> RobotFilm:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def render_frame(
-    log: RunLog,
-    description: RobotDescription,
-    tick: int,
-    *,
-    width: int = 640,
-    height: int = 640,
-    targets: TargetTrack | None = None,
-) -> np.ndarray:
-    """Return a smooth picture (height, width, 3), RGB, of the robot at a tick of a log.
-
-    Raises:
-        NoOffscreenGL: If off-screen rendering is not available.
-    """
-    with RobotFilm(log, description, width=width, height=height, targets=targets, fine=True) as film:
-        return film.picture(tick)
+        self._screen.close()
 
 
 def save_video(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from mimic.view.report.style import STYLE
+from mimic.view.report.sections import page, section, tiles
 
 _WORST_ERROR = 8.0
 """Toe error that fills the bar [cm]."""
@@ -53,12 +53,7 @@ def html_batch(rows: Sequence[Mapping[str, Any]], *, command: str, version: str,
         _table(played),
         f"<footer>mimic {escape(version)} · <code>{escape(command)}</code></footer>",
     ]
-    head = (
-        "<meta charset='utf-8'><meta name='viewport' content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title><style>{STYLE}{_WIDE}</style>"
-    )
-    body = "\n".join(part for part in parts if part)
-    return f"<!doctype html>\n<html lang='en'><head>{head}</head>\n<body>\n{body}\n</body></html>\n"
+    return page(title, parts, _WIDE)
 
 
 def _worst_first(row: Mapping[str, Any]) -> tuple[bool, float]:
@@ -71,21 +66,17 @@ def _tiles(played: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, An
         values = [row[name] for row in played if row[name] is not None]
         return sum(values) / len(values) if values else None
 
-    tiles = [(str(len(played)), "played"), (str(len(failed)), "failed")]
-    tiles += [(str(unplayed), "not processed")] if unplayed else []
-    tiles.append((str(sum(row["status"] == "fell" for row in played)), "falls"))
+    shown = [(str(len(played)), "played"), (str(len(failed)), "failed")]
+    shown += [(str(unplayed), "not processed")] if unplayed else []
+    shown.append((str(sum(row["status"] == "fell" for row in played)), "falls"))
     for name, text, what in (
         ("toe_error_cm", "{:.1f} cm", "toe error, mean of the files"),
         ("clamped_share", "{:.1%}", "of the targets clamped"),
         ("standing_share", "{:.1%}", "upright after standing up"),
     ):
         value = mean(name)
-        tiles += [] if value is None else [(text.format(value), what)]
-    return (
-        "<div class='tiles'>"
-        + "".join(f"<div class='tile'><b>{v}</b><span>{w}</span></div>" for v, w in tiles)
-        + "</div>"
-    )
+        shown += [] if value is None else [(text.format(value), what)]
+    return tiles(shown)
 
 
 def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
@@ -94,7 +85,7 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> str:
     lines = "".join(
         f"<tr><td class='name'>{escape(row['file'])}</td><td>{escape(row['error'])}</td></tr>" for row in failed
     )
-    return f"<section><h2>Failed</h2><table><tr><th>file<th>reason</tr>{lines}</table></section>"
+    return section("Failed", "", f"<table><tr><th>file<th>reason</tr>{lines}</table>")
 
 
 def _table(played: Sequence[Mapping[str, Any]]) -> str:
@@ -117,7 +108,5 @@ def _table(played: Sequence[Mapping[str, Any]]) -> str:
         if row["notes"]:
             lines.append(f"<tr><td colspan={1 + len(_COLUMNS)}><small>{escape(row['notes'])}</small></td></tr>")
     lead = "Falls first, then the largest toe error. Retargeting: clamped, moved, speed-limited. Robot: the rest."
-    return (
-        f"<section><h2>Played</h2><p class='lead'>{lead}</p><div class='wide'><table>"
-        f"<tr><th>file</th>{head}</tr>{''.join(lines)}</table></div></section>"
-    )
+    rows = f"<tr><th>file</th>{head}</tr>{''.join(lines)}"
+    return section("Played", lead, f"<div class='wide'><table>{rows}</table></div>")

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from mimic.sysid.result import CORRELATED, Calibration, Correlations
-from mimic.view.report.sections import fixed, section, table
+from mimic.view.report.sections import fixed, key, section, table
 
 SHOWN = 15
 """Most pairs in the table."""
@@ -63,8 +63,7 @@ def _map(found: Correlations) -> str:
             first = i
     width = n * side + 140
     return (
-        "<p class='key'><span><i class='after' style='--c:var(--after)'></i>positive</span>"
-        "<span><i class='before' style='--c:var(--before)'></i>negative</span></p>"
+        f"{key(after='positive', before='negative')}"
         f"<svg class='map' viewBox='0 0 {width:.0f} {n * side:.0f}' style='max-width:{width:.0f}px' role='img'"
         f" aria-label='correlation of the fitted numbers'>{''.join(cells)}{''.join(labels)}</svg>"
     )

@@ -15,9 +15,6 @@ from mimic.view.report.svg import number
 SHOWN = 6
 """Number of candidates per stage that are shown; the others are folded."""
 
-LEAST_Z, LEAST_GAIN = RULES.z, RULES.gain
-"""Thresholds marked on the bars."""
-
 
 def evidence(c: Calibration) -> str:
     """Return the section with all tested effects, stage by stage; empty if there were none."""
@@ -27,7 +24,7 @@ def evidence(c: Calibration) -> str:
     lead = (
         "All tested effects. The error is that of blocks of the log, each predicted by a fit without this block. z"
         f" is the gain over its standard error, after a price for each number. An accepted effect exceeds both marks,"
-        f" {LEAST_GAIN:.0%} and {LEAST_Z:g}, and removes {RULES.share:.0%} of the unexplained error where it acts."
+        f" {RULES.gain:.0%} and {RULES.z:g}, and removes {RULES.share:.0%} of the unexplained error where it acts."
     )
     return section("Evidence", lead, *(_stage(s, i + 1, c.unit) for i, s in enumerate(stages)))
 
@@ -64,9 +61,9 @@ def _candidate(x: Candidate, top: float, positions: str, stage: Stage) -> str:
     )
     return (
         f"<tr{' class=taken' if x.accepted else ''}><td class=name>{escape(spec.title)}</td>"
-        f"<td class=n>{_bar(x.gain, top, LEAST_GAIN)}"
+        f"<td class=n>{_bar(x.gain, top, RULES.gain)}"
         f"<span class=beside>{fixed(100 * (1 - np.exp(-x.gain)), 1)} %</span></td>"
-        f"<td class=n>{_bar(x.z, 12.0, LEAST_Z)}<span class=beside>{fixed(x.z, 1)}</span></td>"
+        f"<td class=n>{_bar(x.z, 12.0, RULES.z)}<span class=beside>{fixed(x.z, 1)}</span></td>"
         f"<td class=n>{fixed(100 * x.improvement, 0)} %</td><td class=why>{escape(values)}</td>"
         f"<td class=why>{verdict}</td></tr>"
     )

@@ -18,8 +18,7 @@ from mimic.view.report.correlations import correlations
 from mimic.view.report.evidence import evidence
 from mimic.view.report.motion import by_phase, other_measures, worst_seconds
 from mimic.view.report.plots import Unit, against_state, over_time, spectra, stage_errors, torque_over_time, unit_for
-from mimic.view.report.sections import fixed, pretty, section, table, title_of
-from mimic.view.report.style import STYLE
+from mimic.view.report.sections import fixed, key, page, pretty, section, table, tiles, title_of
 from mimic.view.report.svg import figure, number
 
 _VERDICTS = {
@@ -43,7 +42,7 @@ def html_report(calibration: Calibration) -> str:
     """Return the report as self-contained HTML."""
     unit = unit_for(calibration)
     title = f"Calibration of {calibration.metadata.get('name') or 'a machine'}"
-    sections = [
+    parts = [
         _header(calibration, title),
         _tiles(calibration, unit),
         _effects(calibration),
@@ -58,14 +57,7 @@ def html_report(calibration: Calibration) -> str:
         _residuals(calibration, unit),
         _footer(calibration),
     ]
-    body = "\n".join(s for s in sections if s)
-    head = (
-        "<meta charset='utf-8'><meta name='viewport' content='width=device-width,initial-scale=1'>"
-        f"<title>{escape(title)}</title>"
-    )
-    return (
-        f"<!doctype html>\n<html lang='en'><head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
-    )
+    return page(title, parts)
 
 
 def _header(c: Calibration, title: str) -> str:
@@ -85,17 +77,14 @@ def _tiles(c: Calibration, unit: Unit) -> str:
     last = c.stages[-1].errors if c.stages else c.nominal
     baseline = c.stages[0].errors if c.stages else c.nominal
     found = [s.added for s in c.stages if s.added not in ("", "baseline")]
-    tiles = {
-        "held-out error of the model as given": unit.text(Errors.total(c.nominal.held_out)),
-        "with the baseline parameters fitted": unit.text(Errors.total(baseline.held_out)),
-        "with the effects found": unit.text(Errors.total(last.held_out)),
-        "noise floor": unit.text(Errors.total(c.noise)),
-        "effects found": str(len(found)),
-    }
-    return (
-        "<div class='tiles'>"
-        + "".join(f"<div class='tile'><b>{v}</b><span>{k}</span></div>" for k, v in tiles.items())
-        + "</div>"
+    return tiles(
+        [
+            (unit.text(Errors.total(c.nominal.held_out)), "held-out error of the model as given"),
+            (unit.text(Errors.total(baseline.held_out)), "with the baseline parameters fitted"),
+            (unit.text(Errors.total(last.held_out)), "with the effects found"),
+            (unit.text(Errors.total(c.noise)), "noise floor"),
+            (str(len(found)), "effects found"),
+        ]
     )
 
 
@@ -246,12 +235,8 @@ def _unexplained(c: Calibration) -> str:
 
 
 def _residuals(c: Calibration, unit: Unit) -> str:
-    lines = (
-        "<span><i class='before' style='--c:var(--before)'></i>baseline model</span>"
-        "<span><i class='after' style='--c:var(--after)'></i>final model</span>"
-    )
-    key, timed = f"<p class='key'>{lines}</p>", f"<p class='key'>{lines}<span><i class='held'></i>held out</span></p>"
-    noisy = f"<p class='key'>{lines}<span><i class='noise'></i>noise floor</span></p>"
+    models = {"before": "baseline model", "after": "final model"}
+    timed, noisy = key(**models, held="held out"), key(**models, noise="noise floor")
     torques = torque_over_time(c)
     return "".join(
         (
@@ -260,7 +245,7 @@ def _residuals(c: Calibration, unit: Unit) -> str:
             section(
                 "Residual against the state",
                 "Median and middle 80 % of the readings. An explained residual is flat at zero.",
-                key,
+                key(**models),
                 f"<div class='grid3'>{''.join(against_state(c, unit))}</div>",
             ),
             section("Residual over frequency", "", noisy, f"<div class='grid3'>{''.join(spectra(c, unit))}</div>"),
@@ -276,9 +261,9 @@ def _footer(c: Calibration) -> str:
 
 def _flat(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     rows = []
-    for key, value in data.items():
+    for name, value in data.items():
         if isinstance(value, Mapping):
-            rows += _flat(value, f"{prefix}{key} ")
+            rows += _flat(value, f"{prefix}{name} ")
         else:
-            rows.append((f"{prefix}{key}", number(value) if isinstance(value, float) else str(value)))
+            rows.append((f"{prefix}{name}", number(value) if isinstance(value, float) else str(value)))
     return rows

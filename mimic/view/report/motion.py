@@ -9,7 +9,7 @@ import numpy as np
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.result import Calibration, Traces
 from mimic.view.report.plots import Unit
-from mimic.view.report.sections import section, table
+from mimic.view.report.sections import key, section, table
 from mimic.view.report.svg import Plot, figure
 
 WINDOW = 1.0
@@ -74,14 +74,10 @@ def worst_seconds(c: Calibration) -> str:
         plots.append(plot.svg(f"measured, predicted and target of {joint} in its worst second"))
     if not plots:
         return ""
-    target = "<span><i class='target'></i>target</span>" if traces.target is not None else ""
-    key = (
-        "<p class='key'><span><i class='measured'></i>measured</span>"
-        "<span><i class='before' style='--c:var(--before)'></i>baseline model</span>"
-        f"<span><i class='after' style='--c:var(--after)'></i>final model</span>{target}</p>"
-    )
+    target = {"target": "target"} if traces.target is not None else {}
+    marks = key(measured="measured", before="baseline model", after="final model", **target)
     lead = f"Positions [{unit}] in the second in which the final model is furthest off."
-    return section("Worst second of each joint", lead, key, f"<div class='grid2'>{''.join(plots)}</div>")
+    return section("Worst second of each joint", lead, marks, f"<div class='grid2'>{''.join(plots)}</div>")
 
 
 def phases(traces: Traces, joint: int) -> dict[str, BoolArray]:

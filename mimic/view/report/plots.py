@@ -35,10 +35,8 @@ def unit_for(calibration: Calibration) -> Unit:
 
 def unit_of_size(largest: float, unit: str) -> Unit:
     """Return the unit, with its prefix, in which a value [unit] has one to three digits before the point."""
-    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
-        if largest * factor >= 0.3 or factor == 1e6:
-            return Unit(prefix + unit, factor)
-    raise AssertionError("unreachable: the last prefix always fits")
+    factor, prefix = next((pair for pair in ((1.0, ""), (1e3, "m")) if largest * pair[0] >= 0.3), (1e6, "µ"))
+    return Unit(prefix + unit, factor)
 
 
 def _spread(values: FloatArray) -> float:

@@ -3,10 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from html import escape
 
 import numpy as np
 
 from mimic.dynamics.catalogue import CATALOGUE
+from mimic.view.report.style import STYLE
+
+
+def page(title: str, parts: Iterable[str], style: str = "") -> str:
+    """Return a self-contained page of parts, of which empty ones are left out."""
+    head = (
+        "<meta charset='utf-8'><meta name='viewport' content='width=device-width,initial-scale=1'>"
+        f"<title>{escape(title)}</title><style>{STYLE}{style}</style>"
+    )
+    body = "\n".join(part for part in parts if part)
+    return f"<!doctype html>\n<html lang='en'><head>{head}</head>\n<body>\n{body}\n</body></html>\n"
+
+
+def tiles(shown: Iterable[tuple[str, str]]) -> str:
+    """Return large figures side by side, each over what it is."""
+    each = "".join(f"<div class='tile'><b>{value}</b><span>{what}</span></div>" for value, what in shown)
+    return f"<div class='tiles'>{each}</div>"
+
+
+def key(**marks: str) -> str:
+    """Return the key of a plot: the text for each kind of mark."""
+    colours = {kind: f" style='--c:var(--{kind})'" for kind in ("before", "after")}
+    texts = (f"<span><i class='{kind}'{colours.get(kind, '')}></i>{text}</span>" for kind, text in marks.items())
+    return f"<p class='key'>{''.join(texts)}</p>"
 
 
 def title_of(name: str) -> str:

@@ -6,9 +6,9 @@ import os
 import tempfile
 import threading
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Clip:
     """Width and height of the upright picture [px]."""
 
 
-class Footage:
+class Footage(AbstractContextManager["Footage"]):
     """A video that is being encoded for a scene; the ``with`` block ends the thread and removes the file."""
 
     def __init__(self, video: Path) -> None:
@@ -80,9 +80,6 @@ class Footage:
         self._cancelled.set()
         self._thread.join()
         self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

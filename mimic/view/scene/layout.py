@@ -68,10 +68,26 @@ def camera_at(
     return (distance * np.cos(direction), distance * np.sin(direction), height), (0.0, 0.0, target)
 
 
-def camera_at_robot(direction: float, description: RobotDescription, *, distance: float) -> Any:
-    """Return position and target of a camera that looks at a robot, at a distance in upright heights."""
+def view_3d(name: str, origin: str, camera: Any, contents: str = "$origin/**") -> rrb.Spatial3DView:
+    """Return a view with a camera at a position that looks at a target [m], see `camera_at`."""
+    import rerun.blueprint as rrb
+
+    eye, target = camera
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        background=rrb.Background(color=(226, 231, 237)),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
+    )
+
+
+def view_robot(camera: float, description: RobotDescription, *, distance: float) -> rrb.Spatial3DView:
+    """Return the view of the robot from a direction [rad] and a distance in upright heights."""
     tall = description.pose_height["upright"]
-    return camera_at(direction, distance=distance * tall, height=1.38 * tall, target=0.965 * tall)
+    eye = camera_at(camera, distance=distance * tall, height=1.38 * tall, target=0.965 * tall)
+    return view_3d("robot", EYE, eye, f"{ROBOT}/**")
 
 
 def blueprint(
@@ -93,7 +109,6 @@ def blueprint(
     """
     import rerun.blueprint as rrb
 
-    bright = rrb.Background(color=(226, 231, 237))
     pictures: list[rrb.Spatial2DView | rrb.Spatial3DView] = []
     shares: list[float] = []
     if video is not None:
@@ -103,28 +118,10 @@ def blueprint(
         shares.append(float(np.clip(width / tall, 0.7, 1.5)))
     if person is not None:
         distance, target_height = (2.35, 0.98) if person == "whole" else (1.45, 1.32)
-        eye, target = camera_at(SIDEWAYS, distance=distance, height=target_height + 0.42, target=target_height)
-        pictures.append(
-            rrb.Spatial3DView(
-                origin=BODY,
-                name="person",
-                background=bright,
-                line_grid=rrb.LineGrid3D(visible=False),
-                eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
-            )
-        )
+        eye = camera_at(SIDEWAYS, distance=distance, height=target_height + 0.42, target=target_height)
+        pictures.append(view_3d("person", BODY, eye))
         shares.append(0.9)
-    eye, target = camera_at_robot(camera, description, distance=2.25)
-    pictures.append(
-        rrb.Spatial3DView(
-            origin=EYE,
-            contents=f"{ROBOT}/**",
-            name="robot",
-            background=bright,
-            line_grid=rrb.LineGrid3D(visible=False),
-            eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
-        )
-    )
+    pictures.append(view_robot(camera, description, distance=2.25))
     shares.append(1.1)
     toes = (_plot(plots.toe_plot(axis), span) for axis in reversed(plots.TOE_AXES))
     now = rrb.TextDocumentView(origin=PHASE, name="the robot is")

@@ -52,17 +52,9 @@ class LiveView:
         self._description = description
         self._model = load_model(description)
         self._scene = rr.RecordingStream("mimic live")
-        eye, target = layout.camera_at_robot(SIDEWAYS, description, distance=2.64)
         pictures = [
             rrb.Spatial2DView(origin=layout.VIDEO, name="camera"),
-            rrb.Spatial3DView(
-                origin=layout.EYE,
-                contents=f"{layout.ROBOT}/**",
-                name="robot",
-                background=rrb.Background(color=(226, 231, 237)),
-                line_grid=rrb.LineGrid3D(visible=False),
-                eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
-            ),
+            layout.view_robot(SIDEWAYS, description, distance=2.64),
         ]
         plot = rrb.TimeSeriesView(origin=_LATENCY, name="frame to target [ms]")
         shown = rrb.Blueprint(rrb.Vertical(rrb.Horizontal(*pictures), plot, row_shares=[3, 1]), collapse_panels=True)

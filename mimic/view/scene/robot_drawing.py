@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 
@@ -70,29 +72,15 @@ def _phases(scene: rr.RecordingStream, log: RunLog, clock: FloatArray, frames: F
 
 def rerun_shapes(shapes: Shapes) -> rr.AsComponents:
     """Return the shapes as Rerun components."""
-    xyzw = shapes.quat[:, [1, 2, 3, 0]]
     colours = np.round(255 * shapes.rgba).astype(np.uint8)
-    if shapes.kind == "box":
-        return rr.Boxes3D(
-            centers=shapes.position, half_sizes=shapes.size, quaternions=xyzw, colors=colours, fill_mode="Solid"
-        )
-    if shapes.kind == "ellipsoid":
-        return rr.Ellipsoids3D(
-            centers=shapes.position, half_sizes=shapes.size, quaternions=xyzw, colors=colours, fill_mode="Solid"
-        )
-    radius, length = shapes.size[:, 0], 2 * shapes.size[:, 1]
+    look: dict[str, Any] = {"quaternions": shapes.quat[:, [1, 2, 3, 0]], "colors": colours, "fill_mode": "Solid"}
+    if shapes.kind in ("box", "ellipsoid"):
+        kind = rr.Boxes3D if shapes.kind == "box" else rr.Ellipsoids3D
+        return kind(centers=shapes.position, half_sizes=shapes.size, **look)
+    look |= {"radii": shapes.size[:, 0], "lengths": 2 * shapes.size[:, 1]}
     if shapes.kind == "cylinder":
-        return rr.Cylinders3D(
-            centers=shapes.position, radii=radius, lengths=length, quaternions=xyzw, colors=colours, fill_mode="Solid"
-        )
-    return rr.Capsules3D(
-        translations=capsule_starts(shapes),
-        radii=radius,
-        lengths=length,
-        quaternions=xyzw,
-        colors=colours,
-        fill_mode="Solid",
-    )
+        return rr.Cylinders3D(centers=shapes.position, **look)
+    return rr.Capsules3D(translations=capsule_starts(shapes), **look)
 
 
 def capsule_starts(shapes: Shapes) -> FloatArray:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,12 +58,13 @@ def open_viewer(path: Path) -> bool:
 
 def start_viewer(*arguments: str) -> None:
     """Start a viewer that outlives this process and listens on this computer only."""
-    subprocess.Popen(
-        [sys.executable, "-m", "rerun", *arguments, "--bind", _HERE],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    _rerun(arguments, subprocess.DEVNULL)
+
+
+def _rerun(arguments: Sequence[str], output: Any) -> subprocess.Popen[str]:
+    """Run the viewer's command in a process group of its own; it listens on this computer only."""
+    words = [sys.executable, "-m", "rerun", *arguments, "--bind", _HERE]
+    return subprocess.Popen(words, stdout=output, stderr=subprocess.STDOUT, text=True, start_new_session=True)
 
 
 def serve_scene(path: Path, show: Callable[[str], None]) -> None:
@@ -78,14 +79,8 @@ def serve_scene(path: Path, show: Callable[[str], None]) -> None:
         MimicError: If the server ends by itself.
     """
     _check(path)
-    options = ["--serve-web", "--bind", _HERE, "--port", "auto", "--web-viewer-port", "0"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rerun", str(path), *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    options = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"]
+    process = _rerun([str(path), *options], subprocess.PIPE)
     said = ""
     try:
         assert process.stdout is not None
@@ -138,14 +133,9 @@ def _headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
     with socket.socket() as probe:
         probe.bind((_HERE, 0))
         port = int(probe.getsockname()[1])
-    options = ["--headless", "--hide-welcome-screen", "--bind", _HERE, "--port", str(port)]
+    options = ["--headless", "--hide-welcome-screen", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}"]
     with tempfile.TemporaryFile("w+") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "rerun", *options, "--window-size", f"{size[0]}x{size[1]}"],
-            stdout=output,
-            stderr=output,
-            start_new_session=True,
-        )
+        process = _rerun(options, output)
         try:
             yield _connected(process, f"rerun+http://{_HERE}:{port}/proxy")
         except (OSError, RuntimeError) as error:  # it may also end later, at the first picture

@@ -8,7 +8,7 @@ from mimic.records import PoseTrack, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.footage import read_frames
 from mimic.view.film.offscreen import NoOffscreenGL
-from mimic.view.film.side_by_side import RobotFilm, render_frame, save_video, text_band, write_texts
+from mimic.view.film.side_by_side import RobotFilm, save_video, text_band, write_texts
 from mimic.view.scene.timing import shared_time
 
 HEIGHT, FPS = 64, 10
@@ -18,7 +18,8 @@ HEIGHT, FPS = 64, 10
 def still(log: RunLog, description: RobotDescription) -> np.ndarray:
     """Return a picture of the robot standing, or skip where nothing can be drawn."""
     try:
-        return render_frame(log, description, 60, width=160, height=120)
+        with RobotFilm(log, description, width=160, height=120) as film:
+            return film.picture(60)
     except NoOffscreenGL as error:
         pytest.skip(str(error))
 
@@ -75,7 +76,7 @@ def test_from_behind_the_sides_are_where_they_are_of_a_person_from_behind(
     still: np.ndarray, log: RunLog, description: RobotDescription, pose: PoseTrack
 ) -> None:
     behind = replace(pose, landmarks=pose.landmarks * [-1.0, 1.0, -1.0])
-    with RobotFilm(log, description, width=160, height=120, pose=behind, fine=True) as film:
+    with RobotFilm(log, description, width=160, height=120, pose=behind) as film:
         picture = film.picture(60)
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     x = np.arange(160)[None, :] * np.ones((120, 1))
@@ -113,7 +114,7 @@ def test_error_names_what_was_tried(
     monkeypatch.setattr("mimic.view.film.offscreen._backends", lambda: ["none"])
     monkeypatch.setattr("mimic.view.film.offscreen._context_of", _fails)
     with pytest.raises(NoOffscreenGL, match=r"none: no driver.*apt-get"):
-        render_frame(log, description, 0, width=32, height=32)
+        RobotFilm(log, description, width=32, height=32)
 
 
 def _fails(backend: str, width: int, height: int) -> None:
