@@ -68,6 +68,9 @@ def check_names(settings: CalibrateSettings) -> None:
         effect(name)
 
 
+# All systems are small, and threads of a BLAS that wait for each other on a busy computer made a banded one of 550
+# unknowns take seconds instead of a tenth of a millisecond.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def calibrate(
     log: JointLog | Sequence[JointLog],
     model: MachineModel,
@@ -92,24 +95,7 @@ def calibrate(
             other, or the model has a number that is not fitted so large.
         ConfigError: If the settings name an effect that does not exist.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _calibrated(log, model, settings, progress or (lambda text, replays: None), held_out, names)
-
-
-def _calibrated(
-    log: JointLog | Sequence[JointLog],
-    model: MachineModel,
-    settings: CalibrateSettings,
-    report: Progress,
-    held_out: Sequence[JointLog],
-    names: Sequence[str],
-) -> Calibration:
-    """Return what `calibrate` does.
-
-    Linear algebra runs in one thread. All systems are small, and threads of a BLAS that wait for each other on a busy
-    computer made a banded one of 550 unknowns take seconds instead of a tenth of a millisecond.
-    """
-    began = time.monotonic()
+    report, began = progress or (lambda text, replays: None), time.monotonic()
     check_names(settings)
     logs = [one.of(model.joints) for one in ([log] if isinstance(log, JointLog) else log)]
     others = [one.of(model.joints) for one in held_out]
@@ -160,10 +146,9 @@ def _calibrated(
     unseen: tuple[LogErrors, ...] = ()
     if len(logs) > 1 or others:
         tick("predicting each log")
-    if others:
-        apart = pool(others, model, step_of(others, settings), called[len(logs) :])
-        unseen = errors_of_unseen(problem_of(apart, machine, settings), before.fitted, final.fitted)
-    if len(logs) > 1 or others:
+        if others:
+            apart = pool(others, model, step_of(others, settings), called[len(logs) :])
+            unseen = errors_of_unseen(problem_of(apart, machine, settings), before.fitted, final.fitted)
         done = replace(final.fitted, residual=residual)
         unseen = (*errors_by_log(final.problem, before.fitted, done, final.joints), *unseen)
     problem = final.problem

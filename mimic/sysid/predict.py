@@ -109,11 +109,7 @@ def simulate_log(
         q=q[there],
         q_des=q_des[rows][there],
         tau=tau[there],
-        metadata={
-            **drive_notes(machine),
-            "simulated": True,
-            SENT: AT_ROW,
-        },
+        metadata={**drive_notes(machine), "simulated": True, SENT: AT_ROW},
     )
 
 

@@ -43,10 +43,8 @@ def unexplained_residuals(
         blocks: Block of each reading, -1 where it does not count (T,).
         neighbour: Index of the joint next to each (J,).
     """
-    found = []
-    for j, name in enumerate(joints):
-        found.append(_remainder(name, residual[:, j], _state(j, motion, target, int(neighbour[j])), blocks, motion.t))
-    return tuple(found)
+    states = [_state(j, motion, target, int(n)) for j, n in enumerate(neighbour)]
+    return tuple(_remainder(name, residual[:, j], states[j], blocks, motion.t) for j, name in enumerate(joints))
 
 
 def _state(j: int, motion: PredictedMotion, target: FloatArray, n: int) -> dict[str, FloatArray]:

@@ -64,7 +64,8 @@ def compared(
         problem = corrected(problem, fitted.point)
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
-        problem = corrected(problem.with_torque_noise(unsure), fitted.point)
+        noise = np.concatenate([problem.noise[:joints], np.maximum(problem.noise[joints:], unsure)])
+        problem = corrected(problem.changed(noise=noise), fitted.point)
         fitted = fit(problem, fitted.point, names, where, most=3)
     return settled(problem, fitted, names, where)
 

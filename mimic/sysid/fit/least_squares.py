@@ -85,28 +85,6 @@ def scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> 
     return d * np.linalg.lstsq(hessian * d[:, None] * d[None], gradient * d, rcond=rcond)[0]
 
 
-def linear_step(
-    problem: Problem,
-    point: Point,
-    residual: FloatArray,
-    columns: Sequence[FloatArray],
-    free_parameters: Sequence[FreeParameter],
-    damping: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return a step of the free parameters (P,), and the residual (T, C) that it would leave were the model linear."""
-    step = solve(
-        problem.sums(residual, columns, free_parameters),
-        problem.blocks.train,
-        free_parameters,
-        point.read(free_parameters),
-        damping,
-    )
-    left = residual.copy()
-    for size, column in zip(step, columns, strict=True):
-        left -= np.float32(size) * column
-    return step, left
-
-
 Asking: TypeAlias = Generator[Sequence[Point], FloatArray, "Fit"]
 """Yields points, is sent their whitened residuals (N, T, C), returns the fit."""
 
@@ -191,16 +169,14 @@ def fitting(
         tried = [solve(sums, problem.blocks.train, free_parameters, at, damping) for damping in DAMPINGS]
         trials = [point.moved(free_parameters, step) for step in tried]
         steps, replayed = [np.zeros(len(free_parameters)), *tried], [residual, *(yield trials)]
-        costs = [
-            best,
-            *(chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, replayed[1:], strict=True)),
-        ]
-        if (
-            mixed := best_of_chains(problem, free_parameters, steps, costs)
-        ) is not None:  # no one step suits all chains
+        costs = [best]
+        costs += [chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, replayed[1:], strict=True)]
+        mixed = best_of_chains(problem, free_parameters, steps, costs)
+        if mixed is not None:  # no one step suits all chains
+            trial = point.moved(free_parameters, mixed)
             steps.append(mixed)
-            replayed.append((yield [point.moved(free_parameters, mixed)])[0])
-            costs.append(chain_costs(problem, point.moved(free_parameters, mixed), replayed[-1], free_parameters))
+            replayed.append((yield [trial])[0])
+            costs.append(chain_costs(problem, trial, replayed[-1], free_parameters))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
         if winner and i + 1 < most:
             stacked = _by_secant(problem, free_parameters, stacked, steps[winner], residual - replayed[winner])
@@ -390,13 +366,8 @@ def deviations(fitted: Fit, problem: Problem, moves: FloatArray) -> FloatArray:
     if count < 2 or not fitted.free_parameters:
         return np.full(len(fitted.free_parameters), np.inf)
     jackknife = np.sqrt((count - 1) / count * ((moves - moves.mean(0)) ** 2).sum(0))
-    return np.maximum(jackknife, of_white_noise(fitted, problem))
-
-
-def of_white_noise(fitted: Fit, problem: Problem) -> FloatArray:
-    """Return the standard deviation of each free parameter (P,) for a white residual."""
-    hessian = _information(fitted, problem)
-    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(hessian)), 0.0))
+    white = np.sqrt(np.maximum(np.diag(np.linalg.pinv(_information(fitted, problem))), 0.0))
+    return np.maximum(jackknife, white)
 
 
 def correlations(fitted: Fit, problem: Problem) -> Correlations | None:

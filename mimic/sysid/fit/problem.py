@@ -3,8 +3,6 @@ over blocks.
 
 While the base is held, the legs (chains) do not influence each other. So the same parameter of all first joints is
 changed in one replay, and the column of each leg is read from that leg's own joints.
-
-Longer than 350 lines: one class, whose methods share the replays that it remembers.
 """
 
 from __future__ import annotations
@@ -346,12 +344,6 @@ class Problem:
         share = chains.min() / chains
         weight = np.where(share > EQUAL, 1.0, np.maximum(share, LEAST_WEIGHT))
         return self.changed(weight=weight) if np.any(np.abs(np.log(weight / self.weight)) > np.log(1.5)) else self
-
-    def with_torque_noise(self, least: FloatArray) -> Problem:
-        """Return the problem with a noise floor of the torque channels of no less than this (J,)."""
-        return self.changed(
-            noise=np.concatenate([self.noise[: self.joints], np.maximum(self.noise[self.joints :], least)])
-        )
 
     # ------------------------------------------------------------------ derivatives
 

@@ -2,8 +2,6 @@
 
 The log is cut into segments that run side by side, each from its measured position after a time of settling: a joint
 under a position servo forgets its start in that time. So one replay of a long log is many short ones in one batch.
-
-Longer than 350 lines: one class, whose methods share the segments.
 """
 
 from __future__ import annotations
@@ -90,15 +88,6 @@ class Targets:
     """In effect at the end of each step (..., steps, J)."""
     begun: Any
     """Share of each step after which that one came in effect; 0 where it was there from the start (..., steps)."""
-
-    @staticmethod
-    def stacked(several: Sequence[Targets]) -> Targets:
-        """Return several as one (V, ...)."""
-        return Targets(held=np.stack([t.held for t in several]), begun=np.stack([t.begun for t in several]))
-
-    def some(self, rows: slice) -> Targets:
-        """Return some of several."""
-        return Targets(held=self.held[rows], begun=self.begun[rows])
 
 
 def on_grid(arrival: FloatArray, values: FloatArray, step: float, steps: int) -> Targets:
@@ -371,7 +360,8 @@ class Replay:
             values: dict[tuple[str, str], FloatArray] = {
                 k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
             }
-            made.append(self._run(values, self._grid if targets is None else targets.some(rows)))
+            own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
+            made.append(self._run(values, own))
         self.replays += count
         torque = np.concatenate([p.torque_residual for p in made]) if self.torque else None  # type: ignore[misc]
         return Prediction(residual=np.concatenate([p.residual for p in made]), torque_residual=torque)

@@ -11,13 +11,7 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, UNITS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.noise import (
-    Following,
-    following,
-    noise_floor,
-    reversals,
-    speed,
-)
+from mimic.sysid.log.noise import Following, following, noise_floor, reversals, speed
 from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
 
 GAP = 1.5
@@ -319,17 +313,8 @@ def check_log(
     if target is not None and log.force is not None:
         asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
     moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
-    warnings += [
-        *stuck(log),
-        *excitation(log, moves, noise, unit),
-        *beyond(log, limits),
-        *full(log, torque),
-    ]
-    return LogCheck(
-        log=log,
-        noise=noise,
-        warnings=tuple(warnings),
-    )
+    warnings += [*stuck(log), *excitation(log, moves, noise, unit), *beyond(log, limits), *full(log, torque)]
+    return LogCheck(log=log, noise=noise, warnings=tuple(warnings))
 
 
 def targets_match_log(log: JointLog) -> tuple[bool, str]:

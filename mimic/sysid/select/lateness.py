@@ -194,7 +194,9 @@ def _responses(problem: Problem, fitted: Fit, near: bool) -> FloatArray | None:
     own = replay.late if near and replay.late is not None else np.zeros(len(replay.sent))
     lates = [own, *(own + share * period * (np.arange(len(own)) % offsets == k) for k in range(offsets))]
     points = stack([fitted.point] * len(lates), problem.machine)
-    made = replay.run(points, len(lates), Targets.stacked([replay.delayed(x) for x in lates]))
+    each = [replay.delayed(x) for x in lates]
+    targets = Targets(held=np.stack([t.held for t in each]), begun=np.stack([t.begun for t in each]))
+    made = replay.run(points, len(lates), targets)
     both = made.residual
     if problem.channels > problem.joints and made.torque_residual is not None:
         both = np.concatenate([both, made.torque_residual], -1)

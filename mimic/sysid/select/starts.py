@@ -14,7 +14,7 @@ import numpy as np
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Fit, linear_step
+from mimic.sysid.fit.least_squares import Fit, solve
 from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.torque.columns import best_order
 
@@ -106,7 +106,11 @@ def starting_points(
 
 def _refitted(problem: Problem, incumbent: Fit, residual: FloatArray) -> FloatArray:
     """Return the sum of squares of each channel (C,) after one linear step of the incumbent's numbers."""
-    _, left = linear_step(problem, incumbent.point, residual, incumbent.columns, incumbent.free_parameters, 0.0)
+    free, left = incumbent.free_parameters, residual.copy()
+    sums = problem.sums(residual, incumbent.columns, free)
+    step = solve(sums, problem.blocks.train, free, incumbent.point.read(free), 0.0)
+    for size, column in zip(step, incumbent.columns, strict=True):
+        left -= np.float32(size) * column
     return min((_channel_squares(problem, r) for r in (left, residual)), key=np.sum)
 
 

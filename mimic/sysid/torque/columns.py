@@ -123,7 +123,8 @@ def motion_of(
     most, flat, speed = (np.asarray(getattr(machine.drives, name)) for name in ("torque", "flat", "speed"))
     slope_down = most / (speed - flat)
     low, high = (-np.clip((speed + dq) * slope_down, 0.0, most), np.clip((speed - dq) * slope_down, 0.0, most))
-    stall = np.inf if machine.drives.volts is None else stall_torque(machine)
+    drives = machine.drives
+    stall = np.inf if drives.volts is None else np.asarray(drives.volts * drives.kt / drives.resistance)  # at full duty
     on = (_held(t, log.t - t0, enabled(log).astype(float)) > 0.5).astype(float)
     seen = np.ones((len(t), 1), dtype=bool)
     if rows is not None:
@@ -146,7 +147,8 @@ def motion_of(
     noise = noise_floor(log.q, rate)
     slow = 2.0 * noise * 2 * np.pi * cut_off * np.sqrt(2 * cut_off / rate)
     slow = np.maximum(slow, 0.01 * np.sqrt(np.mean(dq**2, axis=0)) + 1e-9)
-    motion = Motion(
+    links = Links(machine)
+    return Motion(
         t=t,
         q=q,
         dq=dq,
@@ -155,24 +157,14 @@ def motion_of(
         tau=tau,
         later=later,
         on=on,
-        need=np.zeros_like(q),
-        bias=np.zeros_like(q),
+        need=links.torque(q, dq, ddq),
+        bias=links.torque(q, dq, np.zeros_like(q)),
         moving=(_low_pass((np.abs(dq) > slow).astype(float), cut_off, rate) > 0.9) & seen,
         slow=slow,
         cut_off=cut_off,
         every=max(1, round(rate / (2.5 * cut_off))),
         machine=machine,
     )
-    links = Links(machine)
-    object.__setattr__(motion, "need", links.torque(q, dq, ddq))
-    object.__setattr__(motion, "bias", links.torque(q, dq, np.zeros_like(q)))
-    return motion
-
-
-def stall_torque(machine: MachineModel) -> FloatArray:
-    """Return the torque of voltage drives at rest with full duty (J,) [N m]."""
-    d = machine.drives
-    return np.asarray(d.volts * d.kt / d.resistance)
 
 
 def _full_duty(log: JointLog, machine: MachineModel, t: FloatArray) -> FloatArray | None:

@@ -221,8 +221,7 @@ class Regression:
         """Return the rows of a chain (R, K), whitened and scaled, and the prior precision of each coefficient."""
         key = (id(column), chain)
         if key not in self._kept:
-            mates, at = self._mates[chain], self._of_chain[chain]
-            mine = np.isin(column.joint, mates) | (column.joint < 0)
+            at, mine = self._of_chain[chain], self._mine(column, chain)
             x = np.concatenate([p[k] for p, k in zip(column.parts, self.rows.keep, strict=True)])[at][:, mine]
             x = x / self.spread[self.rows.joint[at], None]
             prior = np.full(x.shape[1], 1.0 / column.spread**2)
