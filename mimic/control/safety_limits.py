@@ -67,10 +67,6 @@ class Limits(SafetyNumbers):
     """From a question to its answer, median of half a second, that is announced [s]; a quiet bus takes 1 to 5 ms."""
     slowest_answers: float = 0.06
     """… at which it sits down [s]: 30 ms each way, with which 8 of 8 robots still stood; with 40 ms it were 7."""
-    low_voltage: float = 21.0
-    """Supply, median of five seconds, that is announced [V]: 3.5 V a cell of a pack of six; a choice."""
-    lowest_voltage: float = 19.0
-    """… at which it sits down [V]: 3.2 V a cell. The motors switch off at 16."""
     foreign_storm: int = 12
     """Commands of another program within a tenth of a second: as many as the robot has motors. Sitting down needs
     motors that follow one program."""

@@ -177,6 +177,10 @@ class SafetyNumbers:
     """Motor temperature that is announced [degC]."""
     temperature: float
     """… at which the robot sits down [degC]."""
+    low_voltage: float
+    """Supply, median of five seconds, that is announced [V]."""
+    lowest_voltage: float
+    """… at which the robot sits down [V]."""
     jump: float
     """Change of a joint between two ticks that no motor can make [rad]."""
     turn_mismatch: float
