@@ -43,14 +43,7 @@ def export_network(network: Any, contract: PolicyContract, description: RobotDes
 
 
 def write_policy(graph: Any, contract: PolicyContract, description: RobotDescription, path: Path) -> None:
-    """Write an ONNX policy with its contract and its reference; no half-written file is left.
-
-    Args:
-        graph: An onnx.ModelProto.
-        contract: What it promises.
-        description: The robot that it is for.
-        path: Where it goes.
-    """
+    """Write an onnx.ModelProto with its contract and its reference for a robot; no half-written file is left."""
     with written_whole(path) as part:
         onnx.helper.set_model_props(graph, {METADATA_KEY: contract.to_json()})
         onnx.checker.check_model(graph)

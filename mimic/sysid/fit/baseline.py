@@ -26,14 +26,12 @@ def corrected(problem: Problem, point: Point) -> Problem:
     return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
 
 
-def settled(
-    problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray], passes: int = 2
-) -> tuple[Problem, Fit]:
+def settled(problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray]) -> tuple[Problem, Fit]:
     """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it.
 
     Once more where numbers moved further than their derivatives were taken over.
     """
-    for _ in range(passes):
+    for _ in range(2):
         problem = corrected(problem, fitted.point)
         after = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
         size = np.array([k.step for k in after.free_parameters])

@@ -38,10 +38,10 @@ ON_EDGE = 1e-6
 """Share of a step within which a target begins to act at its edge."""
 
 
-def physics_step(rate: float, longest: float = LONGEST_STEP) -> float:
-    """Return the longest step up to ``longest`` [s] that divides the time between readings at ``rate`` [Hz]."""
+def physics_step(rate: float) -> float:
+    """Return the longest step up to LONGEST_STEP [s] that divides the time between readings at ``rate`` [Hz]."""
     between = 1.0 / rate
-    return between / max(1, int(np.ceil(between / longest - 1e-6)))
+    return between / max(1, int(np.ceil(between / LONGEST_STEP - 1e-6)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -59,12 +59,10 @@ class Blocks:
 def make_blocks(
     t: FloatArray,
     counts: BoolArray,
-    seconds: float = 1.0,
-    every: int = 4,
     logs: Sequence[slice] = (),
     enabled: BoolArray | None = None,
 ) -> Blocks:
-    """Cut time into blocks and hold every fourth of each log out, whatever logs are before it.
+    """Cut time into blocks of a second and hold every fourth of each log out, whatever logs are before it.
 
     Where a drive is switched in that one, the next is held out: a joint that is let go moves as in no other block, so
     that nothing fitted to the others says how.
@@ -72,14 +70,12 @@ def make_blocks(
     Args:
         t: Time of each reading (T,) [s].
         counts: Readings that count (T,).
-        seconds: Length of a block [s].
-        every: One block in this many is held out.
         logs: Rows of each log, of several.
         enabled: Where drives were switched on (T, J); always by default.
     """
     logs = logs or [slice(0, len(t))]
     total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
-    seconds = seconds if total > SHORT else min(seconds, total / LEAST_BLOCKS)
+    seconds = 1.0 if total > SHORT else min(1.0, total / LEAST_BLOCKS)
     index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
     for rows in logs:
         own = np.floor((t[rows] - t[rows][0]) / seconds).astype(int)
@@ -92,7 +88,7 @@ def make_blocks(
         rest = np.ones(last + 1, dtype=bool)
         if enabled is not None:
             rest[own[1:][np.any(np.diff(enabled[rows], axis=0), axis=1)]] = False
-        held = [np.flatnonzero(rest[b : b + every])[:1] + b for b in range(every // 2, last + 1, every)]
+        held = [np.flatnonzero(rest[b : b + 4])[:1] + b for b in range(2, last + 1, 4)]
         held_out.append(np.isin(np.arange(last + 1), np.concatenate([[-1], *held])))
         switched.append(~rest)
     return Blocks(
