@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from mimic.emulator.board_base import TICK, NetworkBoard
 from mimic.hardware.stock.messages import MOTOR_CTRL
@@ -11,7 +12,7 @@ from mimic.hardware.stock.messages import MOTOR_CTRL
 class EmulatedBoardBus:
     """Two LCM ports without a network: listening advances the board."""
 
-    def __init__(self, board: NetworkBoard) -> None:
+    def __init__(self, board: NetworkBoard[Any]) -> None:
         """Connect to a board; nothing else may advance it."""
         self.board = board
         self.heard: Callable[[str, bytes, float], None] = lambda channel, data, t: None
