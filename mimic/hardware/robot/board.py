@@ -4,17 +4,17 @@ listens, and a second check before anything moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from mimic.control.safety_limits import limits_for
-from mimic.errors import PlantError
+from mimic.errors import FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import NEVER, CheckOptions, no_report
-from mimic.records import JOINTS, FloatArray
+from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
+from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
 PERIOD = 0.002
@@ -128,7 +128,7 @@ class BoardReadings:
 
 
 class BoardDriver:
-    """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `drive`, `damp` and `end` are its own."""
+    """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `_send` and `end` are its own."""
 
     period, repeats = PERIOD, True
     name: str
@@ -164,6 +164,7 @@ class BoardDriver:
         self.bus, self.network, self.problem = bus, network, ""
         bus.heard = self.heard
         self._description, self._limits = description, limits_for(description)
+        self._joints = wiring
         self._kd = min(description.kd_max, wiring.kd_max)
         self.readings, self._foreign = readings, NEVER
 
@@ -195,6 +196,34 @@ class BoardDriver:
     def close(self) -> None:
         """Let go of the network."""
         self.bus.close()
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command; a message holds those of all joints.
+
+        Raises:
+            FrameError: If it is not finite.
+        """
+        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
+            raise FrameError("a command holds numbers that are not finite")
+        wiring, report = self._joints, self.report
+        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        q, dq, tau = self._followed(command, kp, kd)
+        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
+        self._send(q, dq, kp, kd, tau)
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = command.q_des, kp, kd
+
+    def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
+        """Return desired angles, velocities and torques (12,) that the board follows as the command means it."""
+        return command.q_des, command.dq_des, command.tau_ff
+
+    def damp(self) -> None:
+        """Send damping."""
+        q, zero = self.report["q"], np.zeros(len(JOINTS))
+        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
+
+    def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
+        """Send a message with these values of all joints (12,)."""
+        raise NotImplementedError
 
     def _await(self, reached: Callable[[], bool], timeout: float, send: Callable[[], None], problem: str) -> None:
         """Send messages until something is reached.
