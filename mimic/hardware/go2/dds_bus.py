@@ -146,9 +146,6 @@ def _domain(domain: int, interface: str) -> Any:
 class DdsBus:
     """The topics of a Go2: publishes, and hands every message on with the time at which it was read."""
 
-    echoes = False
-    """Whether own messages come back."""
-
     def __init__(
         self,
         wiring: Go2Wiring,

@@ -49,6 +49,8 @@ WORDS = 65535
 """Steps in the range of a quantity."""
 _ROUNDING = 1e-6
 """Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
+_FAULT_ORDER: Literal["little"] = "little"
+"""Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
 
@@ -114,8 +116,6 @@ class Codec:
     """Positions reach from minus this to plus this [rad]."""
     host: int = DEFAULT_HOST
     """Id of this computer; shows which frames of type 17 are answers."""
-    fault_order: Literal["little", "big"] = "little"
-    """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 
     def __post_init__(self) -> None:
         if not 1.0 < self.position_range < 100.0:
@@ -181,7 +181,7 @@ class Codec:
                 return _frame(Kind.READ, said.motor, host, _parameter_bytes(said.index, said.value))
             case FaultReport():
                 words = (said.faults, said.warnings)
-                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, self.fault_order) for w in words))
+                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, _FAULT_ORDER) for w in words))
 
     def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:
         """Return the message of a frame, of either direction.
@@ -234,7 +234,7 @@ class Codec:
         elif kind is Kind.DEVICE_ID and host == BROADCAST:
             said = Identity(motor=motor, uid=int.from_bytes(data, "little"))
         elif kind is Kind.FAULT:
-            faults, warnings = (int.from_bytes(part, self.fault_order) for part in (data[:4], data[4:]))
+            faults, warnings = (int.from_bytes(part, _FAULT_ORDER) for part in (data[:4], data[4:]))
             said = FaultReport(motor=motor, faults=faults, warnings=warnings)
         else:
             raise UnknownFrame(
