@@ -210,6 +210,3 @@ class EmulatedBoard(NetworkBoard[BoardWiring]):
             contactEstimate=(0.5, 0.5, 0.5, 0.5),
             timestamp=stamp,
         )
-
-
-assert len(_BODY) == len(JOINTS)

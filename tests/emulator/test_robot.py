@@ -209,7 +209,7 @@ def test_motors_of_the_other_position_range_can_be_found_out(description):
     made.listen(0.1)
     q = made.ask(HostMessage(Kind.STOP, 3)).q
     assert abs(q) > 9.0
-    assert made.codec.check_range(q, made.read(KNEE, MECH_POS)) == 12.5
+    assert wiring.motors().check_range(q, made.read(KNEE, MECH_POS)) == 12.5
 
 
 # ---------------------------------------------------------------------- moving

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
-from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings, Bus
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import CheckOptions, DriverSettings
 from mimic.records import JOINTS, FloatArray
@@ -72,18 +72,6 @@ NOT_DRIVEN = "it was sent no command"
 """How a robot is left whose start failed before the first message."""
 
 
-class Go2Bus(Bus, Protocol):
-    """The network of a Go2, or of an emulated one."""
-
-    def ready(self, topic: str) -> bool:
-        """Return whether somebody hears what is published on a topic."""
-        ...
-
-    def others(self) -> list[str]:
-        """Return who else may write commands."""
-        ...
-
-
 class Go2Driver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
@@ -91,7 +79,7 @@ class Go2Driver(BoardDriver):
 
     def __init__(
         self,
-        bus: Go2Bus,
+        bus: DdsBus,
         wiring: Go2Wiring,
         description: RobotDescription,
         *,

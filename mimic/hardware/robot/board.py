@@ -4,8 +4,10 @@ listens, and a second check before anything moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -45,16 +47,21 @@ LISTEN = 1.5
 LOWEST_RATE = 30.0
 """Orientations a second that a robot sends at least [Hz]: 50 before the first command, 500 afterwards."""
 
+FLOOD = 0.02
+"""A flood of messages must not stop the sending for longer than this [s]."""
 
-class Bus(Protocol):
-    """The network of a board, or of an emulated one."""
+
+class Bus:
+    """The network of a board: hands every message on with the time at which it was read."""
 
     heard: Callable[[str, bytes, float], None]
     """Called with channel or topic, bytes and time [s] of each message."""
+    _sources: Mapping[int, Callable[[], object]]
+    """Descriptor -> what hands on the messages that came there."""
 
     def now(self) -> float:
-        """Return the time of the messages [s]."""
-        ...
+        """Return the time of the messages [s]: the monotonic clock."""
+        return time.monotonic()
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a message.
@@ -62,15 +69,23 @@ class Bus(Protocol):
         Raises:
             OSError: If the network does not take it.
         """
-        ...
+        raise NotImplementedError
 
     def listen(self, until: float, wake: int | None = None) -> None:
         """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
-        ...
+        files = [*self._sources, *([] if wake is None else [wake])]
+        while True:
+            left = until - self.now()
+            ready, _, _ = select.select(files, [], [], max(left, 0.0))
+            for file in ready:
+                if file in self._sources:
+                    self._sources[file]()
+            if wake in ready or (left <= 0.0 and not ready) or left < -FLOOD:
+                return
 
     def close(self) -> None:
         """Let go of the network."""
-        ...
+        raise NotImplementedError
 
 
 class BoardReadings:
