@@ -34,8 +34,6 @@ class Limits(SafetyNumbers):
     """Readings in a row of one joint that are equal to the last bit, …"""
     frozen_targets: float = 0.05
     """… while its target moved by this [rad]. Healthy at most 0.013 over so many readings."""
-    overspeed: float = 25.0
-    """Velocity of a joint in two readings in a row [rad/s]; healthy at most 17, and no motor drives faster than 31."""
     off_target: float = 0.8
     """Distance of a joint from its target [rad] …"""
     off_target_ticks: int = 25
@@ -67,10 +65,6 @@ class Limits(SafetyNumbers):
     """From a question to its answer, median of half a second, that is announced [s]; a quiet bus takes 1 to 5 ms."""
     slowest_answers: float = 0.06
     """… at which it sits down [s]: 30 ms each way, with which 8 of 8 robots still stood; with 40 ms it were 7."""
-    low_voltage: float = 21.0
-    """Supply, median of five seconds, that is announced [V]: 3.5 V a cell of a pack of six; a choice."""
-    lowest_voltage: float = 19.0
-    """… at which it sits down [V]: 3.2 V a cell. The motors switch off at 16."""
     foreign_storm: int = 12
     """Commands of another program within a tenth of a second: as many as the robot has motors. Sitting down needs
     motors that follow one program."""

@@ -177,8 +177,14 @@ class SafetyNumbers:
     """Motor temperature that is announced [degC]."""
     temperature: float
     """… at which the robot sits down [degC]."""
+    low_voltage: float
+    """Supply, median of five seconds, that is announced [V]."""
+    lowest_voltage: float
+    """… at which the robot sits down [V]."""
     jump: float
     """Change of a joint between two ticks that no motor can make [rad]."""
+    overspeed: float
+    """Velocity of a joint in two readings in a row that no motor drives [rad/s]."""
     turn_mismatch: float
     """Difference between turn of the orientation and rate of turn, per tick, that no motion makes [rad]."""
     toes_apart: float

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from hashlib import sha256
 
@@ -76,12 +78,16 @@ def test_the_recipe_of_sitting_down_has_another_task_and_other_numbers():
     assert mdp.randomisation.push == (0.0, 0.9)
 
 
-def test_the_recipe_of_the_go2_and_the_settings_beside_its_policy_are_those_of_its_training():
-    mdp, learn = training_settings("go2_stand_track")
-    stored = shipped("policies", "go2_stand_track.settings.json").read_text(encoding="utf-8")
-    taken_up = replace(learn, reaching=0.0)  # as in every training that goes on from a policy
+@pytest.mark.parametrize("task", ["stand_track", "sit_down"])
+def test_the_last_command_on_a_card_of_the_go2_has_the_settings_of_its_training(task):
+    card = shipped("policies", f"go2_{task}.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^    (mimic train .*)", card.replace("\\\n", ""), re.MULTILINE)
+    command = shlex.split(commands[-1])
+    mdp, learn = training_settings(command[command.index("--recipe") + 1], command[command.index("--set") + 1 :])
+    taken_up = replace(learn, reaching=0.0, mirror=learn.mirror if task == "stand_track" else 0.0)  # as train does
+    stored = shipped("policies", f"go2_{task}.settings.json").read_text(encoding="utf-8")
     assert json.loads(json.dumps({"mdp": plain(mdp), "learn": plain(taken_up)})) == json.loads(stored)
-    policy = load_policy(shipped("policies", "go2_stand_track.onnx"), load_description("go2"))
+    policy = load_policy(None, load_description("go2"), task=task)
     assert policy.contract.training == sha256(stored.encode()).hexdigest()
 
 
