@@ -188,10 +188,11 @@ def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
 
 
 def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
+    name = options.board or DEFAULT_ROBOT
     made, wiring, open_bus = _network(options)
     faults = _faults(options, made.kinds)
     board = made(
-        load_robot(options.board if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
+        load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
         wiring,
         settings,
         effects=_effects(effects, settings, reporter),
@@ -199,7 +200,7 @@ def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSet
         timestep=TICK if effects.effects is None else effects.timestep,
         visuals=options.view,
     )
-    address = f"{options.board} (on this computer: add --interface lo)"
+    address = f"{name} (on this computer: add --interface lo)"
     return board, faults, lambda: BoardServer(board, open_bus(), address)
 
 
