@@ -111,12 +111,6 @@ class EffectSet:
     def __len__(self) -> int:
         return len(self.effects)
 
-    def replaced(self, effect: EffectValues) -> EffectSet:
-        """Return the set with this effect in place of the one of its name, or at the end."""
-        if effect.name not in [e.name for e in self.effects]:
-            return EffectSet((*self.effects, effect))
-        return EffectSet(tuple(effect if e.name == effect.name else e for e in self.effects))
-
 
 def read_effects(path: Path) -> EffectSet:
     """Read an effects.toml.
