@@ -18,7 +18,8 @@ import numpy as np
 from mimic.config.play import NOMINAL, Randomisation, RunSettings
 from mimic.control.damping import damping_command
 from mimic.control.loop import run_policy
-from mimic.evaluation.sit_down import SitDownEpisode, final_pose, lies, play_policy_switch
+from mimic.evaluation.episode import Job
+from mimic.evaluation.sit_down import final_pose, lies, play_policy_switch
 from mimic.geometry import rotation_from_quat
 from mimic.io.assets import shipped
 from mimic.jobs.local import run_all
@@ -59,7 +60,7 @@ def longest_repeat(quat: np.ndarray, omega: np.ndarray) -> int:
 
 def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
     description = load_description("cyberdog2")
-    job = SitDownEpisode(seed=seed, seconds=10.0, ranges=Randomisation())
+    job = Job(seed=seed, seconds=10.0, ranges=Randomisation())
     result, _ = play_policy_switch(job, cached_policy(tracker, "cyberdog2"), cached_policy(sit_down, "cyberdog2"))
     if result.fell_at is not None or not lies(final_pose(result.log, description)):
         return None
