@@ -1,6 +1,6 @@
 """Extremes of healthy robots: the measurements behind [safety] in robot.toml.
 
-python -m lab.policies.safety_envelope [episodes]
+python -m lab.policies.safety_envelope [episodes [robot]]
 
 Robots of the paper's Table II stand up, follow random commands, and sit down, in plain MuJoCo. The IMU is read as an
 MTi gives it: quaternion in steps of 1/32767, rate of turn in steps of 2^-9 rad/s. Episodes in which the robot was about
@@ -15,16 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from mimic.config.play import NOMINAL, Randomisation, RunSettings
+from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
 from mimic.control.damping import damping_command
 from mimic.control.loop import run_policy
 from mimic.evaluation.episode import Job
 from mimic.evaluation.sit_down import final_pose, lies, play_policy_switch
 from mimic.geometry import rotation_from_quat
-from mimic.io.assets import shipped
 from mimic.jobs.local import run_all
 from mimic.metrics import uprightness
-from mimic.policy.runtime import cached_policy
+from mimic.policy.runtime import cached_policy, find_policy
 from mimic.records import PHASES, CommandTrack, RunLog
 from mimic.robot.description import load_description
 from mimic.robot.leg_kinematics import all_toes
@@ -58,10 +57,11 @@ def longest_repeat(quat: np.ndarray, omega: np.ndarray) -> int:
     return longest
 
 
-def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
-    description = load_description("cyberdog2")
-    job = Job(seed=seed, seconds=10.0, ranges=Randomisation())
-    result, _ = play_policy_switch(job, cached_policy(tracker, "cyberdog2"), cached_policy(sit_down, "cyberdog2"))
+def figures(seed: int, robot: str, tracker: str, sit_down: str) -> dict[str, Any] | None:
+    description = load_description(robot)
+    settings = EffectsSettings(robot_model=robot)
+    job = Job(seed=seed, seconds=10.0, ranges=Randomisation(), robot=settings)
+    result, _ = play_policy_switch(job, cached_policy(tracker, robot), cached_policy(sit_down, robot))
     if result.fell_at is not None or not lies(final_pose(result.log, description)):
         return None
     log = result.log
@@ -96,7 +96,7 @@ def figures(seed: int, tracker: str, sit_down: str) -> dict[str, Any] | None:
 
 def seconds_to_rest(description, tracker: str) -> float:
     """Return how long an upright robot that is only damped takes to come to rest."""
-    policy = cached_policy(tracker, "cyberdog2")
+    policy = cached_policy(tracker, description.name)
     neutral = np.array(policy.contract.neutral_toes).reshape(1, 2, 3)
     plant = SimulatedPlant(description, ranges=NOMINAL)
     track = CommandTrack(t=np.zeros(1), v=np.zeros((1, 2)), heading=np.zeros(1), p_BE=neutral)
@@ -111,8 +111,9 @@ def seconds_to_rest(description, tracker: str) -> float:
 
 def main() -> None:
     episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    tracker, sit_down = (str(shipped("policies", f"{n}.onnx")) for n in ("stand_track", "sit_down"))
-    rows = run_all(partial(figures, tracker=tracker, sit_down=sit_down), range(1, episodes + 1), workers=1)
+    robot = sys.argv[2] if len(sys.argv) > 2 else "cyberdog2"
+    tracker, sit_down = (str(find_policy(name, robot)) for name in ("stand_track", "sit_down"))
+    rows = run_all(partial(figures, robot=robot, tracker=tracker, sit_down=sit_down), range(1, episodes + 1), workers=1)
     kept = [r for r in rows if r is not None]
     print(f"{len(kept)} of {episodes} episodes count")
     for phase in ("stand_up", "upright", "sit_down"):
@@ -120,7 +121,7 @@ def main() -> None:
         for name in kept[0][phase]:
             values = np.array([r[phase][name] for r in kept])
             print(f"  {name:22s} min {values.min():8.4f}  median {np.median(values):8.4f}  max {values.max():8.4f}")
-    print(f"damped upright robot at rest after {seconds_to_rest(load_description('cyberdog2'), tracker):.2f} s")
+    print(f"damped upright robot at rest after {seconds_to_rest(load_description(robot), tracker):.2f} s")
 
 
 if __name__ == "__main__":

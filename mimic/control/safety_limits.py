@@ -34,8 +34,6 @@ class Limits(SafetyNumbers):
     """Readings in a row of one joint that are equal to the last bit, …"""
     frozen_targets: float = 0.05
     """… while its target moved by this [rad]. Healthy at most 0.013 over so many readings."""
-    overspeed: float = 25.0
-    """Velocity of a joint in two readings in a row [rad/s]; healthy at most 17, and no motor drives faster than 31."""
     off_target: float = 0.8
     """Distance of a joint from its target [rad] …"""
     off_target_ticks: int = 25

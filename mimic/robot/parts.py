@@ -183,6 +183,8 @@ class SafetyNumbers:
     """… at which the robot sits down [V]."""
     jump: float
     """Change of a joint between two ticks that no motor can make [rad]."""
+    overspeed: float
+    """Velocity of a joint in two readings in a row that no motor drives [rad/s]."""
     turn_mismatch: float
     """Difference between turn of the orientation and rate of turn, per tick, that no motion makes [rad]."""
     toes_apart: float

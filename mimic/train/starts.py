@@ -122,7 +122,13 @@ def recorded_states(file: str | Path) -> dict[str, np.ndarray]:
     Raises:
         AssetError: If there is no such file, or it holds something else.
     """
-    path = Path(file) if Path(file).is_file() else shipped("policies", str(file))
+    try:
+        path = Path(file) if Path(file).is_file() else shipped("policies", str(file))
+    except AssetError as reason:
+        raise AssetError(
+            f"there is no {file}, neither here nor in policies/; python -m lab.policies.handover_states POLICY "
+            f"--robot ROBOT --write {file} records it from a policy that stands"
+        ) from reason
     with np.load(path) as stored:
         kinds = {kind: stored[kind].astype(np.float32) for kind in KINDS if kind in stored}
     if set(kinds) != set(KINDS) or any(
