@@ -13,6 +13,7 @@ level = [[0.19, 0.23], [0.17, 0.21]]
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -181,8 +182,6 @@ def write_effects(effects: EffectSet, path: Path, comment: Iterable[str] = ()) -
 
 
 def _text(value: str) -> str:
-    import json
-
     return json.dumps(value)  # a JSON string is a TOML basic string
 
 
