@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from mimic.config.evaluation import CalmSettings
-from mimic.config.play import NO_DISTURBANCE, Disturbance, Solver
+from mimic.config.play import Disturbance, Solver
 from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.evaluation.policy import standing_track, stands_at_end
 from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
@@ -156,23 +156,21 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
 
 
 def _jobs(s: CalmSettings) -> Iterator[_Job]:
-    def job(
-        kind: str, what: str, seed: int, seconds: float, disturbance: Disturbance, push: float = 0.0, **more: Any
-    ) -> _Job:
+    def job(kind: str, what: str, seed: int, seconds: float, *, push: float = 0.0, **more: Any) -> _Job:
         ranges = replace(s.randomisation, push=(push, push), push_interval=PUSHED_AT)
-        sided = replace(disturbance, toe=SIDES[seed % 2])
-        given = {"seed": seed, "seconds": seconds, "ranges": ranges, "robot": s.robot, "disturbance": sided, **more}
-        return _Job(kind=kind, what=what, **given)
+        made = _Job(kind=kind, what=what, seed=seed, seconds=seconds, ranges=ranges, robot=s.robot, **more)
+        return replace(made, disturbance=replace(made.disturbance, toe=SIDES[seed % 2]))
 
     for what, differs in STANDING.items():
         for seed in range(s.seed, s.seed + s.episodes):
-            yield job("standing", what, seed, s.seconds, **{"disturbance": NO_DISTURBANCE, **differs})
+            yield job("standing", what, seed, s.seconds, **differs)
     for seed in range(s.seed, s.seed + s.pushed_episodes):
         for push, way in product(s.pushes, PUSH_WAYS):
-            yield job("pushed", f"{push:g} m/s {way}", seed, 2 * PUSHED_AT - 0.5, Disturbance(push_way=way), push)
+            pushed, seconds = Disturbance(push_way=way), 2 * PUSHED_AT - 0.5
+            yield job("pushed", f"{push:g} m/s {way}", seed, seconds, push=push, disturbance=pushed)
         for pull, way in product(s.pulls, PULL_WAYS):
             pulled, seconds = Disturbance(drag=pull, drag_way=way, **PULLED), PUSHED_AT + PULLED["drag_seconds"] + 1.5
-            yield job("pulled", f"{pull:g} N {way}", seed, seconds, pulled)
+            yield job("pulled", f"{pull:g} N {way}", seed, seconds, disturbance=pulled)
 
 
 def evaluate_calm(policy_path: Path, settings: CalmSettings, *, progress: Progress | None = None) -> dict[str, Any]:

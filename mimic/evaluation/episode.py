@@ -49,7 +49,7 @@ class Job:
 
     def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
         """Return the robot, with further options of a `SimulatedPlant`."""
-        given = {"samples": False, **plant_options(self.robot), **options}
+        given: dict[str, Any] = {"samples": False, **plant_options(self.robot), **options}
         return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 
