@@ -216,9 +216,8 @@ def drive_notes(machine: MachineModel) -> dict[str, Any]:
     return {"drive": "voltage", "voltage": float(d.volts[0]), **{k: by_joint(values) for k, values in rows.items()}}
 
 
-def _machine(
-    spec: Any, *, kp: FloatArray, kd: FloatArray, torque: FloatArray, flat: FloatArray, speed: FloatArray
-) -> MachineModel:
+def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
+    """Return the compiled machine; numbers are those of `Drives` that the model does not have."""
     shapes = ()
     if all(body.explicitinertial for body in spec.bodies if body.name != "world"):  # they weigh and touch nothing
         shapes = (spec.pairs, spec.excludes, spec.geoms)
@@ -241,11 +240,7 @@ def _machine(
     limited = model.jnt_limited.astype(bool)
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     drives = Drives(
-        kp=kp,
-        kd=kd,
-        torque=torque,
-        flat=flat,
-        speed=speed,
+        **numbers,
         friction=np.array(model.dof_frictionloss),
         armature=np.array(model.dof_armature),
         neighbour=_neighbours(chain, place),
