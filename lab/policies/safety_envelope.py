@@ -18,7 +18,8 @@ import numpy as np
 from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
 from mimic.control.damping import damping_command
 from mimic.control.loop import run_policy
-from mimic.evaluation.sit_down import SitDownEpisode, final_pose, lies, play_policy_switch
+from mimic.evaluation.episode import Job
+from mimic.evaluation.sit_down import final_pose, lies, play_policy_switch
 from mimic.geometry import rotation_from_quat
 from mimic.jobs.local import run_all
 from mimic.metrics import uprightness
@@ -59,7 +60,7 @@ def longest_repeat(quat: np.ndarray, omega: np.ndarray) -> int:
 def figures(seed: int, robot: str, tracker: str, sit_down: str) -> dict[str, Any] | None:
     description = load_description(robot)
     settings = EffectsSettings(robot_model=robot)
-    job = SitDownEpisode(seed=seed, seconds=10.0, ranges=Randomisation(), robot=settings)
+    job = Job(seed=seed, seconds=10.0, ranges=Randomisation(), robot=settings)
     result, _ = play_policy_switch(job, cached_policy(tracker, robot), cached_policy(sit_down, robot))
     if result.fell_at is not None or not lies(final_pose(result.log, description)):
         return None

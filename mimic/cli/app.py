@@ -31,22 +31,8 @@ All other settings: --config FILE.toml. To see them all: mimic config
 Exit status: 0 done, 1 bug, 2 user error, 3 stopped by Ctrl-C or for safety,
 4 some files of a batch failed."""
 
-MUJOCO_GL = (
-    "",
-    "egl",
-    "osmesa",
-    "glfw",
-    "disable",
-    "disabled",
-    "off",
-    "false",
-    "0",
-    "enable",
-    "enabled",
-    "on",
-    "true",
-    "1",
-)
+MUJOCO_GL = {"", "egl", "osmesa", "glfw"}
+MUJOCO_GL |= {"disable", "disabled", "off", "false", "0", "enable", "enabled", "on", "true", "1"}
 """Values of the environment variable MUJOCO_GL that MuJoCo understands."""
 
 DEFAULTS = Parameter(negative_iterable=(), negative_none=(), consume_multiple=True, show_env_var=False)

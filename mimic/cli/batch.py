@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mimic.cli import options as o
+from mimic.cli.console import ConsoleReporter, table, warn
 from mimic.cli.exit_status import DONE, PARTLY_FAILED, STOPPED, USER_ERROR
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ def batch(
     export
         Also write all runs as one LeRobotDataset v3, into OUT/lerobot.
     """
-    from mimic.cli.console import ConsoleReporter
     from mimic.flows.batch import batch as play_folder
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget)
@@ -57,8 +57,6 @@ def batch(
 
 
 def _show(done: Batch, more: str = "") -> int:
-    from mimic.cli.console import table, warn
-
     failed, fell = done.with_status("failed"), done.with_status("fell")
     for row in failed:
         warn(f"{row['file']}: {row['error']}")

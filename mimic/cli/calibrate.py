@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mimic.cli import options as o
+from mimic.cli.console import ConsoleReporter, console, matrix, note, table, warn
 from mimic.cli.exit_status import DONE, USER_ERROR
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ def calibrate(
     out
         Folder for report.html, calibration.json and effects.toml; default: calibration/NAME.
     """
-    from mimic.cli.console import ConsoleReporter
     from mimic.flows.calibrate import EFFECTS, REPORT, RESULT
     from mimic.flows.calibrate import calibrate as explain
 
@@ -51,7 +51,6 @@ def calibrate(
 
 
 def _show(result: Calibration, written: list[Path]) -> None:
-    from mimic.cli.console import console, note, table, warn
     from mimic.view.report.plots import unit_for
 
     for text in result.warnings:
@@ -78,7 +77,6 @@ def _show(result: Calibration, written: list[Path]) -> None:
 
 def _show_logs(result: Calibration, unit: Unit) -> None:
     """Print the error of each log."""
-    from mimic.cli.console import matrix
     from mimic.sysid.result import Errors
     from mimic.view.report.svg import figure
 
@@ -97,7 +95,6 @@ def _show_logs(result: Calibration, unit: Unit) -> None:
 
 def show_errors(title: str, joints: Sequence[str], columns: Mapping[str, FloatArray], unit: Unit) -> None:
     """Print errors (J,) in columns, a row for each joint and, of several, one for all."""
-    from mimic.cli.console import matrix
     from mimic.sysid.result import Errors
     from mimic.view.report.svg import figure
 

@@ -52,7 +52,7 @@ def emulate(
         Watch it in MuJoCo's viewer.
     """
     from mimic.cli.console import ConsoleReporter, table
-    from mimic.flows.emulate import ServeOptions, serve_board, serve_robot
+    from mimic.flows.emulate import ServeOptions, serve_robot
 
     serve = ServeOptions(
         listen=listen,
@@ -66,26 +66,12 @@ def emulate(
         view=view,
         board=board,
     )
-    if board is not None:
-        done = serve_board(serve, settings, robot, reporter=ConsoleReporter())
-        table(
-            "Emulated stock robot",
-            {
-                "time": f"{done.seconds:.1f} s",
-                **done.figures,
-                "motors at the end": _motors(done.driven, done.driven),
-                "time stood still": f"{done.stood_still:.2f} s, because this computer was too slow",
-            },
-        )
-        return DONE
     served = serve_robot(serve, settings, robot, reporter=ConsoleReporter())
     table(
-        "Emulated robot",
+        "Emulated robot" if board is None else "Emulated stock robot",
         {
             "time": f"{served.seconds:.1f} s",
-            "frames": f"{served.frames}, {served.bits_per_frame:.1f} bits each on average",
-            "bus load": ", ".join(f"{load:.1%}" for load in served.load),
-            "delivered late": f"{served.late} frames by more than 2 ms",
+            **served.figures,
             "time stood still": f"{served.stood_still:.2f} s, because this computer was too slow",
             "motors at the end": _motors(served.switched_on, served.driven),
         },

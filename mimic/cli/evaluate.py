@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mimic.cli import options as o
+from mimic.cli.console import ConsoleReporter, console, matrix, table
 from mimic.cli.exit_status import DONE
 from mimic.config.evaluation import (
     CalmSettings,
@@ -60,7 +61,6 @@ def evaluate(
     workers
         Processes; 0: one per core.
     """
-    from mimic.cli.console import ConsoleReporter
     from mimic.flows.evaluate import KINDS
     from mimic.flows.evaluate import evaluate as run
     from mimic.flows.play import load_policy, load_robot
@@ -81,8 +81,6 @@ def evaluate(
 
 
 def _show_tracking(policy: Path, result: dict[str, Any], settings: EpisodeSettings, out: Path) -> None:
-    from mimic.cli.console import table
-
     s = result["summary"]
     walk = ", ".join(f"{v:+.2f} at {k}" for k, v in s["walk_m_s"].items())
     turn = ", ".join(f"{v:.2f} at {k} deg" for k, v in s["turn_error_rad"].items())
@@ -105,8 +103,6 @@ def _show_tracking(policy: Path, result: dict[str, Any], settings: EpisodeSettin
 
 
 def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvaluateSettings, out: Path) -> None:
-    from mimic.cli.console import table
-
     s = result["summary"]
 
     def spread(name: str, unit: str) -> str:
@@ -135,8 +131,6 @@ def _show_sit_down(policy: Path, result: dict[str, Any], settings: SitDownEvalua
 
 
 def _show_table(policy: Path, result: dict[str, Any], settings: TableSettings, out: Path) -> None:
-    from mimic.cli.console import console, matrix, table
-
     spread = console.width >= WIDE
     rules = list(next(iter(result["table"].values())))
     rows = {"paper": _figures(result["paper"], spread)}
@@ -181,8 +175,6 @@ def _reached(rows: list[dict[str, Any]], unit: str) -> dict[str, dict[str, str]]
 
 
 def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettings, out: Path) -> None:
-    from mimic.cli.console import table
-
     s = result["summary"]
     table(
         f"{policy.name}: {s['starts']} lying starts, and {s['still_episodes']} nominal robots that stand still",
@@ -200,8 +192,6 @@ def _show_stand_up(policy: Path, result: dict[str, Any], settings: StandUpSettin
 
 
 def _show_calm(policy: Path, result: dict[str, Any], settings: CalmSettings, out: Path) -> None:
-    from mimic.cli.console import matrix, table
-
     s = result["summary"]
     rows = {
         what: {
@@ -223,8 +213,6 @@ def _show_calm(policy: Path, result: dict[str, Any], settings: CalmSettings, out
 
 
 def _show_lead(policy: Path, result: dict[str, Any], settings: LeadSettings, out: Path) -> None:
-    from mimic.cli.console import table
-
     s, hand = result["summary"], settings.hand
     table(
         f"{policy.name}: {s['episodes']} randomised robots led {hand.way:g} m at {hand.speed:g} m/s by a front toe",
@@ -241,7 +229,6 @@ def _show_lead(policy: Path, result: dict[str, Any], settings: LeadSettings, out
 
 
 def _show_robustness(policy: Path, result: dict[str, Any], settings: RobustnessSettings, out: Path) -> None:
-    from mimic.cli.console import matrix, table
     from mimic.view.report.robustness import draw_heat_map
 
     picture = out.with_suffix(".png")

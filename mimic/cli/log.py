@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from mimic.cli import options as o
+from mimic.cli.console import ConsoleReporter, note, warn
 from mimic.cli.exit_status import DONE
 
 
@@ -45,7 +46,6 @@ def simulate(
     kd
         Velocity gain of the drives [N m s/rad]; default: the model's.
     """
-    from mimic.cli.console import ConsoleReporter, note
     from mimic.flows.machine_log import LogMotion, simulate_log
 
     moved = LogMotion(kind=motion, seconds=seconds, amplitude=amplitude, kp=kp, kd=kd)
@@ -82,7 +82,6 @@ def replay(
         JSON file for the errors.
     """
     from mimic.cli.calibrate import show_errors
-    from mimic.cli.console import ConsoleReporter, note, warn
     from mimic.flows.machine_log import NO_EFFECTS, predict_log
     from mimic.view.report.plots import unit_of_size
 
@@ -111,7 +110,6 @@ def salvage(run: Path, /) -> int:
     run
         Folder of the run.
     """
-    from mimic.cli.console import note
     from mimic.flows.robot_run import salvage as recover
 
     path, ticks = recover(run)

@@ -13,6 +13,7 @@ level = [[0.19, 0.23], [0.17, 0.21]]
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -111,12 +112,6 @@ class EffectSet:
     def __len__(self) -> int:
         return len(self.effects)
 
-    def replaced(self, effect: EffectValues) -> EffectSet:
-        """Return the set with this effect in place of the one of its name, or at the end."""
-        if effect.name not in [e.name for e in self.effects]:
-            return EffectSet((*self.effects, effect))
-        return EffectSet(tuple(effect if e.name == effect.name else e for e in self.effects))
-
 
 def read_effects(path: Path) -> EffectSet:
     """Read an effects.toml.
@@ -187,8 +182,6 @@ def write_effects(effects: EffectSet, path: Path, comment: Iterable[str] = ()) -
 
 
 def _text(value: str) -> str:
-    import json
-
     return json.dumps(value)  # a JSON string is a TOML basic string
 
 

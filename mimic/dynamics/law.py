@@ -73,6 +73,15 @@ class Drives:
     """Resistance of their windings (J,) [ohm]."""
 
 
+OF_DRIVES = {
+    ("coulomb", "level"): "friction",
+    ("armature", "inertia"): "armature",
+    **{("torque_speed", name): name for name in ("torque", "flat", "speed")},
+    **{("motor", name): name for name in ("kt", "resistance")},
+}
+"""Which numbers of the drives are the neutral values of effects."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepInputs:
     """What the physics gets for one step (N, J)."""
@@ -128,18 +137,7 @@ class Law:
         if (name, parameter) in self._p:
             return self._p[name, parameter]
         neutral = effect(name).parameter(parameter).neutral
-        if neutral == "model":
-            own = {
-                ("coulomb", "level"): self._d.friction,
-                ("armature", "inertia"): self._d.armature,
-                ("torque_speed", "torque"): self._d.torque,
-                ("torque_speed", "flat"): self._d.flat,
-                ("torque_speed", "speed"): self._d.speed,
-                ("motor", "kt"): self._d.kt,
-                ("motor", "resistance"): self._d.resistance,
-            }
-            return own[name, parameter][None]
-        return neutral
+        return getattr(self._d, OF_DRIVES[name, parameter])[None] if neutral == "model" else neutral
 
     def _fixed(self) -> None:
         """Compute what does not change from step to step."""

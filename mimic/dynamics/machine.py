@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -216,9 +216,8 @@ def drive_notes(machine: MachineModel) -> dict[str, Any]:
     return {"drive": "voltage", "voltage": float(d.volts[0]), **{k: by_joint(values) for k, values in rows.items()}}
 
 
-def _machine(
-    spec: Any, *, kp: FloatArray, kd: FloatArray, torque: FloatArray, flat: FloatArray, speed: FloatArray
-) -> MachineModel:
+def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
+    """Return the compiled machine; numbers are those of `Drives` that the model does not have."""
     shapes = ()
     if all(body.explicitinertial for body in spec.bodies if body.name != "world"):  # they weigh and touch nothing
         shapes = (spec.pairs, spec.excludes, spec.geoms)
@@ -241,11 +240,7 @@ def _machine(
     limited = model.jnt_limited.astype(bool)
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     drives = Drives(
-        kp=kp,
-        kd=kd,
-        torque=torque,
-        flat=flat,
-        speed=speed,
+        **numbers,
         friction=np.array(model.dof_frictionloss),
         armature=np.array(model.dof_armature),
         neighbour=_neighbours(chain, place),
@@ -336,37 +331,38 @@ class Inertias:
     iquat: FloatArray
     """(N, B, 4)"""
 
+    @classmethod
+    def of(cls, model: mujoco.MjModel, count: int = 1) -> Inertias:
+        """Return those of a model, as many times as there are simulations."""
+        return cls(**{f.name: np.repeat(getattr(model, f"body_{f.name}")[None], count, 0) for f in fields(cls)})
+
+    def write(self, model: mujoco.MjModel) -> None:
+        """Write those of the first simulation into a model."""
+        for f in fields(self):
+            getattr(model, f"body_{f.name}")[:] = getattr(self, f.name)[0]
+
 
 def inertias(
     machine: MachineModel, factor: FloatArray | None, shift: FloatArray | None, payload: FloatArray | None
 ) -> Inertias:
     """Return the inertial numbers with links scaled, centres of mass shifted and tips loaded; each (N, J) or None."""
-    model = machine.model
     count = next(len(v) for v in (factor, shift, payload) if v is not None)
-    own = Inertias(
-        mass=np.repeat(model.body_mass[None], count, 0),
-        ipos=np.repeat(model.body_ipos[None], count, 0),
-        inertia=np.repeat(model.body_inertia[None], count, 0),
-        iquat=np.repeat(model.body_iquat[None], count, 0),
-    )
-    return changed_inertias(own, machine.body, machine.toward, machine.tip, factor, shift, payload)
+    return changed_inertias(Inertias.of(machine.model, count), machine.body, machine, factor, shift, payload)
 
 
 def loaded(machine: MachineModel, payload: FloatArray) -> MachineModel:
     """Return the machine with masses (J,) at the ends of its links [kg]."""
     if not payload.any():
         return machine
-    made, model = inertias(machine, None, None, payload[None]), copy(machine.model)
-    for name in ("mass", "ipos", "inertia", "iquat"):
-        getattr(model, f"body_{name}")[:] = getattr(made, name)[0]
+    model = copy(machine.model)
+    inertias(machine, None, None, payload[None]).write(model)
     return replace(machine, model=model)
 
 
 def changed_inertias(
     own: Inertias,
     bodies: Sequence[int] | IntArray,
-    toward: FloatArray,
-    tip: FloatArray,
+    machine: MachineModel,
     factor: FloatArray | None,
     shift: FloatArray | None,
     payload: FloatArray | None,
@@ -376,10 +372,9 @@ def changed_inertias(
     Args:
         own: Numbers before.
         bodies: Link that each joint moves (J,).
-        toward: Unit vector along each link (J, 3).
-        tip: End of each link (J, 3) [m].
+        machine: Its links.
         factor: On masses and inertias (N, J).
-        shift: Of centres of mass along ``toward`` (N, J) [m].
+        shift: Of centres of mass toward the ends of the links (N, J) [m].
         payload: At the tips (N, J) [kg].
     """
     for j, b in enumerate(bodies):
@@ -387,22 +382,22 @@ def changed_inertias(
             own.mass[:, b] *= factor[:, j]
             own.inertia[:, b] *= factor[:, j, None]
         if shift is not None:
-            own.ipos[:, b] += shift[:, j, None] * toward[j]
+            own.ipos[:, b] += shift[:, j, None] * machine.toward[j]
         if payload is not None:
             for i in np.flatnonzero(payload[:, j]):
-                _load(own.mass, own.ipos, own.inertia, own.iquat, int(i), int(b), float(payload[i, j]), tip[j])
+                _load(own, int(i), int(b), float(payload[i, j]), machine.tip[j])
     return own
 
 
-def _load(mass: Any, ipos: Any, inertia: Any, iquat: Any, i: int, b: int, load: float, tip: FloatArray) -> None:
+def _load(own: Inertias, i: int, b: int, load: float, tip: FloatArray) -> None:
     """Add a point mass to one body, exactly: new centre, parallel axes, new principal axes."""
-    m, c = mass[i, b], ipos[i, b].copy()
+    m, c = own.mass[i, b], own.ipos[i, b].copy()
     total = m + load
     centre = (m * c + load * tip) / total
     rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, iquat[i, b])
+    mujoco.mju_quat2Mat(rotation, own.iquat[i, b])
     rotation = rotation.reshape(3, 3)
-    whole = rotation @ np.diag(inertia[i, b]) @ rotation.T
+    whole = rotation @ np.diag(own.inertia[i, b]) @ rotation.T
 
     def point(r: FloatArray) -> FloatArray:
         return float(r @ r) * np.eye(3) - np.outer(r, r)
@@ -411,9 +406,8 @@ def _load(mass: Any, ipos: Any, inertia: Any, iquat: Any, i: int, b: int, load: 
     values, axes = np.linalg.eigh(whole)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.reshape(-1))
-    mass[i, b], ipos[i, b], inertia[i, b], iquat[i, b] = total, centre, values, quat
+    mujoco.mju_mat2Quat(own.iquat[i, b], axes.reshape(-1))
+    own.mass[i, b], own.ipos[i, b], own.inertia[i, b] = total, centre, values
 
 
 def tilted_gravity(roll: Any, pitch: Any, gravity: Sequence[float] = (0.0, 0.0, -GRAVITY)) -> FloatArray:

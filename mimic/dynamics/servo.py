@@ -8,6 +8,7 @@ becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, w
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,10 @@ from mujoco.batch import Batch
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, read_effects
-from mimic.dynamics.law import Law, Parameters
+from mimic.dynamics.law import OF_DRIVES, Law, Parameters
 from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
 from mimic.errors import ConfigError
 from mimic.records import FloatArray
-
-INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
-"""Fields of a model that masses and their places are in."""
 
 
 class Servo:
@@ -76,14 +74,11 @@ def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) 
     if law.rotor is not None:
         armature[law.rotor["there"]] = 0.0
     parts = _inertial_parts(p)
-    if any(part is not None for part in parts):
-        made = inertias(machine, *parts)
-        for name, value in zip(INERTIAL, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
-            batch.expand(name)[:] = value
-    else:
-        for name in INERTIAL:
-            if batch.expanded(name) is not None:
-                batch.expand(name)[:] = getattr(model, name)
+    changed = any(part is not None for part in parts)
+    made = inertias(machine, *parts) if changed else Inertias.of(model)
+    for f in fields(made):
+        if changed or batch.expanded(f"body_{f.name}") is not None:
+            batch.expand(f"body_{f.name}")[:] = getattr(made, f.name)
     gravity = batch.expand("opt.gravity")
     gravity[:] = model.opt.gravity
     if ("base_tilt", "roll") in p:
@@ -103,15 +98,9 @@ def static_model(model: mujoco.MjModel, machine: MachineModel, p: Parameters) ->
         model.dof_armature[dofs] = np.where(np.any(there, axis=0), 0.0, model.dof_armature[dofs])
     parts = _inertial_parts(p)
     if any(part is not None for part in parts):
-        own = Inertias(**{f: getattr(model, n)[None].copy() for f, n in zip(_FIELDS, INERTIAL, strict=True)})
         bodies = [model.body(machine.model.body(b).name).id for b in machine.body]
-        made = changed_inertias(own, bodies, machine.toward, machine.tip, *parts)
-        for name, value in zip(INERTIAL, (made.mass, made.ipos, made.inertia, made.iquat), strict=True):
-            getattr(model, name)[:] = value[0]
+        changed_inertias(Inertias.of(model), bodies, machine, *parts).write(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
-_FIELDS = ("mass", "ipos", "inertia", "iquat")
 
 
 def _inertial_parts(p: Parameters) -> list[FloatArray | None]:
@@ -129,17 +118,9 @@ def neutral(name: str, parameter: str, machine: MachineModel) -> FloatArray:
             "effect 'motor' is of voltage drives, and the drives here control torque. If they control voltage, say so:"
             " --note drive=voltage, and the numbers that it asks for"
         )
-    own: dict[tuple[str, str], Any] = {
-        ("motor", "kt"): machine.drives.kt,
-        ("motor", "resistance"): machine.drives.resistance,
-        ("coulomb", "level"): machine.drives.friction,
-        ("viscous", "coefficient"): machine.model.dof_damping,
-        ("armature", "inertia"): machine.drives.armature,
-        ("torque_speed", "torque"): machine.drives.torque,
-        ("torque_speed", "flat"): machine.drives.flat,
-        ("torque_speed", "speed"): machine.drives.speed,
-    }
-    return np.array(own[name, parameter], dtype=np.float64)
+    viscous = name == "viscous"
+    own = machine.model.dof_damping if viscous else getattr(machine.drives, OF_DRIVES[name, parameter])
+    return np.array(own, dtype=np.float64)
 
 
 def parameters_of(effects: EffectSet, machine: MachineModel) -> dict[tuple[str, str], FloatArray]:

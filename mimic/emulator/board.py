@@ -11,15 +11,11 @@ error gives no torque, and the others are damped.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from mimic.config.emulator import EmulateSettings
-from mimic.dynamics.effect_set import EffectSet
-from mimic.emulator.board_base import TICK, NetworkBoard
-from mimic.emulator.faults import EmulatedFault
+from mimic.emulator.board_base import MESSAGE_FAULTS, NetworkBoard
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.emulator.motor_mode import DAMPING, MotorCommands, MotorModeRules
 from mimic.errors import FrameError
@@ -37,7 +33,6 @@ from mimic.hardware.stock.messages import (
 )
 from mimic.hardware.stock.wiring import BoardWiring
 from mimic.records import JOINTS, LEGS, FloatArray
-from mimic.robot.description import RobotDescription
 
 QUIET_EVERY = 10
 """Before the first command, one cycle in so many is published: 50 Hz."""
@@ -52,18 +47,14 @@ FAULTS = (
     "motor_dead",
     "motor_fault",
     "motor_hot",
-    "frames_lost",
-    "frames_late",
-    "frames_doubled",
-    "frames_corrupted",
-    "frames_reordered",
+    *MESSAGE_FAULTS,
     "imu_silent",
     "imu_frozen",
     "imu_tilted",
     "bus_off",
     "mode_refused",
 )
-"""Kinds of faults that the board has; its network counts as bus 0."""
+"""Kinds of faults that the board has."""
 
 FRAME = np.array([200.0, 10.0, 12.6, 30.0, 12.0])
 """Upper ends of the numbers in a motor's frame: kp, kd, q, dq and tau; a damaged message is not taken further. The
@@ -81,49 +72,19 @@ _SIGN = np.tile([1.0, -1.0, -1.0], len(LEGS))
 """Angle in the firmware over angle of the joint, in the firmware's order."""
 
 
-class EmulatedBoard(NetworkBoard):
+class EmulatedBoard(NetworkBoard[BoardWiring]):
     """A stock robot from power-up on, lying or suspended."""
 
-    name = "the stock board"
+    name, hears, kinds = "the stock board", (MOTOR_CTRL.channel,), FAULTS
 
-    def __init__(
-        self,
-        description: RobotDescription,
-        wiring: BoardWiring,
-        settings: EmulateSettings | None = None,
-        *,
-        effects: EffectSet | None = None,
-        faults: Sequence[EmulatedFault] = (),
-        timestep: float = TICK,
-        visuals: bool = False,
-    ) -> None:
-        """Switch it on. See `mimic.emulator.board_base.NetworkBoard`; wiring gives the unit of temperatures."""
-        super().__init__(
-            description,
-            settings,
-            hears=(MOTOR_CTRL.channel,),
-            kinds=FAULTS,
-            effects=effects,
-            faults=faults,
-            timestep=timestep,
-            visuals=visuals,
-        )
-        self._wiring = wiring
-        self.late_ticks = 0
-        """Cycles with error 0x01 so far."""
-        low = description.q_min[list(_BODY)] * _SIGN
-        high = description.q_max[list(_BODY)] * _SIGN
-        self._low, self._high = np.minimum(low, high), np.maximum(low, high)
-        self._command: Any = None
-        self._arrived = -math.inf
-        self._first = -1
-        self._rules: MotorModeRules | None = None
-        self.applied = MotorCommands(*(np.zeros(12) for _ in range(5)))
-        """The latest command to the motors, in the firmware's order and signs."""
-
-    def receive(self, data: bytes, t: float) -> None:
-        """Take a motor_ctrl message that was sent at time t [s]."""
-        self.take(MOTOR_CTRL.channel, data, t)
+    late_ticks = 0
+    """Cycles with error 0x01 so far."""
+    applied = MotorCommands(*(np.zeros(12) for _ in range(5)))
+    """The latest command to the motors, in the firmware's order and signs."""
+    _command: Any = None
+    _arrived = -math.inf
+    _first = -1
+    _rules: MotorModeRules | None = None
 
     # ------------------------------------------------------------------ the firmware
 
@@ -132,7 +93,8 @@ class EmulatedBoard(NetworkBoard):
         self._arrived_by_now(self._command_came)
         ready = self._rules is None and 0 <= self._first <= self.ticks - ENTERING
         if ready and self._value("mode_refused", self.now) is None:
-            self._rules = MotorModeRules(self._low, self._high)
+            low, high = self._d.q_min[_ORDER] * _SIGN, self._d.q_max[_ORDER] * _SIGN
+            self._rules = MotorModeRules(np.minimum(low, high), np.maximum(low, high))
             self.events.append((self.now, "motor mode"))
         q, dq = self._measured()
         if self._rules is not None:
@@ -186,11 +148,6 @@ class EmulatedBoard(NetworkBoard):
         free = np.ones(12, dtype=bool) if self._rules is None else self._rules.limits == 0
         moved = (kp > 0.0) | (free & (np.abs(tau) > LEAST_TORQUE))
         return tuple(JOINTS[_BODY[place]] for place in np.flatnonzero(moved))
-
-    @property
-    def torques(self) -> FloatArray:
-        """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
-        return self.body.joints(self.now)[2]
 
     def line(self) -> str:
         """Return a line of what has happened so far."""
@@ -253,6 +210,3 @@ class EmulatedBoard(NetworkBoard):
             contactEstimate=(0.5, 0.5, 0.5, 0.5),
             timestamp=stamp,
         )
-
-
-assert len(_BODY) == len(JOINTS)

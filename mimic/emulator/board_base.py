@@ -10,7 +10,7 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,11 +19,17 @@ from mimic.dynamics.effect_set import EffectSet
 from mimic.emulator.body import EmulatedBody
 from mimic.emulator.faults import EmulatedFault
 from mimic.errors import ConfigError
+from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.records import FloatArray
 from mimic.robot.description import RobotDescription
 
 TICK = 0.002
 """The firmware's cycle [s]."""
+
+MESSAGE_FAULTS = ("frames_lost", "frames_late", "frames_doubled", "frames_corrupted", "frames_reordered")
+"""Kinds of faults that its network has."""
+
+W = TypeVar("W", bound=JointWiring)
 
 
 class Published(NamedTuple):
@@ -35,31 +41,33 @@ class Published(NamedTuple):
     data: bytes
 
 
-class NetworkBoard:
+class NetworkBoard(Generic[W]):
     """A robot behind a network, from power-up on, lying or suspended. `_cycle` is its firmware."""
 
     name: str
     """In messages."""
+    hears: Sequence[str]
+    """Channels or topics that it takes."""
+    kinds: Sequence[str]
+    """Kinds of faults that it has; its network counts as bus 0."""
 
     def __init__(
         self,
         description: RobotDescription,
-        settings: EmulateSettings | None,
+        wiring: W,
+        settings: EmulateSettings | None = None,
         *,
-        hears: Sequence[str],
-        kinds: Sequence[str],
-        effects: EffectSet | None,
-        faults: Sequence[EmulatedFault],
-        timestep: float,
-        visuals: bool,
+        effects: EffectSet | None = None,
+        faults: Sequence[EmulatedFault] = (),
+        timestep: float = TICK,
+        visuals: bool = False,
     ) -> None:
         """Switch it on.
 
         Args:
             description: The robot.
+            wiring: Order, signs and units of its messages.
             settings: How it lies or hangs, and its noise.
-            hears: Channels or topics that it takes.
-            kinds: Kinds of faults that it has.
             effects: What its drives have besides.
             faults: What goes wrong.
             timestep: Of the physics [s].
@@ -70,9 +78,9 @@ class NetworkBoard:
         """
         settings = settings or EmulateSettings()
         for fault in faults:
-            if fault.kind not in kinds:
-                raise ConfigError(f"{self.name} has no fault {fault.kind!r}; it has {', '.join(kinds)}")
-        self._d, self._settings, self._hears = description, settings, hears
+            if fault.kind not in self.kinds:
+                raise ConfigError(f"{self.name} has no fault {fault.kind!r}; it has {', '.join(self.kinds)}")
+        self._d, self._wiring, self._settings = description, wiring, settings
         self.body = EmulatedBody(
             description,
             effects=effects,
@@ -96,12 +104,13 @@ class NetworkBoard:
         self._outgoing: list[tuple[float, int, str, bytes]] = []
         self._count = 0
         self._frozen: tuple[FloatArray, FloatArray, int] | None = None
+        self._placed = self.body.joints(0.0)[0]
 
     # ------------------------------------------------------------------ the network
 
     def take(self, channel: str, data: bytes, t: float) -> None:
         """Take a message that was sent at time t [s]; what it does not listen to is left out."""
-        if channel not in self._hears:
+        if channel not in self.hears:
             return
         self.commands += 1
         for at, name, damaged in self._through(channel, data, t):
@@ -160,6 +169,15 @@ class NetworkBoard:
 
     def _cycle(self) -> None:
         raise NotImplementedError
+
+    @property
+    def torques(self) -> FloatArray:
+        """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
+        return self.body.joints(self.now)[2]
+
+    def switched_on(self) -> tuple[str, ...]:
+        """Return the joints whose motors are on: those that are driven."""
+        return self.driven()
 
     def driven(self) -> tuple[str, ...]:
         """Return the joints with stiffness or a torque of a command."""

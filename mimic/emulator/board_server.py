@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any
 
 from mimic.emulator.board_base import TICK, NetworkBoard
 from mimic.hardware.robot.board import Bus
@@ -13,29 +13,21 @@ CATCH_UP = 0.02
 """A longer delay than this is not caught up [s]; as in the maker's bench."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BoardStatus:
-    """Statistics of the emulation so far."""
-
-    t: float
-    """Time of the emulation [s]."""
-    stood_still: float
-    """How long emulated time stopped because the machine was too slow [s]."""
-
-
 class BoardServer:
     """Serves one emulated board."""
 
-    def __init__(self, board: NetworkBoard, bus: Bus) -> None:
+    def __init__(self, board: NetworkBoard[Any], bus: Bus, address: str = "") -> None:
         """Listen.
 
         Args:
             board: Nothing else may advance its time.
             bus: Its network, open in the robot's place; closed with the server.
+            address: What a user gives to --robot.
         """
-        self.board, self._bus = board, bus
+        self.board, self._bus, self.addresses = board, bus, [address]
         bus.heard = self._take
-        self._stood_still = 0.0
+        self.stood_still = 0.0
+        """How long emulated time stopped because the machine was too slow [s]."""
         self._begin = time.monotonic() - board.now
 
     def _take(self, channel: str, data: bytes, t: float) -> None:
@@ -49,7 +41,7 @@ class BoardServer:
             behind = time.monotonic() - due
             if behind > CATCH_UP:
                 self._begin += behind
-                self._stood_still += behind
+                self.stood_still += behind
             self._bus.listen(self._begin + self.board.now + TICK)
             self.board.advance(self.board.now + TICK)
             for message in self.board.published(self.board.now):
@@ -60,6 +52,10 @@ class BoardServer:
         """Leave the network."""
         self._bus.close()
 
-    def status(self) -> BoardStatus:
-        """Return the statistics so far."""
-        return BoardStatus(t=self.board.now, stood_still=self._stood_still)
+    def line(self) -> str:
+        """Return a line of what has happened so far."""
+        return f"{self.board.now:9.1f} s  {self.board.line()}"
+
+    def figures(self) -> dict[str, str]:
+        """Return rows of a table of what has happened."""
+        return self.board.figures()

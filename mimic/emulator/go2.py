@@ -13,11 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mimic.config.emulator import EmulateSettings
-from mimic.dynamics.effect_set import EffectSet
-from mimic.emulator.board_base import TICK, NetworkBoard
+from mimic.emulator.board_base import MESSAGE_FAULTS, NetworkBoard
 from mimic.emulator.board_bus import EmulatedBoardBus
-from mimic.emulator.faults import EmulatedFault
 from mimic.emulator.motor import FREE, LEAST_TORQUE, Drive
 from mimic.errors import FrameError
 from mimic.geometry import rotation_from_quat, rpy_from_quat
@@ -36,8 +33,7 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring
-from mimic.records import JOINTS, FloatArray
-from mimic.robot.description import RobotDescription
+from mimic.records import JOINTS
 
 TIMEOUT = 0.5
 """Without a command for this long it counts as a silence [s]; assumed."""
@@ -54,65 +50,37 @@ SUPPLY = 29.0
 FAULTS = (
     "motor_dead",
     "motor_hot",
-    "frames_lost",
-    "frames_late",
-    "frames_doubled",
-    "frames_corrupted",
-    "frames_reordered",
+    *MESSAGE_FAULTS,
     "imu_frozen",
     "imu_tilted",
     "bus_off",
     "mode_refused",
     "service_silent",
 )
-"""Kinds of faults that it has; its network counts as bus 0."""
+"""Kinds of faults that it has."""
 
 UNKNOWN_API = 3203
 """Code of an answer to something that a service does not know. Source: unitree_sdk2_python, rpc/internal.py."""
 
 
-class EmulatedGo2(NetworkBoard):
+class EmulatedGo2(NetworkBoard[Go2Wiring]):
     """A Go2 from power-up on, lying or suspended, in its own mode."""
 
-    name = "the Go2"
+    name, hears, kinds = "the Go2", TO_ROBOT, FAULTS
 
-    def __init__(
-        self,
-        description: RobotDescription,
-        wiring: Go2Wiring,
-        settings: EmulateSettings | None = None,
-        *,
-        effects: EffectSet | None = None,
-        faults: Sequence[EmulatedFault] = (),
-        timestep: float = TICK,
-        visuals: bool = False,
-    ) -> None:
-        """Switch it on. See `mimic.emulator.board_base.NetworkBoard`; wiring gives order and signs."""
-        super().__init__(
-            description,
-            settings,
-            hears=TO_ROBOT,
-            kinds=FAULTS,
-            effects=effects,
-            faults=faults,
-            timestep=timestep,
-            visuals=visuals,
-        )
-        self._wiring = wiring
-        self.mode = "normal"
-        """Name of its own active mode."""
-        self.refused = 0
-        """Commands with a wrong checksum or header; ignored."""
-        self.fights = 0
-        """Commands while its own mode was active; ignored here, a robot obeys both."""
-        self.silences = 0
-        """How often no command came for TIMEOUT while motors were driven."""
-        self.applied: list[Drive] = [FREE] * len(JOINTS)
-        """What each motor does, in joint order."""
-        self._modes = np.zeros(len(JOINTS), dtype=np.uint8)
-        self._lost = np.zeros(len(JOINTS), dtype=np.uint32)
-        self._came = math.inf
-        self._lying = self.body.joints(0.0)[0]
+    mode = "normal"
+    """Name of its own active mode."""
+    refused = 0
+    """Commands with a wrong checksum or header; ignored."""
+    fights = 0
+    """Commands while its own mode was active; ignored here, a robot obeys both."""
+    silences = 0
+    """How often no command came for TIMEOUT while motors were driven."""
+    applied: Sequence[Drive] = (FREE,) * len(JOINTS)
+    """What each motor does, in joint order."""
+    _modes = np.zeros(len(JOINTS), dtype=np.uint8)
+    _lost = np.zeros(len(JOINTS), dtype=np.uint32)
+    _came = math.inf
 
     # ------------------------------------------------------------------ what it hears
 
@@ -129,10 +97,10 @@ class EmulatedGo2(NetworkBoard):
         dead = self._joints_with("motor_dead")
         for joint, drive in enumerate(self.applied):
             if self.mode:
-                drive = HOLD._replace(q=float(self._lying[joint]))
+                drive = HOLD._replace(q=float(self._placed[joint]))
             limit = float(self._d.torque_max[joint])
             self.body.drive(joint, FREE if joint in dead else drive._replace(limit=limit), self.now)
-        self._lost[list(dead)] += 1
+        self._lost = self._lost + np.array([joint in dead for joint in range(len(JOINTS))])
         self._speak(dead)
 
     def _heard(self, topic: str, data: bytes, at: float) -> None:
@@ -207,11 +175,6 @@ class EmulatedGo2(NetworkBoard):
         imu["accelerometer"] = rotation_from_quat(quat).T @ np.array([0.0, 0.0, 9.81])
         message["tick"], message["power_v"] = round(1e3 * self.now), SUPPLY
         self._publish(LOWSTATE, encode(LOWSTATE, message))
-
-    @property
-    def torques(self) -> FloatArray:
-        """Torques that the motors give (12,), in the order and sign of the description's joints [N m]."""
-        return self.body.joints(self.now)[2]
 
     def line(self) -> str:
         """Return a line of what has happened so far."""

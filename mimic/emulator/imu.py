@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from mimic.geometry import multiply_quats, rotation_from_quat
@@ -15,6 +18,15 @@ SELF_TEST_PASSED = 1
 
 TICK = 1e-4
 """Unit of the sample time [s]; the maker's pages, which its own DBC contradicts."""
+
+_MESSAGES = {
+    "quat_WI": "quaternion",
+    "omega_I": "rate_of_turn",
+    "status": "status_word",
+    "counter": "group_counter",
+    "time": "sample_time",
+}
+"""Message of each field of a sample, as the wiring names it."""
 
 
 class EmulatedMti:
@@ -57,25 +69,11 @@ class EmulatedMti:
         if not (frozen and self._last is not None):
             newest = self._measure(quat_WB, omega_B, valid, tilt)
             if stuck and self._last is not None:
-                newest = MtiSample(
-                    quat_WI=self._last.quat_WI,
-                    omega_I=self._last.omega_I,
-                    status=newest.status,
-                    counter=newest.counter,
-                    time=newest.time,
-                )
+                newest = replace(newest, quat_WI=self._last.quat_WI, omega_I=self._last.omega_I)
             self._last = newest
         assert self._last is not None
-        last = self._last
-        return encode_mti(
-            MtiSample(
-                quat_WI=last.quat_WI if self._due("quaternion") else None,
-                omega_I=last.omega_I if self._due("rate_of_turn") else None,
-                status=last.status if self._due("status_word") else None,
-                counter=last.counter if self._due("group_counter") else None,
-                time=last.time if self._due("sample_time") else None,
-            )
-        )
+        left_out: dict[str, Any] = {field: None for field, message in _MESSAGES.items() if not self._due(message)}
+        return encode_mti(replace(self._last, **left_out))
 
     def _due(self, name: str) -> bool:
         """Return whether a message goes out with this sample: evenly, as often as it is asked for."""

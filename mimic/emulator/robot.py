@@ -311,10 +311,8 @@ class EmulatedRobot:
         self._driven[i] = drive
         drive = self._broken.drive(i, drive, running=self.motors[i].mode is MotorMode.RUNNING)
         sign, offset = float(self.wiring.sign[i]), float(self.wiring.offset[i])
-        joint = Drive(
-            drive.kp, drive.kd, sign * drive.q + offset, sign * drive.dq, sign * drive.tau, drive.limit, drive.pace
-        )
-        self.body.drive(i, joint, self.now)
+        drive = drive._replace(q=sign * drive.q + offset, dq=sign * drive.dq, tau=sign * drive.tau)
+        self.body.drive(i, drive, self.now)
 
     def _measured(self, i: int) -> Measured:
         self.body.advance(self.now)

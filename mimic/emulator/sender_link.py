@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from mimic.emulator.go2 import EmulatedGo2Bus
 from mimic.hardware.can.driver import CanDriver
 from mimic.hardware.can.link import Link
 from mimic.hardware.can.wiring import Wiring
-from mimic.hardware.go2.driver import Go2Driver
-from mimic.hardware.go2.wiring import Go2Wiring
-from mimic.hardware.robot.board import Bus
 from mimic.hardware.robot.checks import Check
 from mimic.hardware.robot.driver import CheckOptions, Driver
 from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.sender import Order, Sender, State, why_lost
-from mimic.hardware.stock.driver import StockDriver
-from mimic.hardware.stock.wiring import BoardWiring
 from mimic.robot.description import RobotDescription
 
 LONGEST_ENDING = 60.0
@@ -94,17 +88,3 @@ class EmulatedSenderLink:
 def robot_on_can(link: Link, wiring: Wiring, description: RobotDescription, **options: Any) -> Robot:
     """Return the plant of an emulated robot on CAN; options are those of CanDriver."""
     return Robot(EmulatedSenderLink(CanDriver(link, wiring, description, **options), description), description)
-
-
-def robot_on_board(bus: Bus, wiring: BoardWiring, description: RobotDescription, *, suspended: bool = False) -> Robot:
-    """Return the plant of an emulated stock robot."""
-    link = EmulatedSenderLink(StockDriver(bus, wiring, description), description)
-    return Robot(link, description, suspended=suspended)
-
-
-def robot_on_go2(
-    bus: EmulatedGo2Bus, wiring: Go2Wiring, description: RobotDescription, *, suspended: bool = False
-) -> Robot:
-    """Return the plant of an emulated Go2."""
-    link = EmulatedSenderLink(Go2Driver(bus, wiring, description), description)
-    return Robot(link, description, suspended=suspended)

@@ -101,8 +101,16 @@ class EmulatorServer:
         for bus in range(len(robot.buses)) if slcan else ():
             self.addresses.append(f"slcan:{self._plug_in(bus)}")
         self._begin = time.monotonic() - robot.now
-        self._late, self._latest, self._stood_still = 0, 0.0, 0.0
-        self._before = (robot.now, [(bus.bits, bus.frames) for bus in robot.buses])
+        self.late = 0
+        """Frames handed out more than 2 ms after they were on the bus."""
+        self.stood_still = 0.0
+        """How long emulated time stopped because the machine was too slow [s]."""
+        self._latest = 0.0
+        self._before = self._totals()
+
+    def _totals(self) -> tuple[float, list[tuple[int, int]], int, float]:
+        counts = [(bus.bits, bus.frames) for bus in self.robot.buses]
+        return self.robot.now, counts, self.late, self.stood_still
 
     def _listen(self, host: str, port: int) -> socket.socket:
         try:
@@ -165,25 +173,45 @@ class EmulatorServer:
         behind = self._time() - self.robot.now - LONGEST_SLEEP
         if behind > CATCH_UP:
             self._begin += behind - CATCH_UP
-            self._stood_still += behind - CATCH_UP
+            self.stood_still += behind - CATCH_UP
 
     def status(self) -> EmulatorStatus:
         """Return the statistics since the last call."""
-        robot, (before, counts) = self.robot, self._before
+        robot, (before, counts, late, stood_still) = self.robot, self._before
         span = max(robot.now - before, 1e-9)
-        now = [(bus.bits, bus.frames) for bus in robot.buses]
+        self._before = _, now, _, _ = self._totals()
         status = EmulatorStatus(
             t=robot.now,
             load=tuple((a[0] - b[0]) / robot.wiring.bitrate / span for a, b in zip(now, counts, strict=True)),
             frames=tuple((a[1] - b[1]) / span for a, b in zip(now, counts, strict=True)),
             clients=sum(client.host is not None for client in self._clients),
-            late=self._late,
+            late=self.late - late,
             latest=self._latest,
-            stood_still=self._stood_still,
+            stood_still=self.stood_still - stood_still,
         )
-        self._before = robot.now, now
-        self._late, self._latest, self._stood_still = 0, 0.0, 0.0
+        self._latest = 0.0
         return status
+
+    def line(self) -> str:
+        """Return a line of the statistics since the last one."""
+        status = self.status()
+        buses = ", ".join(
+            f"{load:.1%} at {rate:.0f} frames/s" for load, rate in zip(status.load, status.frames, strict=True)
+        )
+        late = f"; {status.late} frames late, {1e3 * status.latest:.1f} ms at most" if status.late else ""
+        still = f"; stood still for {status.stood_still:.2f} s" if status.stood_still else ""
+        clients = f"{status.clients} client{'s' if status.clients != 1 else ''}"
+        return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
+
+    def figures(self) -> dict[str, str]:
+        """Return rows of a table of what has happened."""
+        robot = self.robot
+        bits, frames = sum(bus.bits for bus in robot.buses), sum(bus.frames for bus in robot.buses)
+        return {
+            "frames": f"{frames}, {bits / max(frames, 1):.1f} bits each on average",
+            "bus load": ", ".join(f"{robot.load(bus):.1%}" for bus in range(len(robot.buses))),
+            "delivered late": f"{self.late} frames by more than 2 ms",
+        }
 
     def close(self) -> None:
         """Close all connections."""
@@ -242,7 +270,7 @@ class EmulatorServer:
             while heard:
                 received = heard.popleft()
                 late = now - received.t
-                self._late, self._latest = self._late + (late > LATE), max(self._latest, late)
+                self.late, self._latest = self.late + (late > LATE), max(self._latest, late)
                 parts.append(client.session.give(received.frame, received.t))
             client.waiting += b"".join(parts)
 

@@ -8,34 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Protocol
 
 from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
 
 LONGEST = 4096
 """Characters without an end of a message, after which they are dropped."""
-
-
-class Session(Protocol):
-    """One client of an adapter."""
-
-    bus: int | None
-    """Bus that the client has opened; None before and after."""
-    open: bool
-    """Whether it wants frames."""
-
-    def greet(self) -> bytes:
-        """Return what is said when the connection is made."""
-        ...
-
-    def take(self, data: bytes) -> tuple[list[CanFrame], bytes]:
-        """Take what the client sent, and return the frames in it and what to answer."""
-        ...
-
-    def give(self, frame: CanFrame, t: float) -> bytes:
-        """Return a frame that was on the bus at time t [s], as the client reads it."""
-        ...
 
 
 class SocketcandSession:
@@ -48,7 +26,9 @@ class SocketcandSession:
         self._buses = list(buses)
         self._text = ""
         self.bus: int | None = None
+        """Bus that the client has opened; None before."""
         self.open = False
+        """Whether it wants frames."""
 
     def greet(self) -> bytes:
         """Return what is said when the connection is made."""
@@ -100,14 +80,11 @@ class SlcanSession:
 
     def __init__(self, bus: int) -> None:
         """Take the index of the bus."""
-        self._only = bus
         self._line = b""
         self.bus: int | None = bus
+        """That one."""
         self.open = False
-
-    def greet(self) -> bytes:
-        """Return nothing: adapters are silent."""
-        return b""
+        """Whether the client wants frames."""
 
     def take(self, data: bytes) -> tuple[list[CanFrame], bytes]:
         """Take what the client sent, and return the frames in it and what to answer: a bell where it is none."""
@@ -142,6 +119,10 @@ class SlcanSession:
         return b""
 
     def give(self, frame: CanFrame, t: float) -> bytes:
-        """Return a frame as the client reads it; it carries no time."""
+        """Return a frame as the client reads it; the time t [s] when it was on the bus is not in it."""
         head = f"T{frame.id:08X}" if frame.extended else f"t{frame.id:03X}"
         return f"{head}{len(frame.data)}{frame.data.hex().upper()}\r".encode("ascii")
+
+
+Session = SocketcandSession | SlcanSession
+"""One client of an adapter."""

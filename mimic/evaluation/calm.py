@@ -16,15 +16,15 @@ import mujoco
 import numpy as np
 
 from mimic.config.evaluation import CalmSettings
-from mimic.config.play import NO_DISTURBANCE, Disturbance, Solver
-from mimic.evaluation.episode import play_all, play_episode
-from mimic.evaluation.policy import TIMING, standing_track, stands_at_end
+from mimic.config.play import Disturbance, Solver
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.policy import standing_track, stands_at_end
 from mimic.evaluation.senses import SENSES, Senses, SensingPolicy
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import JOINTS, LEGS, SIDES, BoolArray, FloatArray, JointSamples
 from mimic.robot.description import RobotDescription
-from mimic.simulation.plant import SimulatedPlant, plant_options
+from mimic.simulation.plant import plant_options
 
 SETTLED = 2.0
 """Figures count from this time on [s]."""
@@ -49,7 +49,7 @@ BEARS = 0.2
 STANDING: dict[str, dict[str, Any]] = {
     "as described": {},
     "the paper's noise": {"senses": SENSES["the paper's noise"]},
-    "impratio 10": {"solver": Solver(impratio=10.0)},
+    "impratio 10": {"impratio": 10.0},
     "IMU pitched by 1 deg": {"disturbance": Disturbance(imu_tilt=1.0, imu_axis="pitch")},
 }
 """Ways of standing, each with what differs; the first one counts. At MuJoCo's impratio of 1 feet creep under load."""
@@ -60,15 +60,9 @@ PULLED: dict[str, Any] = {"drag_from": PUSHED_AT, "drag_ramp": 1.5, "drag_second
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
-    kind: str
+class _Job(Job):
     what: str
-    seed: int
-    seconds: float
-    settings: CalmSettings
-    push: float = 0.0
-    disturbance: Disturbance = NO_DISTURBANCE
-    solver: Solver | None = None
+    impratio: float | None = None
     senses: Senses = SENSES["no noise"]
 
 
@@ -136,16 +130,13 @@ def still_figures(
 
 
 def _play(job: _Job, policy: Policy) -> dict[str, Any]:
-    description, s = policy.description, job.settings
-    ranges = replace(s.randomisation, push=(job.push, job.push), push_interval=PUSHED_AT)
+    description = policy.description
     stands = job.kind == "standing"
-    options: dict[str, Any] = plant_options(s.robot)
-    if job.solver is not None:
-        options = options | {"solver": replace(options.get("solver") or Solver(), impratio=job.solver.impratio)}
-    disturbance = replace(job.disturbance, toe=SIDES[job.seed % 2])
-    plant = SimulatedPlant(
-        description, ranges=ranges, seed=job.seed, samples=stands, disturbance=disturbance, **options
-    )
+    options: dict[str, Any] = {}
+    if job.impratio is not None:
+        usual = plant_options(job.robot).get("solver") or Solver()
+        options["solver"] = replace(usual, impratio=job.impratio)
+    plant = job.plant(description, samples=stands, **options)
     planted = _Planted(plant.model, description)
     if stands:
         plant.watch(planted)
@@ -165,19 +156,21 @@ def _play(job: _Job, policy: Policy) -> dict[str, Any]:
 
 
 def _jobs(s: CalmSettings) -> Iterator[_Job]:
+    def job(kind: str, what: str, seed: int, seconds: float, *, push: float = 0.0, **more: Any) -> _Job:
+        ranges = replace(s.randomisation, push=(push, push), push_interval=PUSHED_AT)
+        made = _Job(kind=kind, what=what, seed=seed, seconds=seconds, ranges=ranges, robot=s.robot, **more)
+        return replace(made, disturbance=replace(made.disturbance, toe=SIDES[seed % 2]))
+
     for what, differs in STANDING.items():
         for seed in range(s.seed, s.seed + s.episodes):
-            yield _Job(kind="standing", what=what, seed=seed, seconds=s.seconds, settings=s, **differs)
-    short = 2 * PUSHED_AT - 0.5
+            yield job("standing", what, seed, s.seconds, **differs)
     for seed in range(s.seed, s.seed + s.pushed_episodes):
         for push, way in product(s.pushes, PUSH_WAYS):
-            pushed = Disturbance(push_way=way)
-            what = f"{push:g} m/s {way}"
-            yield _Job(kind="pushed", what=what, seed=seed, seconds=short, settings=s, push=push, disturbance=pushed)
+            pushed, seconds = Disturbance(push_way=way), 2 * PUSHED_AT - 0.5
+            yield job("pushed", f"{push:g} m/s {way}", seed, seconds, push=push, disturbance=pushed)
         for pull, way in product(s.pulls, PULL_WAYS):
-            pulled = Disturbance(drag=pull, drag_way=way, **PULLED)
-            what, seconds = f"{pull:g} N {way}", PUSHED_AT + PULLED["drag_seconds"] + 1.5
-            yield _Job(kind="pulled", what=what, seed=seed, seconds=seconds, settings=s, disturbance=pulled)
+            pulled, seconds = Disturbance(drag=pull, drag_way=way, **PULLED), PUSHED_AT + PULLED["drag_seconds"] + 1.5
+            yield job("pulled", f"{pull:g} N {way}", seed, seconds, disturbance=pulled)
 
 
 def evaluate_calm(policy_path: Path, settings: CalmSettings, *, progress: Progress | None = None) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mimic.config.evaluation import EpisodeSettings
-from mimic.config.play import RunSettings
+from mimic.config.play import AS_DESCRIBED, NO_DISTURBANCE, Disturbance, EffectsSettings, Randomisation, RunSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_limits import Limits
@@ -20,10 +20,37 @@ from mimic.control.tick import Safety
 from mimic.jobs.local import Progress, run_all
 from mimic.policy.runtime import Policy, cached_policy
 from mimic.records import CommandTrack
-from mimic.simulation.plant import plant_options
+from mimic.robot.description import RobotDescription
+from mimic.simulation.plant import SimulatedPlant, plant_options
 
 J = TypeVar("J")
 R = TypeVar("R")
+
+TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
+"""One second to stand up, as in the paper, then half a second to the first goal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One episode: a robot, and what is asked of it."""
+
+    kind: str = ""
+    seed: int
+    seconds: float
+    """Length, standing up included [s]."""
+    ranges: Randomisation
+    """What the robot is drawn from."""
+    robot: EffectsSettings = AS_DESCRIBED
+    disturbance: Disturbance = NO_DISTURBANCE
+    speed: float | None = None
+    """Forward speed throughout [m/s]; drawn where None."""
+    turn: float | None = None
+    """Heading throughout, relative to the start [rad]; drawn where None."""
+
+    def plant(self, description: RobotDescription, **options: Any) -> SimulatedPlant:
+        """Return the robot, with further options of a `SimulatedPlant`."""
+        given: dict[str, Any] = {"samples": False, **plant_options(self.robot), **options}
+        return SimulatedPlant(description, ranges=self.ranges, seed=self.seed, disturbance=self.disturbance, **given)
 
 
 def _sits_down(report: StepReport, history: StepHistory, limits: Limits) -> Iterator[Alert]:

@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 
 from mimic.config.leading import LeadingSettings
-from mimic.config.play import RunSettings
 from mimic.control.loop import RunResult, run_policy
 from mimic.control.plant import Plant
 from mimic.control.safety_rules import FALLEN
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
+from mimic.evaluation.episode import TIMING
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.policy.runtime import Policy
@@ -30,10 +30,6 @@ from mimic.robot.rigid_body import rigid_body_model
 
 STRETCHED = 0.02
 """Damping of the estimate [m]: a stretched leg says nothing about a force along it."""
-
-
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
-"""Times of the phases: it may be led as soon as it stands."""
 
 
 class PullEstimator:

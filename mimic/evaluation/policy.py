@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mimic.config.evaluation import EvaluateSettings
-from mimic.config.play import NOMINAL, EffectsSettings, Randomisation, RunSettings
+from mimic.config.play import NOMINAL
 from mimic.control.loop import RunResult
-from mimic.evaluation.episode import play_all, play_episode
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import run_metrics, standing
@@ -20,7 +20,6 @@ from mimic.policy.runtime import Policy
 from mimic.records import CommandTrack, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
-from mimic.simulation.plant import SimulatedPlant, plant_options
 
 STOOD_WITHIN = 1.5
 """A stand-up counts when the robot stands within this [s]."""
@@ -39,9 +38,6 @@ TOE_EPISODES = 10
 
 COMMAND_EPISODES = 4
 """Nominal episodes of each walking speed and each turn."""
-
-TIMING = RunSettings(stand_up=1.0, blend=0.5, hold_last=0.0)
-"""One second to stand up, as in the paper, then half a second to the first goal."""
 
 
 def goal_path(goals: FloatArray, ticks: int, dt: float) -> FloatArray:
@@ -106,24 +102,11 @@ def forward_speed(log: RunLog, begin: float) -> float:
     return float(np.sum(np.diff(log.p_WB[rows, :2], axis=0) * ahead) / np.ptp(log.t[rows]))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    kind: str
-    seed: int
-    seconds: float
-    ranges: Randomisation
-    speed: float | None = None
-    turn: float | None = None
-    robot: EffectsSettings
-
-
-def _play(job: _Job, policy: Policy) -> RunResult:
-    description = policy.description
+def asked_by(job: Job, description: RobotDescription) -> CommandTrack:
+    """Return the commands of an episode, drawn by its seed where it gives none."""
     rng = np.random.default_rng([job.seed, 5])
     seconds = job.seconds - TIMING.stand_up - TIMING.blend
-    track = command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, samples=False, **plant_options(job.robot))
-    return play_episode(plant, policy, track, TIMING)
+    return command_script(description, seconds, rng, speed=job.speed, turn=job.turn)
 
 
 def stands_at_end(result: RunResult, description: RobotDescription, *, ground: FloatArray | float = 0.0) -> bool:
@@ -145,8 +128,9 @@ def stands_at_end(result: RunResult, description: RobotDescription, *, ground: F
     )
 
 
-def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
-    description, result = policy.description, _play(job, policy)
+def _figures(job: Job, policy: Policy) -> dict[str, Any]:
+    description = policy.description
+    result = play_episode(job.plant(description), policy, asked_by(job, description), TIMING)
     log = result.log
     figures = run_metrics(log, description) | {"kind": job.kind, "seed": job.seed}
     figures["stands_at_end"] = stands_at_end(result, description)
@@ -162,12 +146,12 @@ def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
     return figures
 
 
-def _jobs(s: EvaluateSettings) -> Iterator[_Job]:
-    def nominal(kind: str, i: int, seconds: float, speed: float = 0.0, turn: float = 0.0) -> _Job:
-        return _Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=NOMINAL, speed=speed, turn=turn, robot=s.robot)
+def _jobs(s: EvaluateSettings) -> Iterator[Job]:
+    def nominal(kind: str, i: int, seconds: float, speed: float = 0.0, turn: float = 0.0) -> Job:
+        return Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=NOMINAL, speed=speed, turn=turn, robot=s.robot)
 
     for i in range(s.episodes):
-        yield _Job(kind="randomised", seed=s.seed + i, seconds=s.seconds, ranges=s.randomisation, robot=s.robot)
+        yield Job(kind="randomised", seed=s.seed + i, seconds=s.seconds, ranges=s.randomisation, robot=s.robot)
     for i in range(TOE_EPISODES):
         yield nominal("toes", i, s.seconds)
     for i in range(COMMAND_EPISODES):

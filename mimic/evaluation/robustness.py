@@ -17,16 +17,15 @@ from typing import Any
 import numpy as np
 
 from mimic.config.evaluation import RobustnessSettings
-from mimic.config.play import NO_DISTURBANCE, EffectsSettings, Randomisation, Solver
+from mimic.config.play import NO_DISTURBANCE, Randomisation, Solver
 from mimic.config.training import TRAINING_RANDOMISATION
 from mimic.errors import PlantError
 from mimic.evaluation.disturbance_axes import AXES, START, World, all_at_once
-from mimic.evaluation.episode import play_all, play_episode
-from mimic.evaluation.policy import TIMING, command_script, stands_at_end
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.policy import asked_by, stands_at_end
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
 from mimic.records import SIDES
-from mimic.simulation.plant import SimulatedPlant, plant_options
 
 REQUIRED = 0.95
 """Share of survived episodes from which on a disturbance counts as tolerated."""
@@ -56,13 +55,9 @@ sink into the ground of pyramidal cones; with impratio 10 they do not, and what 
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
+class _Job(Job):
     key: tuple[str, str]
-    seed: int
-    seconds: float
-    world: World
     solver: Solver | None = None
-    robot: EffectsSettings
 
 
 def _jobs(settings: RobustnessSettings) -> list[_Job]:
@@ -72,8 +67,8 @@ def _jobs(settings: RobustnessSettings) -> list[_Job]:
         for seed in range(settings.seed, settings.seed + settings.episodes):
             ranges, disturbance = world(seed)
             sided = dataclasses.replace(disturbance, toe=SIDES[seed % 2])
-            made = {"seed": seed, "seconds": settings.seconds, "world": (ranges, sided), "robot": settings.robot}
-            jobs.append(_Job(key=(kind, name), solver=solver, **made))
+            made = {"seed": seed, "seconds": settings.seconds, "robot": settings.robot, "disturbance": sided}
+            jobs.append(_Job(key=(kind, name), solver=solver, ranges=ranges, **made))
 
     def fixed(world: World) -> Callable[[int], World]:
         return lambda seed: world
@@ -92,13 +87,9 @@ def _jobs(settings: RobustnessSettings) -> list[_Job]:
 
 def _survives(job: _Job, policy: Policy) -> bool:
     description = policy.description
-    seconds = job.seconds - TIMING.stand_up - TIMING.blend
-    track = command_script(description, seconds, np.random.default_rng([job.seed, 5]))
-    ranges, disturbance = job.world
-    robot: dict[str, Any] = plant_options(job.robot) | ({} if job.solver is None else {"solver": job.solver})
-    plant = SimulatedPlant(description, ranges=ranges, seed=job.seed, samples=False, disturbance=disturbance, **robot)
+    plant = job.plant(description, **({} if job.solver is None else {"solver": job.solver}))
     try:
-        result = play_episode(plant, policy, track, TIMING)
+        result = play_episode(plant, policy, asked_by(job, description), TIMING)
     except PlantError:  # the simulation exploded
         return False
     return stands_at_end(result, description, ground=plant.disturber.ground_height(result.log.p_WB))

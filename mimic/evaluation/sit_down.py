@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from mimic.config.evaluation import SitDownEvaluateSettings
-from mimic.config.play import AS_DESCRIBED, EffectsSettings, Randomisation
 from mimic.control.loop import RunResult
 from mimic.evaluation.contact_recorder import ContactRecorder
-from mimic.evaluation.episode import play_all, play_episode
-from mimic.evaluation.policy import TIMING, command_script
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.policy import command_script
 from mimic.geometry import rotation_from_quat
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy, cached_policy, load_policy
 from mimic.records import PHASES, FloatArray, RunLog
 from mimic.robot.description import RobotDescription, load_description
-from mimic.simulation.plant import SimulatedPlant, plant_options
 
 GENTLE = 0.8
 """The base must be slower than this when trunk or belly first touches the ground [m/s]."""
@@ -47,16 +45,6 @@ LAST = 0.5
 
 NEAR = 0.02
 """A robot is down once its base stays this near to its final height [m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SitDownEpisode:
-    """One episode: a random robot that stands up, tracks for a random time, and sits down."""
-
-    seed: int
-    seconds: float
-    ranges: Randomisation
-    robot: EffectsSettings = AS_DESCRIBED
 
 
 def final_pose(log: RunLog, description: RobotDescription) -> dict[str, float]:
@@ -96,20 +84,18 @@ def lies(end: dict[str, float]) -> bool:
     )
 
 
-def play_policy_switch(job: SitDownEpisode, tracker: Policy, sit_down: Policy) -> tuple[RunResult, ContactRecorder]:
-    """Play one episode: stand up, track random commands for a random time, sit down."""
+def play_policy_switch(job: Job, tracker: Policy, sit_down: Policy) -> tuple[RunResult, ContactRecorder]:
+    """Play one episode: a random robot stands up, tracks random commands for a random time, and sits down."""
     description = tracker.description
     rng = np.random.default_rng([job.seed, 7])
     seconds = rng.uniform(EARLIEST, job.seconds) - TIMING.stand_up - TIMING.blend
     track = command_script(description, max(seconds, 2 * description.dt), rng)
     recorder = ContactRecorder(description)
-    plant = SimulatedPlant(
-        description, ranges=job.ranges, seed=job.seed, samples=False, observer=recorder, **plant_options(job.robot)
-    )
+    plant = job.plant(description, observer=recorder)
     return play_episode(plant, tracker, track, TIMING, sit_down=sit_down), recorder
 
 
-def _figures(job: SitDownEpisode, tracker: Policy, sit_down: str) -> dict[str, Any]:
+def _figures(job: Job, tracker: Policy, sit_down: str) -> dict[str, Any]:
     description = tracker.description
     result, recorder = play_policy_switch(job, tracker, cached_policy(sit_down, job.robot.robot_model))
     log = result.log
@@ -140,12 +126,8 @@ def evaluate_sit_down(
     description = load_description(settings.robot.robot_model)
     tracker = load_policy(settings.tracker, description).path
     load_policy(policy_path, description, task="sit_down")
-    jobs = [
-        SitDownEpisode(
-            seed=settings.seed + i, seconds=settings.seconds, ranges=settings.randomisation, robot=settings.robot
-        )
-        for i in range(settings.episodes)
-    ]
+    s = settings
+    jobs = [Job(seed=s.seed + i, seconds=s.seconds, ranges=s.randomisation, robot=s.robot) for i in range(s.episodes)]
     play = partial(_figures, sit_down=str(policy_path))
     rows = play_all(play, jobs, tracker, settings, progress)
     return {"policy": policy_path.name, "tracker": tracker.name, "summary": summarise(rows), "episodes": rows}

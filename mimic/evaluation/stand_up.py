@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mimic.config.evaluation import StandUpSettings
-from mimic.config.play import NOMINAL, EffectsSettings, Randomisation
-from mimic.evaluation.episode import play_all, play_episode
-from mimic.evaluation.policy import STOOD_WITHIN, TIMING, standing_track, stands_at_end
+from mimic.config.play import NOMINAL, Randomisation
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.policy import STOOD_WITHIN, standing_track, stands_at_end
 from mimic.geometry import heading_from_quat, wrap_angle
 from mimic.jobs.local import Progress
 from mimic.metrics import stand_up_time
 from mimic.policy.runtime import Policy
 from mimic.robot.description import RobotDescription, load_description
-from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SETTLED = 2.0
 """Standing still is evaluated from this time on [s]."""
@@ -27,19 +26,10 @@ STANDING_RANGES = replace(NOMINAL, start_q=Randomisation().start_q, heading=Rand
 """The robot as described, at the paper's random starts."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    kind: str
-    seed: int
-    seconds: float
-    ranges: Randomisation
-    robot: EffectsSettings
-
-
-def _figures(job: _Job, policy: Policy) -> dict[str, Any]:
+def _figures(job: Job, policy: Policy) -> dict[str, Any]:
     """Play a run whose only commands are neutral toes."""
     description = policy.description
-    plant = SimulatedPlant(description, ranges=job.ranges, seed=job.seed, **plant_options(job.robot))
+    plant = job.plant(description, samples=True)
     result = play_episode(plant, policy, standing_track(policy, job.seconds), TIMING)
     log, samples = result.log, result.samples
     figures: dict[str, Any] = {"kind": job.kind, "seed": job.seed, "stands_at_end": stands_at_end(result, description)}
@@ -64,7 +54,7 @@ def evaluate_stand_up(
     """Evaluate lying starts, and the drift of robots that should stand still; the same seeds give the same figures."""
     s = settings
     jobs = [
-        _Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=ranges, robot=s.robot)
+        Job(kind=kind, seed=s.seed + i, seconds=seconds, ranges=ranges, robot=s.robot)
         for kind, count, seconds, ranges in (
             ("still", s.still_episodes, SETTLED + s.still_seconds, STANDING_RANGES),
             ("rise", s.episodes, s.seconds, s.randomisation),

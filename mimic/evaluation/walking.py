@@ -10,16 +10,14 @@ import mujoco
 import numpy as np
 
 from mimic.config.evaluation import EpisodeSettings
-from mimic.config.play import EffectsSettings
 from mimic.evaluation.disturbance_axes import START
-from mimic.evaluation.episode import play_all, play_episode
-from mimic.evaluation.policy import TIMING, command_script, forward_speed
+from mimic.evaluation.episode import TIMING, Job, play_all, play_episode
+from mimic.evaluation.policy import asked_by, forward_speed
 from mimic.geometry import heading_from_quat
 from mimic.jobs.local import Progress
 from mimic.policy.runtime import Policy
-from mimic.records import LEGS, CommandTrack, FloatArray, RunLog
+from mimic.records import LEGS, FloatArray, RunLog
 from mimic.robot.description import RobotDescription
-from mimic.simulation.plant import SimulatedPlant, plant_options
 
 SPEEDS = (-0.6, -0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45, 0.6)
 """Asked speeds [m/s], forward positive."""
@@ -41,12 +39,10 @@ LEAST_LIFT = 0.001
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
-    speed: float
-    turn: float
+class _Job(Job):
+    turning: float
+    """Turning rate [rad/s]."""
     arms: str
-    seed: int
-    robot: EffectsSettings
 
 
 class _Lifts:
@@ -85,25 +81,19 @@ def turning_rate(log: RunLog, begin: float) -> float:
     return float((heading[-1] - heading[0]) / np.ptp(log.t[rows]))
 
 
-def _asked(job: _Job, description: RobotDescription, neutral: FloatArray) -> CommandTrack:
-    seconds = SECONDS - TIMING.stand_up - TIMING.blend
-    rng = np.random.default_rng([job.seed, 5])
-    track = command_script(description, seconds, rng, speed=job.speed, turn=0.0)
-    track = replace(track, heading=job.turn * track.t)
-    if job.arms == "moving":
-        return track
-    return replace(track, p_BE=np.broadcast_to(neutral, track.p_BE.shape).copy())
-
-
 def _play(job: _Job, policy: Policy) -> dict[str, Any]:
     described = policy.description
     beyond = replace(described.commands, velocity=np.array([max(SPEEDS), 0.0]))
     description = replace(described, commands=beyond)  # or faster commands would be clamped to the trained ones
-    neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
-    plant = SimulatedPlant(description, ranges=START, seed=job.seed, samples=False, **plant_options(job.robot))
+    track = asked_by(job, description)
+    track = replace(track, heading=job.turning * track.t)
+    if job.arms == "still":
+        neutral = np.array(policy.contract.neutral_toes).reshape(2, 3)
+        track = replace(track, p_BE=np.broadcast_to(neutral, track.p_BE.shape).copy())
+    plant = job.plant(description)
     lifts = _Lifts(plant.model, description)
     plant.watch(lifts)
-    result = play_episode(plant, policy, _asked(job, description, neutral), TIMING)
+    result = play_episode(plant, policy, track, TIMING)
     return {
         "speed": forward_speed(result.log, WALKS_FROM),
         "turn": turning_rate(result.log, WALKS_FROM),
@@ -128,7 +118,8 @@ def evaluate_walking(
     """
     asked = [(v, 0.0) for v in SPEEDS] + [(0.0, w) for w in TURNS]
     cells = [(v, w, arms) for v, w in asked for arms in ARMS]
-    jobs = [_Job(speed=v, turn=w, arms=arms, seed=seed, robot=settings.robot) for v, w, arms in cells for seed in seeds]
+    usual: dict[str, Any] = {"seconds": SECONDS, "ranges": START, "robot": settings.robot, "turn": 0.0}
+    jobs = [_Job(speed=v, turning=w, arms=arms, seed=seed, **usual) for v, w, arms in cells for seed in seeds]
     if not jobs:
         return {"walking": [], "turning": []}
     rows = play_all(_play, jobs, policy_path, settings, progress)

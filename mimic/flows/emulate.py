@@ -9,17 +9,29 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mimic.config.emulator import EmulateSettings
 from mimic.config.play import DEFAULT_ROBOT, EffectsSettings
 from mimic.control.priority import EMULATOR, real_time
+from mimic.dynamics.effect_set import EffectSet, read_effects
+from mimic.dynamics.servo import read_standing
+from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.board_base import TICK
+from mimic.emulator.board_server import BoardServer
+from mimic.emulator.faults import BOARD_ONLY, CAN_KINDS, EmulatedFault, parse_fault, random_fault
+from mimic.emulator.go2 import EmulatedGo2
+from mimic.emulator.robot import EmulatedRobot
+from mimic.emulator.server import EmulatorServer
 from mimic.errors import ConfigError
 from mimic.flows.play import load_robot, warn_of_stand_effects
 from mimic.flows.reporter import Reporter, SilentReporter
-
-if TYPE_CHECKING:
-    from mimic.emulator.server import EmulatorStatus
+from mimic.hardware.can.wiring import load_wiring
+from mimic.hardware.go2.dds_bus import DdsBus
+from mimic.hardware.go2.wiring import load_go2
+from mimic.hardware.robot.board import Bus
+from mimic.hardware.stock.lcm_bus import LcmBus, check_network
+from mimic.hardware.stock.wiring import load_board
 
 FRAME_INTERVAL = 1 / 30
 """Time between two pictures in the viewer [s]."""
@@ -63,16 +75,12 @@ class Served:
 
     seconds: float
     """Time of the emulation [s]."""
-    frames: int
-    bits_per_frame: float
-    load: tuple[float, ...]
-    """Share of each bus's time that was used."""
-    late: int
-    """Frames delivered more than 2 ms late."""
+    figures: Mapping[str, str]
+    """Rows of a table of what happened."""
     stood_still: float
     """For how long the emulation stood still because this computer was too slow [s]."""
     switched_on: tuple[str, ...]
-    """Joints whose motors were on at the end."""
+    """Joints whose motors were on at the end; of a stock robot those that were driven."""
     driven: tuple[str, ...]
     """Those of them that had stiffness or torque."""
 
@@ -91,10 +99,10 @@ def serve_robot(
     *,
     reporter: Reporter | None = None,
 ) -> Served:
-    """Serve an emulated robot on emulated CAN buses until Ctrl-C, SIGTERM or the given time.
+    """Serve an emulated robot until Ctrl-C, SIGTERM or the given time: on emulated CAN buses, or a stock one.
 
     Args:
-        options: Where and how long.
+        options: Which robot, where, how long, and which faults.
         settings: How the robot behaves.
         effects: What a calibration found.
         reporter: Receives addresses, events and status lines.
@@ -102,181 +110,13 @@ def serve_robot(
     Raises:
         ConfigError: If an address, a fault or the effects cannot be used.
         AssetError: If a file cannot be read.
-    """
-    from mimic.emulator.faults import BOARD_ONLY, parse_fault, random_fault
-    from mimic.emulator.robot import EmulatedRobot
-    from mimic.emulator.server import EmulatorServer
-    from mimic.hardware.can.wiring import load_wiring
-
-    options, settings = options or ServeOptions(), settings or EmulateSettings()
-    effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
-    host, port = _address(options.listen)
-    faults = [parse_fault(text) for text in options.faults]
-    for fault in faults:
-        if fault.kind in BOARD_ONLY:
-            raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
-    if options.fault_seed is not None:
-        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True))
-    emulated = EmulatedRobot(
-        load_robot(effects.robot_model),
-        load_wiring(options.wiring, buses=options.buses),
-        settings,
-        effects=_effects(effects, settings, reporter),
-        faults=faults,
-        timestep=effects.timestep,
-        visuals=options.view,
-    )
-    late, stood = 0, 0.0
-
-    def line(status: EmulatorStatus) -> str:
-        nonlocal late, stood
-        late, stood = late + status.late, stood + status.stood_still
-        return _line(status)
-
-    def listen() -> tuple[EmulatorServer, Sequence[str]]:
-        server = EmulatorServer(emulated, host=host, port=port, slcan=options.slcan)
-        return server, server.addresses
-
-    line(_serve(emulated, listen, line, options, faults, reporter))
-    bits, frames = sum(bus.bits for bus in emulated.buses), sum(bus.frames for bus in emulated.buses)
-    return Served(
-        seconds=emulated.now,
-        frames=frames,
-        bits_per_frame=bits / max(frames, 1),
-        load=tuple(emulated.load(i) for i in range(len(emulated.buses))),
-        late=late,
-        stood_still=stood,
-        switched_on=emulated.switched_on(),
-        driven=emulated.driven(),
-    )
-
-
-def _line(status: EmulatorStatus) -> str:
-    buses = ", ".join(
-        f"{load:.1%} at {rate:.0f} frames/s" for load, rate in zip(status.load, status.frames, strict=True)
-    )
-    late = f"; {status.late} frames late, {1e3 * status.latest:.1f} ms at most" if status.late else ""
-    still = f"; stood still for {status.stood_still:.2f} s" if status.stood_still else ""
-    clients = f"{status.clients} client{'s' if status.clients != 1 else ''}"
-    return f"{status.t:9.1f} s  bus load {buses}; {clients}{late}{still}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ServedBoard:
-    """What was served."""
-
-    seconds: float
-    """Time of the emulation [s]."""
-    figures: Mapping[str, str]
-    """Rows of a table of what happened."""
-    stood_still: float
-    """For how long the emulation stood still because this computer was too slow [s]."""
-    driven: tuple[str, ...]
-    """Joints that had stiffness or torque at the end."""
-
-
-def serve_board(
-    options: ServeOptions | None = None,
-    settings: EmulateSettings | None = None,
-    effects: EffectsSettings | None = None,
-    *,
-    reporter: Reporter | None = None,
-) -> ServedBoard:
-    """Serve an emulated stock robot on this computer until Ctrl-C, SIGTERM or the given time.
-
-    Args:
-        options: Which robot, for how long, and which faults.
-        settings: How the robot lies or hangs.
-        effects: What a calibration found.
-        reporter: Receives events and status lines.
-
-    Raises:
-        ConfigError: If a fault or the effects cannot be used.
-        AssetError: If a file cannot be read.
         BusError, MissingExtra: If its network cannot be opened.
     """
-    from mimic.emulator.board_base import TICK
-    from mimic.emulator.board_server import BoardServer, BoardStatus
-    from mimic.emulator.faults import parse_fault, random_fault
-
     options, settings = options or ServeOptions(), settings or EmulateSettings()
     effects, reporter = effects or EffectsSettings(), reporter or SilentReporter()
-    name = options.board or DEFAULT_ROBOT
-    kind, kinds, wiring, open_bus = _board(name, options)
-    faults = [parse_fault(text) for text in options.faults]
-    if options.fault_seed is not None:
-        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
-    board = kind(
-        load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
-        wiring,
-        settings,
-        effects=_effects(effects, settings, reporter),
-        faults=faults,
-        timestep=TICK if effects.effects is None else effects.timestep,
-        visuals=options.view,
-    )
-
-    def listen() -> tuple[BoardServer, Sequence[str]]:
-        return BoardServer(board, open_bus()), (f"{name} (on this computer: add --interface lo)",)
-
-    def line(status: BoardStatus) -> str:
-        return f"{status.t:9.1f} s  {board.line()}"
-
-    status = _serve(board, listen, line, options, faults, reporter)
-    return ServedBoard(seconds=status.t, figures=board.figures(), stood_still=status.stood_still, driven=board.driven())
-
-
-def _board(name: str, options: ServeOptions) -> tuple[Any, tuple[str, ...], Any, Callable[[], Any]]:
-    """Return class, kinds of faults, wiring and network of a board."""
-    if name == "go2":
-        from mimic.emulator import go2
-        from mimic.hardware.go2.dds_bus import DdsBus
-        from mimic.hardware.go2.wiring import load_go2
-
-        there = load_go2(options.wiring)
-        return go2.EmulatedGo2, go2.FAULTS, there, lambda: DdsBus(there, "lo", robot=True)
-    from mimic.emulator import board
-    from mimic.hardware.stock.lcm_bus import LcmBus, check_network
-    from mimic.hardware.stock.wiring import load_board
-
-    wiring = load_board(options.wiring)
-    check_network(wiring, "lo")
-    return board.EmulatedBoard, board.FAULTS, wiring, lambda: LcmBus(wiring, 0)
-
-
-def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> Any:
-    """Return the effects that a robot in the air or on its feet has; None without a file."""
-    from mimic.dynamics.effect_set import read_effects
-    from mimic.dynamics.servo import read_standing
-
-    if effects.effects is None:
-        return None
-    if settings.suspended:
-        return read_effects(Path(effects.effects))
-    warn_of_stand_effects(effects, reporter)
-    return read_standing(Path(effects.effects))
-
-
-def _serve(
-    emulated: Any,
-    listen: Callable[[], tuple[Any, Sequence[str]]],
-    line: Callable[[Any], str],
-    options: ServeOptions,
-    faults: Sequence[Any],
-    reporter: Reporter,
-) -> Any:
-    """Serve a robot or board to the end; return the last statistics of its server.
-
-    Args:
-        emulated: What is served.
-        listen: Opens the server; returns it with its addresses.
-        line: Makes a status line of statistics.
-        options: How long, and what is shown.
-        faults: To be reported at the start.
-        reporter: Receives addresses, events and status lines.
-    """
+    emulated, faults, listen = (_on_can if options.board is None else _board)(options, settings, effects, reporter)
     shown = _Viewer(emulated.body.model, emulated.body.data) if options.view else None
-    server, addresses = listen()
+    server = listen()
     for fault in faults:
         reporter.note(f"fault        {fault}")
     begin = reported = time.monotonic()
@@ -288,7 +128,7 @@ def _serve(
             reporter.note(f"{t:9.3f} s  {text}")
         if options.every and time.monotonic() - reported >= options.every:
             reported = time.monotonic()
-            reporter.note(line(server.status()))
+            reporter.note(server.line())
         if shown is not None:
             shown.show()
 
@@ -299,14 +139,86 @@ def _serve(
                 over = options.seconds is not None and time.monotonic() - begin >= options.seconds
                 return signalled() or over or (shown is not None and not shown.open())
 
-            for address in addresses:
+            for address in server.addresses:
                 reporter.note(f"ready        {address}")
             server.run(ended, each)
     finally:
         server.close()
         if shown is not None:
             shown.close()
-    return server.status()
+    return Served(
+        seconds=emulated.now,
+        figures=server.figures(),
+        stood_still=server.stood_still,
+        switched_on=emulated.switched_on(),
+        driven=emulated.driven(),
+    )
+
+
+_Made = tuple[Any, Sequence[EmulatedFault], Callable[[], Any]]
+"""An emulated robot, its faults, and what opens its server."""
+
+
+def _on_can(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
+    host, port = _address(options.listen)
+    faults = _faults(options, CAN_KINDS)
+    for fault in faults:
+        if fault.kind in BOARD_ONLY:
+            raise ConfigError(f"{fault.kind} is a fault of stock robots; add --board cyberdog2 or go2")
+    robot = EmulatedRobot(
+        load_robot(effects.robot_model),
+        load_wiring(options.wiring, buses=options.buses),
+        settings,
+        effects=_effects(effects, settings, reporter),
+        faults=faults,
+        timestep=effects.timestep,
+        visuals=options.view,
+    )
+    return robot, faults, lambda: EmulatorServer(robot, host=host, port=port, slcan=options.slcan)
+
+
+def _network(options: ServeOptions) -> tuple[Any, Any, Callable[[], Bus]]:
+    """Return class, wiring and network of a board."""
+    if options.board == "go2":
+        go2 = load_go2(options.wiring)
+        return EmulatedGo2, go2, lambda: DdsBus(go2, "lo", robot=True)
+    stock = load_board(options.wiring)
+    check_network(stock, "lo")
+    return EmulatedBoard, stock, lambda: LcmBus(stock, 0)
+
+
+def _board(options: ServeOptions, settings: EmulateSettings, effects: EffectsSettings, reporter: Reporter) -> _Made:
+    name = options.board or DEFAULT_ROBOT
+    made, wiring, open_bus = _network(options)
+    faults = _faults(options, made.kinds)
+    board = made(
+        load_robot(name if effects.robot_model == DEFAULT_ROBOT else effects.robot_model),
+        wiring,
+        settings,
+        effects=_effects(effects, settings, reporter),
+        faults=faults,
+        timestep=TICK if effects.effects is None else effects.timestep,
+        visuals=options.view,
+    )
+    address = f"{name} (on this computer: add --interface lo)"
+    return board, faults, lambda: BoardServer(board, open_bus(), address)
+
+
+def _faults(options: ServeOptions, kinds: tuple[str, ...]) -> list[EmulatedFault]:
+    faults = [parse_fault(text) for text in options.faults]
+    if options.fault_seed is not None:
+        faults.append(random_fault(options.fault_seed, start=RANDOM_FAULT, after_release=True, kinds=kinds))
+    return faults
+
+
+def _effects(effects: EffectsSettings, settings: EmulateSettings, reporter: Reporter) -> EffectSet | None:
+    """Return the effects that a robot in the air or on its feet has; None without a file."""
+    if effects.effects is None:
+        return None
+    if settings.suspended:
+        return read_effects(Path(effects.effects))
+    warn_of_stand_effects(effects, reporter)
+    return read_standing(Path(effects.effects))
 
 
 @contextmanager

@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 
-from mimic.flows.reporter import Activity, Progress, Reporter
+from mimic.flows.reporter import Progress, Reporter
 
 NEEDED = (
     "mimic.sources.video.smoothing",
@@ -27,18 +27,7 @@ class PreloadingReporter:
 
     def __init__(self, reporter: Reporter) -> None:
         self._reporter = reporter
-
-    def note(self, text: str) -> None:
-        """Pass it on."""
-        self._reporter.note(text)
-
-    def warn(self, text: str) -> None:
-        """Pass it on."""
-        self._reporter.warn(text)
-
-    def activity(self, unit: str) -> AbstractContextManager[Activity]:
-        """Pass it on."""
-        return self._reporter.activity(unit)
+        self.note, self.warn, self.activity = reporter.note, reporter.warn, reporter.activity
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Progress]:

@@ -37,8 +37,6 @@ class Watched:
     """(12,) [degC]; NaN where not known."""
     errors: Sequence[int]
     """Error bits of each motor (12,)."""
-    rpy: FloatArray
-    """Roll, pitch and yaw of the base (3,) [rad]."""
     quat_WB: FloatArray
     """Orientation of the base, wxyz (4,)."""
     omega_B: FloatArray
@@ -47,6 +45,11 @@ class Watched:
     """Messages a second of each kind."""
     notes: Sequence[str]
     """What else is to be said."""
+
+    @property
+    def rpy(self) -> FloatArray:
+        """Roll, pitch and yaw of the base (3,) [rad]."""
+        return rpy_from_quat(self.quat_WB)
 
 
 Show = Callable[[Watched], None]
@@ -152,7 +155,6 @@ def _watch_can(bus_url: str, bus: LookSettings, seconds: float | None, every: fl
                     tau=seen.tau,
                     temperature=seen.temperature,
                     errors=[int(bits) for bits in seen.faults],
-                    rpy=rpy_from_quat(imu.quat_WB),
                     quat_WB=imu.quat_WB,
                     omega_B=imu.omega_B,
                     rates=rates,
@@ -209,18 +211,12 @@ def _watch_board(bus_url: str, bus: LookSettings, seconds: float | None, every: 
             driver.listen(since + every)
             now, last = driver.now(), driver.report
             heard = now - float(last["heard"]) < max(0.5, every)
-            nothing = np.full(12, np.nan)
+            names = ("q", "dq", "tau", "temperature", "quat_WB", "omega_B")
             show(
                 Watched(
                     t=now - begin,
-                    q=np.array(last["q"]) if heard else nothing,
-                    dq=np.array(last["dq"]) if heard else nothing,
-                    tau=np.array(last["tau"]) if heard else nothing,
-                    temperature=np.array(last["temperature"]) if heard else nothing,
+                    **{name: np.array(last[name]) if heard else np.full_like(last[name], np.nan) for name in names},
                     errors=[int(bits) for bits in last["faults"]],
-                    rpy=rpy_from_quat(np.array(last["quat_WB"])) if heard else np.full(3, np.nan),
-                    quat_WB=np.array(last["quat_WB"]) if heard else np.full(4, np.nan),
-                    omega_B=np.array(last["omega_B"]) if heard else np.full(3, np.nan),
                     rates={name: (count - before[name]) / (now - since) for name, count in counts().items()},
                     notes=_board_notes(driver, heard=heard),
                 )

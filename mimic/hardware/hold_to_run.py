@@ -11,7 +11,6 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from mimic.errors import ConfigError
 
@@ -25,14 +24,6 @@ _EVENT = struct.Struct("<IhBB")
 """Time [ms], value, type and number. Source: Linux, Documentation/input/joydev/joystick-api.rst."""
 
 _BUTTON, _INITIAL = 0x01, 0x80
-
-
-class Hold(Protocol):
-    """Something to hold."""
-
-    def held(self) -> bool:
-        """Return whether it is held now; never waits."""
-        ...
 
 
 class HeldKey:
@@ -49,7 +40,7 @@ class HeldKey:
         self._last, self._repeats = -1e9, False
 
     def held(self) -> bool:
-        """Return whether a key is held now."""
+        """Return whether a key is held now; never waits."""
         came = False
         while select.select([self._file], [], [], 0.0)[0]:
             try:
@@ -74,7 +65,7 @@ class HeldButton:
         self._file, self._pressed, self._gone = file, set[int](), False
 
     def held(self) -> bool:
-        """Return whether a button is held now; never again once the gamepad is gone."""
+        """Return whether a button is held now, without waiting; never again once the gamepad is gone."""
         while not self._gone:
             try:
                 data = os.read(self._file, _EVENT.size)
@@ -89,6 +80,10 @@ class HeldButton:
             if kind & ~_INITIAL == _BUTTON:
                 (self._pressed.add if value else self._pressed.discard)(number)
         return bool(self._pressed) and not self._gone
+
+
+Hold = HeldKey | HeldButton
+"""Something to hold."""
 
 
 @contextmanager

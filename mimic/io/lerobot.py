@@ -67,68 +67,58 @@ def write_dataset(
         picture: Height and width of the films [px]; None without.
         progress: Called after each episode with the episodes done and their number.
     """
+    import pyarrow as pa
+
     part = folder.with_name(f".{folder.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        _write(part, episodes, names, fps, robot, picture, progress)
-        part.rename(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _write(
-    folder: Path,
-    episodes: Sequence[Episode],
-    names: Mapping[str, Sequence[str]],
-    fps: int,
-    robot: str,
-    picture: tuple[int, int] | None,
-    progress: Callable[[int, int | None], None] | None,
-) -> None:
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     rows: list[dict[str, Any]] = []
     stats: list[dict[str, dict[str, Any]]] = []
     start = 0
-    for number, episode in enumerate(episodes):
-        count = len(next(iter(episode.columns.values())))
-        where = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
-        indices = {
-            "timestamp": np.arange(count) / fps,
-            "frame_index": np.arange(count),
-            "episode_index": np.full(count, number),
-            "index": start + np.arange(count),
-            "task_index": np.full(count, tasks.index(episode.task)),
-        }
-        _save_table(folder / _DATA.format(**where), episode.columns, indices)
-        own = {name: _stats(values) for name, values in {**episode.columns, **indices}.items()}
-        row: dict[str, Any] = {
-            "episode_index": number,
-            "tasks": [episode.task],
-            "length": count,
-            **{f"data/{key}": value for key, value in where.items()},
-            "dataset_from_index": start,
-            "dataset_to_index": start + count,
-            "meta/episodes/chunk_index": 0,
-            "meta/episodes/file_index": 0,
-        }
-        if episode.film is not None:
-            path = folder / _VIDEO.format(video_key=CAMERA, **where)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            low, high, mean, std = (np.reshape(v, (3, 1, 1)).tolist() for v in episode.film(path))
-            own[CAMERA] = {"min": low, "max": high, "mean": mean, "std": std, "count": [count]}
-            row |= {f"videos/{CAMERA}/{key}": value for key, value in where.items()}
-            row |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / fps}
-        row |= {f"stats/{name}/{key}": value for name, values in own.items() for key, value in values.items()}
-        rows.append(row)
-        stats.append(own)
-        start += count
-        if progress is not None:
-            progress(number + 1, len(episodes))
-    _save_rows(folder / "meta/episodes/chunk-000/file-000.parquet", rows)
-    _save_tasks(folder / "meta/tasks.parquet", tasks)
-    save_json({name: _together([own[name] for own in stats]) for name in stats[0]}, folder / "meta/stats.json")
-    save_json(_info(names, fps, robot, picture, len(rows), start, len(tasks)), folder / "meta/info.json")
+    try:
+        for number, episode in enumerate(episodes):
+            count = len(next(iter(episode.columns.values())))
+            where = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
+            indices = {
+                "timestamp": np.arange(count) / fps,
+                "frame_index": np.arange(count),
+                "episode_index": np.full(count, number),
+                "index": start + np.arange(count),
+                "task_index": np.full(count, tasks.index(episode.task)),
+            }
+            _save_table(part / _DATA.format(**where), episode.columns, indices)
+            own = {name: _stats(values) for name, values in {**episode.columns, **indices}.items()}
+            row: dict[str, Any] = {
+                "episode_index": number,
+                "tasks": [episode.task],
+                "length": count,
+                **{f"data/{key}": value for key, value in where.items()},
+                "dataset_from_index": start,
+                "dataset_to_index": start + count,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+            if episode.film is not None:
+                path = part / _VIDEO.format(video_key=CAMERA, **where)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                low, high, mean, std = (np.reshape(v, (3, 1, 1)).tolist() for v in episode.film(path))
+                own[CAMERA] = {"min": low, "max": high, "mean": mean, "std": std, "count": [count]}
+                row |= {f"videos/{CAMERA}/{key}": value for key, value in where.items()}
+                row |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / fps}
+            row |= {f"stats/{name}/{key}": value for name, values in own.items() for key, value in values.items()}
+            rows.append(row)
+            stats.append(own)
+            start += count
+            if progress is not None:
+                progress(number + 1, len(episodes))
+        _save(part / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(rows))
+        _save_tasks(part / "meta/tasks.parquet", tasks)
+        save_json({name: _together([own[name] for own in stats]) for name in stats[0]}, part / "meta/stats.json")
+        save_json(_info(names, fps, robot, picture, len(rows), start, len(tasks)), part / "meta/info.json")
+        part.rename(folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _info(
@@ -208,38 +198,29 @@ def _together(parts: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _save_table(path: Path, columns: Mapping[str, FloatArray], indices: Mapping[str, np.ndarray]) -> None:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     lists = {
         name: pa.array(values.astype(np.float32).tolist(), type=pa.list_(pa.float32()))
         for name, values in columns.items()
     }
     scalars = {name: pa.array(indices[name].astype(dtype)) for name, dtype in _INDICES.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.table({**lists, **scalars}), path)
+    _save(path, pa.table({**lists, **scalars}))
 
 
-def _save_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    import pyarrow as pa
+def _save(path: Path, table: Any) -> None:
     import pyarrow.parquet as pq
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.Table.from_pylist(rows), path)
+    pq.write_table(table, path)
 
 
 def _save_tasks(path: Path, tasks: list[str]) -> None:
     """Write the tasks as pandas would: an index of texts and the column task_index."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
-        return {
-            "name": name,
-            "field_name": name,
-            "pandas_type": pandas_type,
-            "numpy_type": numpy_type,
-            "metadata": None,
-        }
+        types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
+        return {"name": name, "field_name": name, **types, "metadata": None}
 
     pandas = {
         "index_columns": ["task"],
@@ -249,5 +230,4 @@ def _save_tasks(path: Path, tasks: list[str]) -> None:
         "pandas_version": "2.2.0",
     }
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)
+    _save(path, table.replace_schema_metadata({"pandas": json.dumps(pandas)}))

@@ -19,13 +19,14 @@ from mimic.emulator.board_bus import EmulatedBoardBus
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.link import EmulatedLink
 from mimic.emulator.robot import EmulatedRobot
-from mimic.emulator.sender_link import robot_on_board, robot_on_can
+from mimic.emulator.sender_link import EmulatedSenderLink, robot_on_can
 from mimic.errors import ConfigError, PlantError
 from mimic.hardware.can.load import expected_load
 from mimic.hardware.can.preflight import preflight
 from mimic.hardware.can.wiring import load_wiring
 from mimic.hardware.motors.interface import MotorMode
 from mimic.hardware.robot.plant import Robot
+from mimic.hardware.stock.driver import StockDriver
 from mimic.hardware.stock.wiring import load_board
 from mimic.io.joint_log import read_log, write_log
 from mimic.records import JOINTS
@@ -309,7 +310,8 @@ def on_board(description, *faults: str, suspended: bool = True) -> tuple[Emulate
     )
     bus = EmulatedBoardBus(board)
     bus.listen(0.5)
-    return board, robot_on_board(bus, load_board(), description, suspended=suspended)
+    link = EmulatedSenderLink(StockDriver(bus, load_board(), description), description)
+    return board, Robot(link, description, suspended=suspended)
 
 
 def test_on_a_motion_board_every_row_has_every_joint(description):

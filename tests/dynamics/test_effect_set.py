@@ -61,15 +61,6 @@ def test_joints_without_an_effect_keep_the_numbers_of_the_model():
     assert level[0] == machine.drives.friction[0]
 
 
-def test_an_effect_replaces_the_one_of_its_name_and_leaves_the_set_as_it_was():
-    before = EffectSet((stribeck(), EffectValues(name="delay", values={"time": 0.01})))
-    after = before.replaced(stribeck(values={"level": 0.3}))
-    assert [e.name for e in after] == ["stribeck", "delay"]
-    assert after.effects[0].values["level"][0] == 0.3
-    assert before.effects[0].values["level"][0] == 0.21
-    assert len(before.replaced(EffectValues(name="supply_sag", values={"drop": 0.001}))) == 3
-
-
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

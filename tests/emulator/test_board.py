@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mimic.config.emulator import EmulateSettings
-from mimic.emulator.board import TICK, EmulatedBoard
+from mimic.emulator.board import EmulatedBoard
+from mimic.emulator.board_base import TICK
 from mimic.emulator.faults import parse_fault
 from mimic.errors import ConfigError
 from mimic.hardware.stock.messages import MOTOR_CTRL, MOTOR_ERRORS, TYPES
@@ -32,7 +33,7 @@ class Client:
     def run(self, seconds: float, data: bytes | None = None) -> None:
         for _ in range(round(seconds / TICK)):
             if data is not None:
-                self.board.receive(data, self.board.now + TICK / 2)
+                self.board.take(MOTOR_CTRL.channel, data, self.board.now + TICK / 2)
             self.board.advance(self.board.now + TICK)
             for message in self.board.published(self.board.now):
                 fields = self.last[message.channel] = TYPES[message.channel].decode(message.data)

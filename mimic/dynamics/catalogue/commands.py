@@ -7,9 +7,7 @@ COMMANDS = (
         name="joint_delay",
         title="extra delay of a joint",
         equation="the target of this joint acts time later than those of the others",
-        parameters=(
-            Parameter(name="time", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.001, spread=30, starts=(4.0, 12.0)),
-        ),
+        parameters=(Parameter("time", "s", low=0.0, high=0.1, step=0.001, spread=30, starts=(4.0, 12.0)),),
         signature="residual of one joint in proportion to the speed of its target",
         experiment="steps and a chirp",
         enters="command path; actuator delay in MJCF",
@@ -19,7 +17,7 @@ COMMANDS = (
         name="delay_jitter",
         title="jittering delay",
         equation="each target acts later by a time drawn between 0 and spread",
-        parameters=(Parameter(name="spread", unit="s", neutral=0.0, low=0.0, high=0.1, step=0.002),),
+        parameters=(Parameter("spread", "s", low=0.0, high=0.1, step=0.002),),
         scope="machine",
         random=True,
         signature="bursts on the grid of the targets, in proportion to their change",
@@ -31,7 +29,7 @@ COMMANDS = (
         name="lost_commands",
         title="lost commands",
         equation="each target is lost with probability share; the one before stays",
-        parameters=(Parameter(name="share", unit="1", neutral=0.0, low=0.0, high=0.9, step=0.01),),
+        parameters=(Parameter("share", "1", low=0.0, high=0.9, step=0.01),),
         scope="machine",
         random=True,
         signature="bursts on the grid of the targets, as if a target had been left out",
@@ -43,11 +41,7 @@ COMMANDS = (
         name="target_filter",
         title="low-pass on the target",
         equation="the drive follows w, time dw/dt + w = target",
-        parameters=(
-            Parameter(
-                name="time", unit="s", neutral=0.0, low=0.0, high=0.5, step=0.001, spread=50, starts=(5.0, 20.0, 60.0)
-            ),
-        ),
+        parameters=(Parameter("time", "s", low=0.0, high=0.5, step=0.001, spread=50, starts=(5.0, 20.0, 60.0)),),
         signature="steps of the target arrive rounded; later than a delay, and only for what is fast",
         experiment="steps",
         enters="command path",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 from mimic.errors import ConfigError
@@ -14,13 +14,14 @@ STANDARD = "standard model; MuJoCo 4 documentation, Computation"
 """Source of what every textbook has."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """One number of an effect, for each joint or for the whole machine."""
 
     name: str
     unit: str
-    neutral: float | Literal["model"]
+    _: KW_ONLY
+    neutral: float | Literal["model"] = 0.0
     """Value without the effect; "model" where the model has a number of its own."""
     low: float
     high: float

@@ -13,9 +13,7 @@ TRANSMISSION = (
         name="backlash",
         title="backlash",
         equation="motor and link move freely against each other within gap; the encoder is on the motor",
-        parameters=(
-            Parameter(name="gap", unit="rad", neutral=0.0, low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),
-        ),
+        parameters=(Parameter("gap", "rad", low=0.0, high=0.3, step=0.004, starts=GAPS, spread=100),),
         structural=True,
         signature="dwell at each reversal of torque",
         experiment="small reversals around zero load, and the same preloaded by gravity",
@@ -28,19 +26,8 @@ TRANSMISSION = (
         equation="tau = (theta - q) / compliance + 2 damping sqrt(armature / compliance) d(theta - q)/dt between motor"
         " angle theta and link; the encoder is on the motor",
         parameters=(
-            Parameter(
-                name="compliance",
-                unit="rad/(N m)",
-                neutral=0.0,
-                low=0.0,
-                high=0.2,
-                step=0.003,
-                starts=(3.0, 12.0),
-                spread=50,
-            ),
-            Parameter(
-                name="damping", unit="1", neutral=DAMPING_RATIO, low=0.01, high=2.0, step=0.02, shape=True, spread=10
-            ),
+            Parameter("compliance", "rad/(N m)", low=0.0, high=0.2, step=0.003, starts=(3.0, 12.0), spread=50),
+            Parameter("damping", "1", neutral=DAMPING_RATIO, low=0.01, high=2.0, step=0.02, shape=True, spread=10),
         ),
         structural=True,
         signature="a resonance; reads as delay without friction",

@@ -122,13 +122,13 @@ class _Port:
                     return
                 raise BusError(f"{self.name} no longer takes frames: {explain(reason)}") from None
 
-    def take(self) -> CanFrame | None:
-        """Return a frame that is there already, or None."""
+    def take(self, timeout: float = 0.0) -> CanFrame | None:
+        """Return a frame that is there already, or comes within a time [s] where there is no file to wait for."""
         while True:
             try:
                 if self._ready and self.file is not None and not _readable(self.file):
                     return None
-                message = self._bus.recv(0.0)
+                message, timeout = self._bus.recv(timeout), 0.0
                 if message is None:
                     self._check()
                     return None
@@ -149,16 +149,6 @@ class _Port:
         """Raise if the server is gone: python-can's socketcand client would be silent for ever."""
         if self._sock is not None and _readable(self._sock.fileno()) and not self._sock.recv(1, socket.MSG_PEEK):
             raise BusError(f"{self.name} has closed the connection")
-
-    def wait(self, timeout: float) -> CanFrame | None:
-        """Wait for a frame where there is no file to wait for."""
-        try:
-            message = self._bus.recv(timeout)
-        except Exception as reason:  # drivers raise classes of their own
-            raise BusError(f"{self.name} has failed: {explain(reason)}") from None
-        if message is None or message.is_error_frame or message.is_remote_frame or message.is_fd:
-            return None
-        return CanFrame(message.arbitration_id, bytes(message.data), message.is_extended_id)
 
     def close(self) -> None:
         try:
@@ -228,7 +218,7 @@ class CanLink:
             if len(files) == len(self._ports):
                 ready, _, _ = select.select([*files, *wake], [], [], left)
             elif len(self._ports) == 1:
-                frame = self._ports[0].wait(min(left, _SLICE) if wake else left)
+                frame = self._ports[0].take(min(left, _SLICE) if wake else left)
                 if frame is not None:
                     return Received(0, frame, time.monotonic())
                 ready, _, _ = select.select(wake, [], [], 0)

@@ -39,16 +39,6 @@ class StepBudget:
     """Allowed for computing: the policy and OVERHEAD."""
 
     @property
-    def slot(self) -> float:
-        """Time from one part to the next [s]."""
-        return self.dt / self.parts
-
-    @property
-    def answers(self) -> float:
-        """Time that one part and the answers to it take on the bus [s]."""
-        return self.bus / self.parts
-
-    @property
     def spare(self) -> float:
         """What is left of a step [s]; negative where it does not fit."""
         return self.dt - self.computing - self.bus

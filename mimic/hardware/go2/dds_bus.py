@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import ipaddress
 import os
-import select
 import socket
 import time
 from collections.abc import Callable
@@ -20,7 +19,8 @@ from typing import Any
 from mimic.errors import BusError, MissingExtra
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, SPORT, SWITCHER, TOPICS, Struct
 from mimic.hardware.go2.wiring import Go2Wiring
-from mimic.hardware.stock.lcm_bus import FLOOD, address_of
+from mimic.hardware.robot.board import Bus
+from mimic.hardware.stock.lcm_bus import address_of
 
 FROM_ROBOT = (LOWSTATE, f"{SWITCHER}response", f"{SPORT}response")
 """What a robot sends."""
@@ -143,11 +143,8 @@ def _domain(domain: int, interface: str) -> Any:
     return Domain(domain, _CONFIG.format(interface))
 
 
-class DdsBus:
-    """The topics of a Go2: publishes, and hands every message on with the time at which it was read."""
-
-    echoes = False
-    """Whether own messages come back."""
+class DdsBus(Bus):
+    """The topics of a Go2."""
 
     def __init__(
         self,
@@ -181,7 +178,7 @@ class DdsBus:
         self._wakes, self._woken = os.pipe()
         os.set_blocking(self._wakes, False)
         os.set_blocking(self._woken, False)
-        woken = self._woken
+        self._sources, woken = {self._wakes: self._take}, self._woken
 
         def wake(*_: Any) -> None:
             with suppress(OSError):  # full: it is awake; or closed
@@ -276,23 +273,8 @@ class DdsBus:
             for known in (names.get(key, {}) for key in found)
         )
 
-    def now(self) -> float:
-        """Return the monotonic clock [s]."""
-        return time.monotonic()
-
-    def listen(self, until: float, wake: int | None = None) -> None:
-        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
-        files = [self._wakes, *([] if wake is None else [wake])]
-        while True:
-            left = until - time.monotonic()
-            ready, _, _ = select.select(files, [], [], max(left, 0.0))
-            if self._wakes in ready:
-                os.read(self._wakes, 4096)
-                self._take()
-            if wake in ready or (left <= 0.0 and not ready) or left < -FLOOD:
-                return
-
     def _take(self) -> None:
+        os.read(self._wakes, 4096)
         now, dds = time.monotonic(), self._dds
         message, info = ctypes.byref(self._message), ctypes.byref(self._info)
         for topic, reader in self._readers.items():
@@ -317,6 +299,6 @@ class DdsBus:
         self._readers.clear()
         self._writers.clear()
         self._topics.clear()
-        self._who = self._what = self._participant = None
+        self._sources, self._who, self._what, self._participant = {}, None, None, None
         os.close(self._woken)
         os.close(self._wakes)

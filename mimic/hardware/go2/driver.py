@@ -7,10 +7,9 @@ published, so the last one it gets, again and again, is always damping.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -30,10 +29,10 @@ from mimic.hardware.go2.messages import (
     encode,
 )
 from mimic.hardware.go2.wiring import Go2Wiring, load_go2
-from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings, Bus
+from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, LYING_TOLERANCE, PERIOD, BoardDriver, BoardReadings
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import ALL, CheckOptions, DriverSettings
-from mimic.records import JOINTS, JointCommand
+from mimic.hardware.robot.driver import CheckOptions, DriverSettings
+from mimic.records import JOINTS, FloatArray
 from mimic.robot.description import RobotDescription, load_description
 
 ANSWER = 0.5
@@ -73,18 +72,6 @@ NOT_DRIVEN = "it was sent no command"
 """How a robot is left whose start failed before the first message."""
 
 
-class Go2Bus(Bus, Protocol):
-    """The network of a Go2, or of an emulated one."""
-
-    def ready(self, topic: str) -> bool:
-        """Return whether somebody hears what is published on a topic."""
-        ...
-
-    def others(self) -> list[str]:
-        """Return who else may write commands."""
-        ...
-
-
 class Go2Driver(BoardDriver):
     """See `mimic.hardware.robot.driver.Driver`."""
 
@@ -92,7 +79,7 @@ class Go2Driver(BoardDriver):
 
     def __init__(
         self,
-        bus: Go2Bus,
+        bus: DdsBus,
         wiring: Go2Wiring,
         description: RobotDescription,
         *,
@@ -293,22 +280,7 @@ class Go2Driver(BoardDriver):
 
     # ------------------------------------------------------------------ messages
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command; a message holds those of all joints."""
-        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
-            raise FrameError("a command holds numbers that are not finite")
-        wiring, report = self._wiring, self.report
-        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
-        dq_des = np.clip(command.dq_des, -wiring.velocity_max, wiring.velocity_max)
-        self._send(command.q_des, dq_des, kp, kd, np.clip(command.tau_ff, -wiring.torque_max, wiring.torque_max))
-        report["q_sent"], report["kp_sent"], report["kd_sent"] = command.q_des, kp, kd
-
-    def damp(self) -> None:
-        """Send damping."""
-        q, zero = self.report["q"], np.zeros(len(JOINTS))
-        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
-
-    def _send(self, q: Any, dq: Any, kp: Any, kd: Any, tau: Any) -> None:
+    def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
         wiring, motors = self._wiring, self._message["motor_cmd"][: len(JOINTS)]
         motors["q"], motors["dq"], motors["tau"] = wiring.wire_angles(q), wiring.wire(dq), wiring.wire(tau)
         motors["kp"], motors["kd"] = wiring.wire_gains(kp), wiring.wire_gains(kd)

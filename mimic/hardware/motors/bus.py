@@ -298,26 +298,18 @@ class MotorBus:
             self.ask(lambda motor: self.motors.read(motor, register), lambda joint: (joint, register) in self._values)
         return np.array([self._values.get((joint, register), np.nan) for joint in ALL])
 
-    def request(self, joint: int, register: Register) -> None:
-        """Ask one motor for a register without waiting for the answer; `value` has it later."""
-        if register in self.motors.facts.registers:
-            self.send(joint, self.motors.read(self.id(joint), register))
-
     def ask_round_trip(self, joint: int, register: Register) -> None:
         """Ask one motor for a register, and measure how long its answer takes, unless one is waited for already."""
         waits = self._asked is not None and self.link.now() - self._asked[2] < ASK_TIMEOUT
         if register in self.motors.facts.registers and not waits:
             self._asked = joint, register, self.link.now()
-            self.request(joint, register)
+            self.send(joint, self.motors.read(self.id(joint), register))
 
     def voltage(self) -> float:
         """Return the median of the supply voltages that the motors told last [V]; NaN where none did."""
-        known = [v for joint in ALL if np.isfinite(v := self.value(joint, Register.SUPPLY_VOLTAGE))]
+        told = (self._values.get((joint, Register.SUPPLY_VOLTAGE), np.nan) for joint in ALL)
+        known = [volts for volts in told if np.isfinite(volts)]
         return float(np.median(known)) if known else float("nan")
-
-    def value(self, joint: int, register: Register) -> float:
-        """Return the newest value of a register that arrived; NaN where none did."""
-        return self._values.get((joint, register), float("nan"))
 
     def write(self, register: Register, value: float) -> FloatArray:
         """Write a register of every motor and return what each reads back (12,); NaN if there is no such register."""

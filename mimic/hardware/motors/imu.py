@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -36,8 +36,6 @@ class ImuReading:
     """Age of the older of the two [s]; infinite before the first."""
     unchanged: float
     """Time since any content of the frames changed, the counter included [s]; infinite before the first frame."""
-    still: float
-    """Time since orientation or angular velocity changed by a single bit [s]; also grows while a robot is at rest."""
     count: int
     """Number of samples (orientation and angular velocity) received so far."""
     valid: bool | None
@@ -66,6 +64,9 @@ QUATERNION, RATE_OF_TURN, STATUS_WORD, SAMPLE_TIME, GROUP_COUNTER = 0x021, 0x032
 """Identifiers of 11 bits, as the device ships."""
 
 _LENGTH = {QUATERNION: 8, RATE_OF_TURN: 6, STATUS_WORD: 4, SAMPLE_TIME: 4, GROUP_COUNTER: 2}
+
+_NUMBERS = {SAMPLE_TIME: "time", GROUP_COUNTER: "counter", STATUS_WORD: "status"}
+"""Field of each message that is one number, in the order in which an MTi sends them."""
 
 _QUATERNION_SCALE, _RATE_SCALE = 32767.0, 512.0
 """Words of 1 and of 1 rad/s. The maker's document divides quaternions by 32767, its DBC by 32768; normalised, both
@@ -107,21 +108,16 @@ def decode_mti(frame: CanFrame) -> MtiSample | None:
         return None
     if len(frame.data) != _LENGTH[frame.id]:
         raise FrameError(f"{frame} has {len(frame.data)} bytes; message 0x{frame.id:03X} has {_LENGTH[frame.id]}")
-    match frame.id:
-        case 0x021:
-            quat = np.array(struct.unpack(">4h", frame.data)) / _QUATERNION_SCALE
-            length = float(np.linalg.norm(quat))
-            if not 0.98 < length < 1.02:
-                raise FrameError(f"{frame} is a quaternion of length {length:.3f}; expected 1")
-            return MtiSample(quat_WI=quat / length)
-        case 0x032:
-            return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / _RATE_SCALE)
-        case 0x011:
-            return MtiSample(status=int.from_bytes(frame.data, "big"))
-        case 0x006:
-            return MtiSample(counter=int.from_bytes(frame.data, "big"))
-        case _:
-            return MtiSample(time=int.from_bytes(frame.data, "big"))
+    if frame.id == QUATERNION:
+        quat = np.array(struct.unpack(">4h", frame.data)) / _QUATERNION_SCALE
+        length = float(np.linalg.norm(quat))
+        if not 0.98 < length < 1.02:
+            raise FrameError(f"{frame} is a quaternion of length {length:.3f}; expected 1")
+        return MtiSample(quat_WI=quat / length)
+    if frame.id == RATE_OF_TURN:
+        return MtiSample(omega_I=np.array(struct.unpack(">3h", frame.data)) / _RATE_SCALE)
+    number: dict[str, Any] = {_NUMBERS[frame.id]: int.from_bytes(frame.data, "big")}
+    return MtiSample(**number)
 
 
 def _words(values: FloatArray, scale: float) -> list[int]:
@@ -137,12 +133,11 @@ def encode_mti(sample: MtiSample) -> list[CanFrame]:
         FrameError: If a number is not finite.
     """
     frames: list[tuple[int, bytes]] = []
-    if sample.time is not None:
-        frames.append((SAMPLE_TIME, (sample.time & 0xFFFFFFFF).to_bytes(4, "big")))
-    if sample.counter is not None:
-        frames.append((GROUP_COUNTER, (sample.counter & 0xFFFF).to_bytes(2, "big")))
-    if sample.status is not None:
-        frames.append((STATUS_WORD, (sample.status & 0xFFFFFFFF).to_bytes(4, "big")))
+    for id, name in _NUMBERS.items():
+        number = getattr(sample, name)
+        if number is not None:
+            size = _LENGTH[id]
+            frames.append((id, (number & (1 << 8 * size) - 1).to_bytes(size, "big")))
     if sample.quat_WI is not None:
         frames.append((QUATERNION, struct.pack(">4h", *_words(sample.quat_WI, _QUATERNION_SCALE))))
     if sample.omega_I is not None:
@@ -153,20 +148,18 @@ def encode_mti(sample: MtiSample) -> list[CanFrame]:
 class XsensMti:
     """An Xsens MTi of the 600 series: orientation and rate of turn; counter and status word if it sends them."""
 
-    def __init__(self, quat_BI: FloatArray, *, stale_after: float = STALE_AFTER) -> None:
+    def __init__(self, quat_BI: FloatArray) -> None:
         """Make a listener.
 
         Args:
             quat_BI: How the IMU sits on the base: turns IMU axes into base axes, wxyz (4,).
-            stale_after: A reading older than this is no reading [s].
         """
         self._quat_IB = np.asarray(quat_BI) * np.array([1.0, -1.0, -1.0, -1.0])
         self._R_BI = rotation_from_quat(quat_BI)
-        self._stale_after = stale_after
         self._newest = MtiSample()
         self._came = {QUATERNION: -np.inf, RATE_OF_TURN: -np.inf}
         self._content: dict[int, bytes] = {}
-        self._changed = self._moved = -np.inf
+        self._changed = -np.inf
         self._samples = dict.fromkeys(self._came, 0)
 
     def feed(self, frame: CanFrame, t: float) -> bool:
@@ -185,7 +178,6 @@ class XsensMti:
             self._samples[frame.id] += 1
         if self._content.get(frame.id) != frame.data:
             self._content[frame.id], self._changed = frame.data, t
-            self._moved = t if frame.id in self._came else self._moved
         return True
 
     def reading(self, now: float) -> ImuReading:
@@ -196,21 +188,20 @@ class XsensMti:
         problem = None
         if np.isinf(age):
             problem = "the IMU has not sent orientation and rate of turn yet"
-        elif age > self._stale_after:
+        elif age > STALE_AFTER:
             problem = f"the IMU has been silent for {1e3 * age:.0f} ms"
-        elif counted and now - self._changed > self._stale_after:
+        elif counted and now - self._changed > STALE_AFTER:
             problem = f"the IMU has repeated itself for {1e3 * (now - self._changed):.0f} ms"
         elif valid is False:
             problem = "the IMU calls its orientation invalid"
         quat_WB, omega_B = np.full(4, np.nan), np.full(3, np.nan)
-        if newest.quat_WI is not None and newest.omega_I is not None and age <= self._stale_after:
+        if newest.quat_WI is not None and newest.omega_I is not None and age <= STALE_AFTER:
             quat_WB, omega_B = multiply_quats(newest.quat_WI, self._quat_IB), self._R_BI @ newest.omega_I
         return ImuReading(
             quat_WB=quat_WB,
             omega_B=omega_B,
             age=age,
             unchanged=now - self._changed,
-            still=now - self._moved,
             count=min(self._samples.values()),
             valid=valid,
             problem=problem,

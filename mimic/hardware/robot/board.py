@@ -4,17 +4,19 @@ listens, and a second check before anything moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from mimic.control.safety_limits import limits_for
-from mimic.errors import PlantError
+from mimic.errors import FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
-from mimic.hardware.robot.driver import NEVER, CheckOptions, no_report
-from mimic.records import JOINTS, FloatArray
+from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
+from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
 
 PERIOD = 0.002
@@ -45,16 +47,21 @@ LISTEN = 1.5
 LOWEST_RATE = 30.0
 """Orientations a second that a robot sends at least [Hz]: 50 before the first command, 500 afterwards."""
 
+FLOOD = 0.02
+"""A flood of messages must not stop the sending for longer than this [s]."""
 
-class Bus(Protocol):
-    """The network of a board, or of an emulated one."""
+
+class Bus:
+    """The network of a board: hands every message on with the time at which it was read."""
 
     heard: Callable[[str, bytes, float], None]
     """Called with channel or topic, bytes and time [s] of each message."""
+    _sources: Mapping[int, Callable[[], object]]
+    """Descriptor -> what hands on the messages that came there."""
 
     def now(self) -> float:
-        """Return the time of the messages [s]."""
-        ...
+        """Return the time of the messages [s]: the monotonic clock."""
+        return time.monotonic()
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a message.
@@ -62,15 +69,23 @@ class Bus(Protocol):
         Raises:
             OSError: If the network does not take it.
         """
-        ...
+        raise NotImplementedError
 
     def listen(self, until: float, wake: int | None = None) -> None:
         """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
-        ...
+        files = [*self._sources, *([] if wake is None else [wake])]
+        while True:
+            left = until - self.now()
+            ready, _, _ = select.select(files, [], [], max(left, 0.0))
+            for file in ready:
+                if file in self._sources:
+                    self._sources[file]()
+            if wake in ready or (left <= 0.0 and not ready) or left < -FLOOD:
+                return
 
     def close(self) -> None:
         """Let go of the network."""
-        ...
+        raise NotImplementedError
 
 
 class BoardReadings:
@@ -128,7 +143,7 @@ class BoardReadings:
 
 
 class BoardDriver:
-    """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `drive`, `damp` and `end` are its own."""
+    """What a `mimic.hardware.robot.driver.Driver` of any board does; `start`, `_send` and `end` are its own."""
 
     period, repeats = PERIOD, True
     name: str
@@ -164,6 +179,7 @@ class BoardDriver:
         self.bus, self.network, self.problem = bus, network, ""
         bus.heard = self.heard
         self._description, self._limits = description, limits_for(description)
+        self._joints = wiring
         self._kd = min(description.kd_max, wiring.kd_max)
         self.readings, self._foreign = readings, NEVER
 
@@ -195,6 +211,34 @@ class BoardDriver:
     def close(self) -> None:
         """Let go of the network."""
         self.bus.close()
+
+    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
+        """Send a command; a message holds those of all joints.
+
+        Raises:
+            FrameError: If it is not finite.
+        """
+        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
+            raise FrameError("a command holds numbers that are not finite")
+        wiring, report = self._joints, self.report
+        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
+        q, dq, tau = self._followed(command, kp, kd)
+        dq, tau = (np.clip(v, -most, most) for v, most in ((dq, wiring.velocity_max), (tau, wiring.torque_max)))
+        self._send(q, dq, kp, kd, tau)
+        report["q_sent"], report["kp_sent"], report["kd_sent"] = command.q_des, kp, kd
+
+    def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
+        """Return desired angles, velocities and torques (12,) that the board follows as the command means it."""
+        return command.q_des, command.dq_des, command.tau_ff
+
+    def damp(self) -> None:
+        """Send damping."""
+        q, zero = self.report["q"], np.zeros(len(JOINTS))
+        self._send(np.where(np.isfinite(q), q, 0.0), zero, zero, np.full(len(JOINTS), self._kd), zero)
+
+    def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
+        """Send a message with these values of all joints (12,)."""
+        raise NotImplementedError
 
     def _await(self, reached: Callable[[], bool], timeout: float, send: Callable[[], None], problem: str) -> None:
         """Send messages until something is reached.

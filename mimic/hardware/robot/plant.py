@@ -39,7 +39,7 @@ class Robot:
             description: The robot.
             suspended: The robot hangs in the air instead of lying on the floor.
         """
-        self.link, self._description, self._suspended = link, description, suspended
+        self.link, self.description, self._suspended = link, description, suspended
         self.report: Any = no_report()
         """Newest report of the sender; a scalar of REPORT."""
         self._samples: list[Any] = []
@@ -51,11 +51,6 @@ class Robot:
         self.ending = "nothing was switched on"
         """How the robot was left, as a sentence without its full stop."""
 
-    @property
-    def description(self) -> RobotDescription:
-        """The description of the robot."""
-        return self._description
-
     def start(self) -> RobotState:
         """Switch the motors on where they are, without gains, and return the state.
 
@@ -63,7 +58,7 @@ class Robot:
             PlantError: If the robot does not follow, or something stands against moving.
             BusError: If a bus fails.
         """
-        link, d = self.link, self._description
+        link, d = self.link, self.description
         self._started = True
         link.start(suspended=self._suspended)
         self._missed[:] = 0
@@ -82,7 +77,7 @@ class Robot:
         Raises:
             SenderError: If the sender has ended, hangs, or has damped the robot.
         """
-        link, dt = self.link, self._description.dt if dt is None else dt
+        link, dt = self.link, self.description.dt if dt is None else dt
         asked = link.now()
         compute = asked - self._ended
         link.order(Order(command=command, begin=self._due, joints=tuple(joints)))
@@ -193,7 +188,7 @@ class Robot:
     def load(self) -> FloatArray:
         """Return the share of time that each bus was busy since the start (buses,); empty for a motion board."""
         busy = np.array(self.report["busy"]) - (np.nan if self._busy is None else self._busy)
-        return busy[np.isfinite(busy)] / max(float(self.report["t"]) - self._began, self._description.dt)
+        return busy[np.isfinite(busy)] / max(float(self.report["t"]) - self._began, self.description.dt)
 
     def close(self) -> None:
         """Damp the robot until it rests, then switch its motors off. Safe to call twice; never raises MimicError."""

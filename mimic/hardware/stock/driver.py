@@ -13,21 +13,20 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mimic.errors import FrameError, PlantError
+from mimic.errors import PlantError
 from mimic.hardware.robot.board import ENTER_TIMEOUT, LISTEN, NO_ERR_FLAG, BoardDriver, Bus
 from mimic.hardware.robot.checks import Check
-from mimic.hardware.robot.driver import ALL, DriverSettings
+from mimic.hardware.robot.driver import DriverSettings
 from mimic.hardware.stock.lcm_bus import LcmBus, check_network
 from mimic.hardware.stock.messages import MOTOR_CTRL, TIMED_OUT
 from mimic.hardware.stock.readings import Readings
 from mimic.hardware.stock.wiring import BoardWiring, load_board
-from mimic.records import JOINTS, JointCommand
+from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription, load_description
 
 CLEAR_TIMEOUT = 8.0
@@ -157,39 +156,29 @@ class StockDriver(BoardDriver):
 
     # ------------------------------------------------------------------ messages
 
-    def drive(self, command: JointCommand, joints: Sequence[int] = ALL) -> None:
-        """Send a command; the board takes only one for all joints."""
-        if not np.isfinite([command.q_des, command.dq_des, command.kp, command.kd, command.tau_ff]).all():
-            raise FrameError("a command holds numbers that are not finite")
-        wiring, report, q = self._wiring, self.report, self.report["q"]
-        kp, kd = np.clip(command.kp, 0.0, wiring.kp_max), np.clip(command.kd, 0.0, wiring.kd_max)
-        room, target = wiring.cut - wiring.cut_margin, command.q_des
+    def _followed(self, command: JointCommand, kp: FloatArray, kd: FloatArray) -> tuple[FloatArray, ...]:
+        q, target, room = self.report["q"], command.q_des, self._wiring.cut - self._wiring.cut_margin
         near = np.where(np.isfinite(q), np.clip(target, q - room, q + room), target)
         rest = kp * (target - near)
         by_velocity = kd >= _SMALL_KD
         dq_des = command.dq_des + np.where(by_velocity, rest / np.maximum(kd, _SMALL_KD), 0.0)
-        tau = command.tau_ff + np.where(by_velocity, 0.0, rest)
-        self._send(
-            MOTOR_CTRL.encode(
-                q_des=wiring.wire_angles(near),
-                qd_des=wiring.wire(np.clip(dq_des, -wiring.velocity_max, wiring.velocity_max)),
-                kp_des=wiring.wire_gains(kp),
-                kd_des=wiring.wire_gains(kd),
-                tau_des=wiring.wire(np.clip(tau, -wiring.torque_max, wiring.torque_max)),
-            )
-        )
-        report["q_sent"], report["kp_sent"], report["kd_sent"] = target, kp, kd
+        return near, dq_des, command.tau_ff + np.where(by_velocity, 0.0, rest)
 
-    def damp(self) -> None:
-        """Send damping."""
-        q = self.report["q"]
-        q_des, kd = np.where(np.isfinite(q), q, 0.0), np.full(len(JOINTS), self._kd)
-        self._send(MOTOR_CTRL.encode(q_des=self._wiring.wire_angles(q_des), kd_des=kd))
+    def _send(self, q: FloatArray, dq: FloatArray, kp: FloatArray, kd: FloatArray, tau: FloatArray) -> None:
+        wiring = self._wiring
+        self._say(
+            q_des=wiring.wire_angles(q),
+            qd_des=wiring.wire(dq),
+            kp_des=wiring.wire_gains(kp),
+            kd_des=wiring.wire_gains(kd),
+            tau_des=wiring.wire(tau),
+        )
 
     def _zero(self) -> None:
-        self._send(MOTOR_CTRL.encode(q_des=self._tag))
+        self._say(q_des=self._tag)
 
-    def _send(self, data: bytes) -> None:
+    def _say(self, **values: FloatArray) -> None:
+        data = MOTOR_CTRL.encode(**values)
         if len(self._own) == self._own.maxlen:
             oldest = self._own[0]
             self._own_set[oldest] -= 1

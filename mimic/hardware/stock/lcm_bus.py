@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import fcntl
 import ipaddress
-import select
 import socket
 import struct
 import time
@@ -13,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from mimic.errors import BusError, ConfigError, MissingExtra
+from mimic.hardware.robot.board import Bus
 from mimic.hardware.stock.messages import STATE_ESTIMATOR, TYPES
 from mimic.hardware.stock.wiring import BoardWiring
 
@@ -20,9 +20,6 @@ _SIOCGIFADDR = 0x8915
 
 QUEUE = 500
 """Messages of a channel that wait to be read; those after them are dropped."""
-
-FLOOD = 0.02
-"""A flood of messages must not stop the sending for longer than this [s]."""
 
 
 def address_of(interface: str) -> str | None:
@@ -81,8 +78,8 @@ def check_network(wiring: BoardWiring, interface: str | None) -> tuple[str, int]
     return f"messages leave from {source}", wiring.ttl
 
 
-class LcmBus:
-    """The two LCM ports of a board: publishes, and hands every message on with the time at which it was read."""
+class LcmBus(Bus):
+    """The two LCM ports of a board."""
 
     def __init__(
         self, wiring: BoardWiring, ttl: int, heard: Callable[[str, bytes, float], None] = lambda *_: None
@@ -118,7 +115,7 @@ class LcmBus:
             except (RuntimeError, OSError) as reason:
                 raise BusError(f"LCM cannot be opened at {wiring.address}:{port}: {reason}") from None
         self._port, self._state_port = wiring.port, wiring.state_port
-        self._by_fd = {bus.fileno(): bus for bus in self._ports.values()}
+        self._sources = {bus.fileno(): bus.handle for bus in self._ports.values()}
 
     def publish(self, channel: str, data: bytes) -> None:
         """Send a message on the port of its channel.
@@ -129,23 +126,7 @@ class LcmBus:
         port = self._state_port if channel == STATE_ESTIMATOR.channel else self._port
         self._ports[port].publish(channel, data)
 
-    def now(self) -> float:
-        """Return the monotonic clock [s]."""
-        return time.monotonic()
-
-    def listen(self, until: float, wake: int | None = None) -> None:
-        """Hand on messages until a time [s]; return early where something is to be read from a descriptor."""
-        files = [*self._by_fd, *([] if wake is None else [wake])]
-        while True:
-            left = until - time.monotonic()
-            ready, _, _ = select.select(files, [], [], max(left, 0.0))
-            for fd in ready:
-                if fd in self._by_fd:
-                    self._by_fd[fd].handle()
-            if wake in ready or (left <= 0.0 and not ready) or left < -FLOOD:
-                return
-
     def close(self) -> None:
         """Leave the network."""
-        self._by_fd.clear()
+        self._sources = {}
         self._ports.clear()

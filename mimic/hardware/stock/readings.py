@@ -23,7 +23,7 @@ from mimic.hardware.stock.messages import (
     TYPES,
 )
 from mimic.hardware.stock.wiring import BoardWiring
-from mimic.records import JOINTS, LEGS
+from mimic.records import JOINTS
 
 
 class Readings(BoardReadings):
@@ -81,6 +81,3 @@ class Readings(BoardReadings):
         self.joints += 1
         if not self.report["readings"]:
             self.take_joints(self._wiring.angles(message["q"]), self._wiring.joints(message["qd"]))
-
-
-assert len(JOINTS) == len(LEGS) * len(PARTS)

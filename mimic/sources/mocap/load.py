@@ -6,7 +6,7 @@ A reader for each format returns `Points`; all later steps are shared.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,22 +50,6 @@ MIRRORED = (
 _UP: dict[str, FloatArray] = dict(zip(UPS, np.concatenate([np.eye(3), -np.eye(3)]), strict=True))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Named:
-    """The landmarks of ours that a file has."""
-
-    names: tuple[str, ...]
-    xyz: FloatArray
-    score: FloatArray
-
-    def middle(self, part: str) -> FloatArray | None:
-        """Return the middle of both sides (T, 3), None where the file has no such part."""
-        sides = [f"{side}_{part}" for side in ("left", "right")]
-        if not set(sides) <= set(self.names):
-            return None
-        return self.xyz[:, [self.names.index(side) for side in sides]].mean(axis=1)
-
-
 def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> PoseTrack:
     """Return the person in a file with recorded motion, smoothed like a video.
 
@@ -89,20 +73,30 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
         points.t, path.name, SourceError, "store times in seconds, or give the frame rate as [mocap] fps in --config"
     )
     scheme, skeletons = recognise(points.names, read_names(mocap.names))
-    named, others = _person(points, skeletons, settings.person, path)
-    t, named = _present(points.t, named)
-    up, notes = _up(named, mocap.up if mocap.up != "auto" else None, points.up, path)
-    unit, length, doubts = _unit(named, points.unit)
-    origin = named.middle("hip")
-    origin = named.middle("shoulder") if origin is None else origin
+    person, others = _person(points, skeletons, settings.person, path)
+    named = _present(person)
+    t = named.t
+    up, notes = _up(named, mocap.up, path)
+    unit, length, doubts = _unit(named)
+    origin = next((own for own in map(named.middle, ("hip", "shoulder")) if own is not None), None)
     assert origin is not None  # shoulders were found
     xyz = length * (named.xyz - origin[:, None]) @ _camera_axes(up).T
     valid = np.isfinite(xyz).all(axis=-1) & (named.score >= settings.min_visibility)
+    shoulders, wrists = np.split(valid[:, [named.names.index(name) for name in NEEDED]], 2, axis=1)
+    share = float((shoulders.all(axis=1) & wrists.any(axis=1)).mean())
+    if share < settings.min_person_share:
+        raise SourceError(
+            f"{path.name} shows both shoulders and a wrist in {share:.0%} of its rows, "
+            f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower [pose] "
+            "min_visibility in --config"
+        )
     if _mirrored(named.names, xyz):
         xyz, notes = xyz * (-1.0, 1.0, 1.0), (*notes, MIRRORED)
-    track = PoseTrack(
+    seen, no_cuts = np.where(valid[..., None], xyz, np.nan), np.zeros(0, dtype=np.int64)
+    smoothed = [smooth(t, column, no_cuts, settings.cutoff_hz) for column in np.moveaxis(seen, 1, 0)]
+    return PoseTrack(
         t=t,
-        landmarks=_smoothed(t, np.where(valid[..., None], xyz, np.nan), settings.cutoff_hz),
+        landmarks=np.stack(smoothed, axis=1),
         image=np.full((*xyz.shape[:2], 2), np.nan),
         score=np.where(valid, named.score, 0.0),
         valid=valid,
@@ -116,15 +110,13 @@ def track_mocap(path: Path, mocap: MocapSettings, settings: PoseSettings) -> Pos
             *notes,
         ),
     )
-    _check_person(track, path, settings)
-    return track
 
 
 def _person(
     points: Points, skeletons: list[Columns], asked: str | int | None, path: Path
-) -> tuple[_Named, tuple[str, ...]]:
+) -> tuple[Points, tuple[str, ...]]:
     """Return who is played, and a note if there are others; copies of a skeleton at the same place are no others."""
-    people: list[_Named] = []
+    people: list[Points] = []
     for one in (_named(points, columns) for columns in skeletons):
         if all(_apart(one, other) for other in people):
             people.append(one)
@@ -132,45 +124,46 @@ def _person(
         raise ConfigError(f"{path.name} has no picture to be {asked} in; give a number from 1 to {len(people)}")
     if isinstance(asked, int) and asked > len(people):
         raise ConfigError(f"--person {asked}: {path.name} has {len(people)}; give a number from 1 to {len(people)}")
-    seen = [float(np.isfinite(one.xyz[:, [one.names.index(n) for n in NEEDED]]).mean()) for one in people]
+    seen = [float(np.isfinite(one.of(*NEEDED)).mean()) for one in people]
     chosen = asked if isinstance(asked, int) else 1 + int(np.argmax(seen))
     note = f"{len(people)} people are in the file; number {chosen} of them is played (choose with --person)"
     return people[chosen - 1], (note,) * (len(people) > 1)
 
 
-def _present(t: FloatArray, named: _Named) -> tuple[FloatArray, _Named]:
-    """Return times and landmarks from the first to the last row in which somebody is seen."""
+def _present(named: Points) -> Points:
+    """Return the rows from the first to the last in which somebody is seen, in times since the first."""
     seen = np.flatnonzero(np.isfinite(named.xyz).any(axis=(1, 2)))
     rows = slice(seen[0], seen[-1] + 1) if len(seen) else slice(None)
-    return t[rows] - t[rows][0], replace(named, xyz=named.xyz[rows], score=named.score[rows])
+    return replace(named, t=named.t[rows] - named.t[rows][0], xyz=named.xyz[rows], score=named.score[rows])
 
 
-def _apart(one: _Named, other: _Named) -> bool:
+def _apart(one: Points, other: Points) -> bool:
     """Return whether two skeletons have their wrists at different places."""
-    arms = [who.xyz[:, [who.names.index(name) for name in NEEDED]] for who in (one, other)]
+    arms = [who.of(*NEEDED) for who in (one, other)]
     gap = np.linalg.norm(arms[0][:, 2:] - arms[1][:, 2:], axis=-1)
     width = np.linalg.norm(arms[0][:, 0] - arms[0][:, 1], axis=-1)
     known = np.isfinite(gap)
     return not known.any() or float(np.median(gap[known])) > 0.1 * float(np.nanmedian(width))
 
 
-def _named(points: Points, scheme: Columns) -> _Named:
+def _named(points: Points, scheme: Columns) -> Points:
+    """Return the landmarks of ours that a file has."""
     columns = [list(theirs) for theirs in scheme.values()]
     finite = np.where(np.isfinite(points.xyz), points.xyz, np.nan)
     xyz = np.stack([finite[:, own].mean(axis=1) for own in columns], axis=1)
     score = np.stack([points.score[:, own].min(axis=1) for own in columns], axis=1)
-    return _Named(tuple(scheme), xyz, score)
+    return replace(points, names=tuple(scheme), xyz=xyz, score=score)
 
 
-def _up(named: _Named, asked: str | None, header: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
+def _up(named: Points, asked: str, path: Path) -> tuple[str, tuple[str, ...]]:
     """Return the axis that points up, and what the user should know about that.
 
     The user is believed, then the body, then the file.
     """
-    trunk = _trunk(named)
-    if asked is None and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
+    trunk, header = _trunk(named), named.up
+    if asked == "auto" and header is not None and (trunk is None or np.dot(trunk, _UP[header]) > 1 - CLEARLY):
         return header, ()
-    if asked is not None:
+    if asked != "auto":
         if trunk is None or np.dot(trunk, _UP[asked]) > 0.0:
             return asked, ()
         return asked, (f"with {asked} up the person of {path.name} is upside down most of the time",)
@@ -189,7 +182,7 @@ def _up(named: _Named, asked: str | None, header: str | None, path: Path) -> tup
     return up, (said,) * (header is not None)
 
 
-def _trunk(named: _Named) -> FloatArray | None:
+def _trunk(named: Points) -> FloatArray | None:
     """Return the direction from hips (or what else is below) to shoulders over the whole file (3,), of length one."""
     top = named.middle("shoulder")
     for part in ("hip", "knee", "ankle"):
@@ -226,11 +219,12 @@ def _mirrored(names: tuple[str, ...], xyz: FloatArray) -> bool:
     return bool(len(known)) and float((known < 0).mean()) > 0.8
 
 
-def _unit(named: _Named, given: str | None) -> tuple[str, float, tuple[str, ...]]:
+def _unit(named: Points) -> tuple[str, float, tuple[str, ...]]:
     """Return name and length [m] of the unit that makes the arms as long as arms are, of the file's if that one does.
 
     Last comes what the user should know about that.
     """
+    given = named.unit
     joints = [part for part in ("shoulder", "elbow", "wrist") if f"left_{part}" in named.names]
     chains = [[named.names.index(f"{side}_{part}") for part in joints] for side in SIDES]
     arms = np.linalg.norm(np.diff(named.xyz[:, chains], axis=2), axis=-1).sum(axis=2)
@@ -245,22 +239,3 @@ def _unit(named: _Named, given: str | None) -> tuple[str, float, tuple[str, ...]
     if not LONGEST[0] <= UNITS[best] * length <= LONGEST[1]:
         doubt = f"arms are {length:.3g} long in the file, which is an arm's length in no unit; check the positions"
     return f"{best} by the length of the arms", UNITS[best], (doubt,) * bool(doubt)
-
-
-def _smoothed(t: FloatArray, xyz: FloatArray, cutoff_hz: float) -> FloatArray:
-    """Return each landmark smoothed over the rows that show it; others stay NaN."""
-    none = np.zeros(0, dtype=np.int64)
-    return np.stack([smooth(t, xyz[:, i], none, cutoff_hz) for i in range(xyz.shape[1])], axis=1)
-
-
-def _check_person(track: PoseTrack, path: Path, settings: PoseSettings) -> None:
-    shoulders, wrists = (
-        track.valid[:, [track.index(f"{side}_{part}") for side in SIDES]] for part in ("shoulder", "wrist")
-    )
-    share = float((shoulders.all(axis=1) & wrists.any(axis=1)).mean())
-    if share < settings.min_person_share:
-        raise SourceError(
-            f"{path.name} shows both shoulders and a wrist in {share:.0%} of its rows, "
-            f"{settings.min_person_share:.0%} are needed; look at its gaps and visibilities, or lower [pose] "
-            "min_visibility in --config"
-        )

@@ -10,7 +10,7 @@ import numpy as np
 
 from mimic.config.pose import MocapSettings
 from mimic.errors import SourceError
-from mimic.records import FloatArray
+from mimic.records import SIDES, FloatArray
 
 UPS = ("x", "y", "z", "-x", "-y", "-z")
 """Axes that may point up."""
@@ -36,6 +36,15 @@ class Points:
     """Axis that points up, such as ``y`` or ``-y``, None where the file names none."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+
+    def middle(self, part: str) -> FloatArray | None:
+        """Return the middle of both sides of a body part (T, 3), None where there is no such part."""
+        sides = [f"{side}_{part}" for side in SIDES]
+        return self.of(*sides).mean(axis=1) if set(sides) <= set(self.names) else None
+
+    def of(self, *names: str) -> FloatArray:
+        """Return the positions of some points (T, N, 3)."""
+        return self.xyz[:, [self.names.index(name) for name in names]]
 
 
 def clock(rows: int, rate: Any, settings: MocapSettings, path: Path) -> FloatArray:

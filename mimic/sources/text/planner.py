@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from mimic.config.pose import LanguageSettings
 from mimic.errors import ConfigError, MissingExtra, SourceError
-from mimic.io.keyframes import LARGEST, KeyFrame, KeyFrames, frames_from, one_line
+from mimic.io.keyframes import LARGEST, KeyFrames, frames_from, one_line
 from mimic.robot.reach import Reach
 from mimic.sources.text import prompts
 from mimic.sources.text.feasibility import violations
@@ -74,14 +74,11 @@ def describe(motion: KeyFrames) -> str:
     for frame in motion.frames:
         turned = math.degrees(frame.heading - heading)
         heading = frame.heading
-        done = [f"{distance:+.2g} m {name}" for name, distance in _distances(frame) if abs(distance) >= 0.01]
+        ways = zip(("forward", "left"), (v * frame.duration for v in frame.velocity), strict=True)
+        done = [f"{distance:+.2g} m {name}" for name, distance in ways if abs(distance) >= 0.01]
         done += [f"turn {'left' if turned > 0 else 'right'} {abs(turned):.0f}°"] if abs(turned) >= 1 else []
         parts.append(f"{frame.duration:.2g} s: {', '.join([frame.what, *done] if frame.what else done) or 'stand'}")
     return "; ".join(parts)
-
-
-def _distances(frame: KeyFrame) -> list[tuple[str, float]]:
-    return [(name, v * frame.duration) for name, v in zip(("forward", "left"), frame.velocity, strict=True)]
 
 
 def check(motion: KeyFrames, reach: Reach, settings: LanguageSettings, prefix: str) -> None:

@@ -255,29 +255,19 @@ def _run_camera(
     except SourceError as reason:
         pipe.send(str(reason))
         return
-    latest, go, depth = _LatestFrame(), threading.Event(), LiveDepth() if pose.depth else None
+    latest, depth = _LatestFrame(), LiveDepth() if pose.depth else None
     assert isinstance(pose.pose_model, Path)
     hint = "let one person stand before the camera"
     with BlazePose(pose.pose_model) as detect, Everybody(pose.pose_model) as everybody:
         people = People(everybody, None, camera, hint)
         detect(people.show(0.0, cv2.cvtColor(first, cv2.COLOR_BGR2RGB)))  # warm-up: the first detection is slow
         pipe.send(True)
-        if not device:
-            threading.Thread(target=_wait_for_begin, args=(pipe, go), daemon=True).start()
-        grab = _read_camera if device else _play_file
-        threading.Thread(target=grab, args=(capture, first, latest, go), daemon=True).start()
+        grab, given = (_read_camera, (capture, latest)) if device else (_play_file, (capture, first, latest, pipe))
+        threading.Thread(target=grab, args=given, daemon=True).start()
         _detect(latest, detect, people, depth, pose, pipe, previews, picture_size(capture, first))
 
 
-def _wait_for_begin(pipe: Connection, go: threading.Event) -> None:
-    try:
-        pipe.recv()
-    except (EOFError, OSError):
-        return
-    go.set()
-
-
-def _read_camera(capture: Any, first: np.ndarray, latest: _LatestFrame, go: threading.Event) -> None:
+def _read_camera(capture: Any, latest: _LatestFrame) -> None:
     """Read frames as they arrive; stop after a second of failed reads."""
     failures = 0
     while failures < 30:
@@ -291,11 +281,14 @@ def _read_camera(capture: Any, first: np.ndarray, latest: _LatestFrame, go: thre
     latest.end()
 
 
-def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, go: threading.Event) -> None:
-    """Deliver the frames of a file in real time, by their time stamps."""
+def _play_file(capture: Any, first: np.ndarray, latest: _LatestFrame, pipe: Connection) -> None:
+    """Deliver the frames of a file in real time, by their time stamps, once the parent asks for them."""
     import cv2
 
-    go.wait()
+    try:
+        pipe.recv()
+    except (EOFError, OSError):
+        return
     start, stamp, bgr, zero = time.monotonic(), 0.0, first, float(capture.get(cv2.CAP_PROP_POS_MSEC))
     while True:
         time.sleep(max(0.0, start + stamp - time.monotonic()))

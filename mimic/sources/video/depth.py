@@ -128,7 +128,7 @@ class LiveDepth:
         world, picture = landmarks[None], image[None]
         share = 1.0 - np.exp(-passed / FORGET_S) if self._rows else 1.0
         self._slow = self._slow + share * (_to_average(world, picture, size)[0] - self._slow)
-        self._bones.append(_lengths(world, _metres(picture, size, _scale(self._slow[None])))[0])
+        self._bones.append(_lengths(world, _metres(picture, size, self._slow[:1] / self._slow[1:2]))[0])
         row = np.concatenate([landmarks.ravel(), image.ravel(), score, self._slow])
         self._rows.append((t, row))
         past = t - np.arange(WINDOW // 2, -1, -1) / RATE_HZ
@@ -193,7 +193,7 @@ class Seen:
         cls, world: FloatArray, image: FloatArray, score: FloatArray, size: tuple[int, int], slow: FloatArray
     ) -> Seen:
         """Return it for rows of a pose track, with slow averages (T, 5) and the bones of the whole."""
-        scale = _scale(slow)
+        scale = slow[:, 0] / slow[:, 1]
         flat = _metres(image, size, scale)
         bones = np.tile(_longest(_lengths(world, flat)), (len(world), 1))
         return cls(world, flat, score, scale, slow[:, 2:], bones)
@@ -285,11 +285,6 @@ def _to_average(landmarks: FloatArray, image: FloatArray, size: tuple[int, int])
     line = (landmarks[:, first] - landmarks[:, last]).sum(axis=1)
     drawn = np.maximum(spread_of(image[:, _TRUNK] * np.asarray(size, float)), 1e-6)
     return np.column_stack([spread_of(landmarks[:, _TRUNK, :2]), drawn, line])
-
-
-def _scale(slow: FloatArray) -> FloatArray:
-    """Return the scale of the picture (T,) [m/px] from slow averages (T, 5)."""
-    return slow[:, 0] / slow[:, 1]
 
 
 def _metres(image: FloatArray, size: tuple[int, int], scale: FloatArray) -> FloatArray:

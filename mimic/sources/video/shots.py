@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -100,21 +100,18 @@ def find_changes(
         size: Width and height of the picture [px].
     """
     found: dict[int, Kind] = {}
-    candidates: tuple[tuple[Kind, IntArray], ...] = (
+    rows, trunks = np.flatnonzero(person), _trunks(image, size)
+    candidates: tuple[tuple[Kind, Iterable[int]], ...] = (
         ("fade", _after_black(light)),
-        ("cut", np.array([row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST], dtype=np.int64)),
-        ("person", _jumps(t, image, person, size)),
+        ("cut", (row for row in shot_starts(change) if FEWEST <= row <= len(t) - FEWEST)),
+        ("person", _jumps(t, rows, *trunks)),
     )
-    for kind, rows in candidates:
-        for row in rows:
-            if all(abs(t[row] - t[other]) > SAME_TIME for other in found):
-                found[int(row)] = kind
-    changes = []
-    for row, kind in sorted(found.items()):
-        other = _is_other(row, kind, t, image, person, clothes, size)
-        if other or kind != "person":
-            changes.append(Change(row, kind, other))
-    return tuple(changes)
+    for kind, candidate in ((kind, row) for kind, own in candidates for row in own):
+        if all(abs(t[candidate] - t[other]) > SAME_TIME for other in found):
+            found[int(candidate)] = kind
+    changes = (Change(row, kind, _is_other(row, kind, t, rows, clothes, *trunks)) for row, kind in found.items())
+    kept = (one for one in changes if one.other_person or one.kind != "person")
+    return tuple(sorted(kept, key=lambda one: one.row))
 
 
 def describe(changes: tuple[Change, ...], t: FloatArray) -> Iterator[str]:
@@ -153,12 +150,14 @@ def _trunks(image: FloatArray, size: tuple[int, int]) -> tuple[FloatArray, Float
     return shoulders, np.maximum(np.linalg.norm(hips - shoulders, axis=-1), wide)
 
 
-def _jumps(t: FloatArray, image: FloatArray, person: BoolArray, size: tuple[int, int]) -> IntArray:
-    """Return the rows at which it may be another person: after a jump of the trunk or a gap, farthest jumps first."""
-    rows = np.flatnonzero(person)
-    if len(rows) < 2:
-        return rows[:0]
-    place, height = _trunks(image, size)
+def _jumps(t: FloatArray, rows: IntArray, place: FloatArray, height: FloatArray) -> IntArray:
+    """Return the rows at which it may be another person: after a jump of the trunk or a gap, farthest jumps first.
+
+    Args:
+        t: Times (T,) [s].
+        rows: Those that show a person.
+        place, height: Trunk in each row, from `_trunks`.
+    """
     scale = np.maximum(np.minimum(height[rows[1:]], height[rows[:-1]]), 1.0)
     moved = np.linalg.norm(np.diff(place[rows], axis=0), axis=-1) / scale
     grown = np.abs(np.diff(np.log(np.maximum(height[rows], 1.0))))
@@ -168,19 +167,12 @@ def _jumps(t: FloatArray, image: FloatArray, person: BoolArray, size: tuple[int,
 
 
 def _is_other(
-    row: int,
-    kind: Kind,
-    t: FloatArray,
-    image: FloatArray,
-    person: BoolArray,
-    clothes: FloatArray,
-    size: tuple[int, int],
+    row: int, kind: Kind, t: FloatArray, rows: IntArray, clothes: FloatArray, place: FloatArray, height: FloatArray
 ) -> bool:
-    """Return whether the person from a row on looks like another one than before it.
+    """Return whether the person from a row on looks like another one than before it; arguments as of `_jumps`.
 
     Within one picture a person cannot jump; across a cut place and size say nothing, only the clothes do.
     """
-    rows = np.flatnonzero(person)
     away = DIM if kind == "fade" else 0.0
     before, after = rows[(rows < row) & (t[rows] < t[row] - away)], rows[(rows >= row) & (t[rows] >= t[row] + away)]
     if not len(before) or not len(after):
@@ -192,7 +184,6 @@ def _is_other(
     colour = float(np.linalg.norm(_median(clothes[before]) - _median(clothes[after])))
     if kind != "person":
         return colour > OTHER_COLOUR
-    place, height = _trunks(image, size)
     small = max(min(np.median(height[before]), np.median(height[after])), 1.0)
     moved = float(np.linalg.norm(np.median(place[before], axis=0) - np.median(place[after], axis=0)) / small)
     grown = abs(float(np.log(np.median(height[after]) / max(np.median(height[before]), 1.0))))

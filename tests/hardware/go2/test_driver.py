@@ -8,13 +8,14 @@ import pytest
 from mimic.config.emulator import EmulateSettings
 from mimic.emulator.faults import parse_fault
 from mimic.emulator.go2 import EmulatedGo2, EmulatedGo2Bus
-from mimic.emulator.sender_link import robot_on_go2
+from mimic.emulator.sender_link import EmulatedSenderLink
 from mimic.errors import FrameError, PlantError
 from mimic.hardware.go2.driver import GONE_ON, RESTED, UNREACHED, Go2Driver
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, blank, decode, encode
 from mimic.hardware.go2.wiring import load_go2
 from mimic.hardware.robot.checks import refuse
 from mimic.hardware.robot.driver import CheckOptions
+from mimic.hardware.robot.plant import Robot
 from mimic.hardware.robot.sender import Sender, State
 from mimic.records import JOINTS, JointCommand
 from mimic.robot.description import load_description
@@ -43,7 +44,7 @@ def made(*faults: str, released: bool = True, **settings):
     robot.mode = "" if released else robot.mode
     bus = Bus(robot)
     bus.listen(0.6)  # it settles
-    return bus, robot_on_go2(bus, WIRING, D)
+    return bus, Robot(EmulatedSenderLink(Go2Driver(bus, WIRING, D), D), D)
 
 
 def hold(q, kp: float = 40.0) -> JointCommand:

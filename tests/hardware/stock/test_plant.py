@@ -74,10 +74,10 @@ def test_preflight_finds_another_program(made, description):
 def test_preflight_finds_a_program_that_has_just_ended(made, description):
     bus, plant = made()
     for _ in range(1500):
-        bus.board.receive(MOTOR_CTRL.encode(), bus.now())
+        bus.board.take(MOTOR_CTRL.channel, MOTOR_CTRL.encode(), bus.now())
         bus.listen(bus.now() + 0.002)
     begin = bus.now()
-    bus.hook = lambda t: t < begin + 1.3 and bus.board.receive(MOTOR_CTRL.encode(), t)  # unseen here
+    bus.hook = lambda t: t < begin + 1.3 and bus.board.take(MOTOR_CTRL.channel, MOTOR_CTRL.encode(), t)  # unseen here
     assert found_by(plant)["other programs"].verdict == "stop"
 
 

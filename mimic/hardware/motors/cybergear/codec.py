@@ -40,7 +40,7 @@ TEMPERATURE = (0.0, 6553.5)
 
 POSITION_RANGES = (4 * math.pi, 12.5)
 """The two ends of the position range that are in circulation [rad]: the manual's tables and ten libraries split between
-them. The scale differs by 0.53 %; ``Codec.check_range`` finds which one a motor uses."""
+them. The scale differs by 0.53 %; ``CyberGear.check_range`` finds which one a motor uses."""
 
 BAUD_RATES = {1: 1_000_000, 2: 500_000, 3: 250_000, 4: 125_000}
 """Code -> [bit/s]; manual 4.1.15."""
@@ -49,6 +49,8 @@ WORDS = 65535
 """Steps in the range of a quantity."""
 _ROUNDING = 1e-6
 """Added before truncating [words], so that a decoded quantity encodes to the word it came from."""
+_FAULT_ORDER: Literal["little"] = "little"
+"""Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 _PACK = {"u8": "<B3x", "i16": "<h2x", "u32": "<I", "f32": "<f"}
 
 
@@ -114,8 +116,6 @@ class Codec:
     """Positions reach from minus this to plus this [rad]."""
     host: int = DEFAULT_HOST
     """Id of this computer; shows which frames of type 17 are answers."""
-    fault_order: Literal["little", "big"] = "little"
-    """Byte order of fault reports. Libraries disagree, and the manual does not say; parameters are little-endian."""
 
     def __post_init__(self) -> None:
         if not 1.0 < self.position_range < 100.0:
@@ -181,7 +181,7 @@ class Codec:
                 return _frame(Kind.READ, said.motor, host, _parameter_bytes(said.index, said.value))
             case FaultReport():
                 words = (said.faults, said.warnings)
-                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, self.fault_order) for w in words))
+                return _frame(Kind.FAULT, said.motor, host, b"".join(w.to_bytes(4, _FAULT_ORDER) for w in words))
 
     def decode(self, frame: CanFrame) -> HostMessage | MotorMessage:
         """Return the message of a frame, of either direction.
@@ -234,7 +234,7 @@ class Codec:
         elif kind is Kind.DEVICE_ID and host == BROADCAST:
             said = Identity(motor=motor, uid=int.from_bytes(data, "little"))
         elif kind is Kind.FAULT:
-            faults, warnings = (int.from_bytes(part, self.fault_order) for part in (data[:4], data[4:]))
+            faults, warnings = (int.from_bytes(part, _FAULT_ORDER) for part in (data[:4], data[4:]))
             said = FaultReport(motor=motor, faults=faults, warnings=warnings)
         else:
             raise UnknownFrame(
@@ -275,27 +275,6 @@ class Codec:
                 raise FrameError(f"{frame} has the bit-rate code {data[0]}; expected {known}")
             value = BAUD_RATES[data[0]]
         return HostMessage(kind, motor, host, index=index, value=value)
-
-    def check_range(self, q: float, mech_pos: float) -> float | None:
-        """Return the end of the position range that a motor uses [rad], or None if two readings cannot decide it.
-
-        Args:
-            q: Position of a feedback as this codec decoded it [rad].
-            mech_pos: Parameter MECH_POS read at the same place, a float in radians whatever the range [rad].
-
-        Raises:
-            FrameError: If neither range explains both readings.
-        """
-        share = q / self.position_range
-        wrong = {end: abs(share * end - mech_pos) for end in POSITION_RANGES}
-        tolerance = 0.02  # [rad] two words and what a held joint moves between the two readings
-        best, other = sorted(POSITION_RANGES, key=wrong.__getitem__)
-        if wrong[best] > tolerance:
-            raise FrameError(
-                f"the position is {q:.3f} rad in the feedback and {mech_pos:.3f} rad in parameter 0x7019; no known "
-                "position range explains that. Was the joint moving, or the position beyond the range?"
-            )
-        return best if wrong[other] > 2 * tolerance else None
 
 
 def _frame(kind: Kind, area: int, destination: int, data: bytes) -> CanFrame:

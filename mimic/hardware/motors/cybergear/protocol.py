@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mimic.errors import FrameError
 from mimic.hardware.can.frame import CanFrame
 from mimic.hardware.motors.cybergear import parameters as gear
 from mimic.hardware.motors.cybergear.codec import (
@@ -72,7 +73,7 @@ class CyberGear:
             ConfigError: If the position range is none.
         """
         self._codec = Codec(position_range=position_range, host=host)
-        self._facts = MotorFacts(
+        self.facts = MotorFacts(
             name="CyberGear",
             motor_ids=range(MOTOR_IDS),
             host_ids=range(0xFE),
@@ -92,11 +93,7 @@ class CyberGear:
             command_bits=COMMAND_BITS,
             feedback_bits=FEEDBACK_BITS,
         )
-
-    @property
-    def facts(self) -> MotorFacts:
         """What these motors can do."""
-        return self._facts
 
     def command(self, motor: int, command: MotorCommand) -> tuple[CanFrame, MotorCommand]:
         """Return the frame of a command, and the command as the motor reads it."""
@@ -160,10 +157,23 @@ class CyberGear:
     def check_range(self, q: float, exact: float) -> float | None:
         """Return the end of the position range that a motor uses [rad], or None where two readings cannot show it.
 
+        Args:
+            q: Position of a feedback as this protocol decoded it [rad].
+            exact: Parameter MECH_POS read at the same place, a float in radians whatever the range [rad].
+
         Raises:
             FrameError: If neither known range explains both readings.
         """
-        return self._codec.check_range(q, exact)
+        share = q / self._codec.position_range
+        wrong = {end: abs(share * end - exact) for end in POSITION_RANGES}
+        tolerance = 0.02  # [rad] two words and what a held joint moves between the two readings
+        best, other = sorted(POSITION_RANGES, key=wrong.__getitem__)
+        if wrong[best] > tolerance:
+            raise FrameError(
+                f"the position is {q:.3f} rad in the feedback and {exact:.3f} rad in parameter 0x7019; no known "
+                "position range explains that. Was the joint moving, or the position beyond the range?"
+            )
+        return best if wrong[other] > 2 * tolerance else None
 
     def fault_names(self, faults: int) -> str:
         """Return the names of fault bits; manual 4.1.3."""
