@@ -279,7 +279,7 @@ class Replay:
         off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
         t = self.log.t - self.log.t[0]
         rows = [np.searchsorted(t, np.maximum(cuts - back, begin) * self.dt) for back in (self._lead, 0)]
-        free = (off[rows[0]] == off[rows[1]]) | (self._lead * self.dt < LEAD_IN / 2)
+        free = (off[rows[0]] == off[rows[1]]) | (self._lead < round(LEAD_IN / self.dt))
         free[[0, -1]] = True
         return cuts[free]
 
