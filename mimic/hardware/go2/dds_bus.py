@@ -19,8 +19,7 @@ from typing import Any
 from mimic.errors import BusError, MissingExtra
 from mimic.hardware.go2.messages import LOWCMD, LOWSTATE, SPORT, SWITCHER, TOPICS, Struct
 from mimic.hardware.go2.wiring import Go2Wiring
-from mimic.hardware.robot.board import Bus
-from mimic.hardware.stock.lcm_bus import address_of
+from mimic.hardware.robot.board import Bus, address_of
 
 FROM_ROBOT = (LOWSTATE, f"{SWITCHER}response", f"{SPORT}response")
 """What a robot sends."""

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mimic.errors import ConfigError
-from mimic.hardware.robot.board_wiring import JointWiring, joint_fields
-from mimic.hardware.toml_fields import read_file, whole
-from mimic.io.assets import shipped
+from mimic.hardware.robot.board_wiring import JointWiring, read_board
+from mimic.hardware.toml_fields import whole
 
 BOARD = "go2"
 
@@ -35,13 +34,11 @@ def load_go2(path: Path | None = None) -> Go2Wiring:
         AssetError: If there is no such file.
         ConfigError: If it is not TOML or not consistent.
     """
-    path = shipped("assets", BOARD, "board.toml") if path is None else path
+    return read_board(Go2Wiring, BOARD, path, _own_fields)
 
-    def understand(raw: Mapping[str, Any]) -> Go2Wiring:
-        switcher = raw.get("motion_switcher")
-        if not isinstance(switcher, bool):
-            raise ConfigError(f"motion_switcher is {switcher!r}; expected true, or false for a simulator without it")
-        domain = whole(raw, "domain", "the file", 0, 230)
-        return Go2Wiring(**joint_fields(path, raw, BOARD), domain=domain, motion_switcher=switcher)
 
-    return read_file(path, understand)
+def _own_fields(raw: Mapping[str, Any]) -> dict[str, Any]:
+    switcher = raw.get("motion_switcher")
+    if not isinstance(switcher, bool):
+        raise ConfigError(f"motion_switcher is {switcher!r}; expected true, or false for a simulator without it")
+    return {"domain": whole(raw, "domain", "the file", 0, 230), "motion_switcher": switcher}

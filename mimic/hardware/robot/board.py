@@ -4,7 +4,10 @@ listens, and a second check before anything moves.
 
 from __future__ import annotations
 
+import fcntl
 import select
+import socket
+import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -12,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from mimic.control.safety_limits import limits_for
-from mimic.errors import FrameError, PlantError
+from mimic.errors import ConfigError, FrameError, PlantError
 from mimic.hardware.robot.board_wiring import JointWiring
 from mimic.hardware.robot.checks import HOT, Check, imu_checks, pose_check
 from mimic.hardware.robot.driver import ALL, NEVER, CheckOptions, no_report
 from mimic.records import JOINTS, FloatArray, JointCommand
 from mimic.robot.description import RobotDescription
+
+_SIOCGIFADDR = 0x8915
 
 PERIOD = 0.002
 """Time between two messages [s]: the firmware's own cycle."""
@@ -49,6 +54,23 @@ LOWEST_RATE = 30.0
 
 FLOOD = 0.02
 """A flood of messages must not stop the sending for longer than this [s]."""
+
+
+def address_of(interface: str) -> str | None:
+    """Return the IPv4 address of a network interface, or None where it has none.
+
+    Raises:
+        ConfigError: If there is no such interface.
+    """
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise ConfigError(f"there is no network interface {interface!r}; this computer has {', '.join(names)}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        try:
+            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
+        except OSError:
+            return None
+    return socket.inet_ntoa(answer[20:24])
 
 
 class Bus:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mimic.errors import ConfigError
-from mimic.hardware.toml_fields import number, table
+from mimic.hardware.toml_fields import number, read_file, table
+from mimic.io.assets import shipped
 from mimic.records import JOINTS, LEGS, FloatArray, IntArray
 
 BOARDS = ("cyberdog2", "go2")
@@ -83,12 +84,27 @@ class JointWiring:
         return placed
 
 
-def joint_fields(path: Path, raw: Mapping[str, Any], board: str) -> dict[str, Any]:
-    """Return the fields of a `JointWiring` from the wiring file of a board.
+W = TypeVar("W", bound=JointWiring)
+
+
+def read_board(kind: type[W], board: str, path: Path | None, more: Callable[[Mapping[str, Any]], dict[str, Any]]) -> W:
+    """Read the wiring file of a board.
+
+    Args:
+        kind: Returned.
+        board: Its name.
+        path: File; None takes the one that ships with the robot.
+        more: Returns the fields that this kind has besides those of a `JointWiring`.
 
     Raises:
-        ConfigError: If it is of another board, or not consistent.
+        AssetError: If there is no such file.
+        ConfigError: If it is not TOML, of another board, or not consistent.
     """
+    file = shipped("assets", board, "board.toml") if path is None else path
+    return read_file(file, lambda raw: kind(path=file, **_joint_fields(raw, board), **more(raw)))
+
+
+def _joint_fields(raw: Mapping[str, Any], board: str) -> dict[str, Any]:
     if raw.get("board") != board:
         raise ConfigError(f"board is {raw.get('board')!r}; expected {board}, as in assets/{board}/board.toml")
     legs = raw.get("legs")
@@ -106,7 +122,6 @@ def joint_fields(path: Path, raw: Mapping[str, Any], board: str) -> dict[str, An
         if not 0.0 < value <= 500.0:
             raise ConfigError(f"{name} of [limits] is {value:g}; expected more than 0, at most 500")
     return {
-        "path": path,
         "index": np.array([len(PARTS) * legs.index(leg) + part for leg in LEGS for part in range(len(PARTS))]),
         "sign": np.tile(sign, len(LEGS)),
         "offset": np.tile(offset, len(LEGS)),

@@ -3,40 +3,19 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import ipaddress
 import socket
-import struct
 import time
 from collections.abc import Callable
 from typing import Any
 
-from mimic.errors import BusError, ConfigError, MissingExtra
-from mimic.hardware.robot.board import Bus
+from mimic.errors import BusError, MissingExtra
+from mimic.hardware.robot.board import Bus, address_of
 from mimic.hardware.stock.messages import STATE_ESTIMATOR, TYPES
 from mimic.hardware.stock.wiring import BoardWiring
 
-_SIOCGIFADDR = 0x8915
-
 QUEUE = 500
 """Messages of a channel that wait to be read; those after them are dropped."""
-
-
-def address_of(interface: str) -> str | None:
-    """Return the IPv4 address of a network interface, or None where it has none.
-
-    Raises:
-        ConfigError: If there is no such interface.
-    """
-    names = [name for _, name in socket.if_nameindex()]
-    if interface not in names:
-        raise ConfigError(f"there is no network interface {interface!r}; this computer has {', '.join(names)}")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        try:
-            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
-        except OSError:
-            return None
-    return socket.inet_ntoa(answer[20:24])
 
 
 def check_network(wiring: BoardWiring, interface: str | None) -> tuple[str, int]:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import ConfigError
-from mimic.hardware.robot.board_wiring import JointWiring, joint_fields, numbers
-from mimic.hardware.toml_fields import number, read_file, table, whole
-from mimic.io.assets import shipped
+from mimic.hardware.robot.board_wiring import JointWiring, numbers, read_board
+from mimic.hardware.toml_fields import number, table, whole
 from mimic.records import LEGS, FloatArray
 
 BOARD = "cyberdog2"
@@ -47,26 +46,23 @@ def load_board(path: Path | None = None) -> BoardWiring:
         AssetError: If there is no such file.
         ConfigError: If it is not TOML or not consistent.
     """
-    path = shipped("assets", BOARD, "board.toml") if path is None else path
-    return read_file(path, lambda raw: _wiring(path, raw))
+    return read_board(BoardWiring, BOARD, path, _own_fields)
 
 
-def _wiring(path: Path, raw: Mapping[str, Any]) -> BoardWiring:
-    fields = joint_fields(path, raw, BOARD)
+def _own_fields(raw: Mapping[str, Any]) -> dict[str, Any]:
     limits = table(raw, "limits", "the file")
     margin, cut = number(limits, "cut_margin", "[limits]"), numbers(limits, "cut")
     if min(cut) <= margin or margin < 0.0:
         raise ConfigError(f"cut_margin of [limits] is {margin:g} rad; expected less than each cut: {cut}")
-    return BoardWiring(
-        **fields,
-        address=_group(raw),
-        port=whole(raw, "port", "the file", 1, 0xFFFF),
-        state_port=whole(raw, "state_port", "the file", 1, 0xFFFF),
-        ttl=whole(raw, "ttl", "the file", 0, 255),
-        temperature_unit=number(raw, "temperature_unit", "the file"),
-        cut=np.tile(cut, len(LEGS)),
-        cut_margin=margin,
-    )
+    return {
+        "address": _group(raw),
+        "port": whole(raw, "port", "the file", 1, 0xFFFF),
+        "state_port": whole(raw, "state_port", "the file", 1, 0xFFFF),
+        "ttl": whole(raw, "ttl", "the file", 0, 255),
+        "temperature_unit": number(raw, "temperature_unit", "the file"),
+        "cut": np.tile(cut, len(LEGS)),
+        "cut_margin": margin,
+    }
 
 
 def _group(raw: Mapping[str, Any]) -> str:
