@@ -1,6 +1,6 @@
 """The tables of lab/results/policy.md and robustness.md for a policy, as Markdown.
 
-Measure and print, about 25 minutes on 2 cores; with --write into both pages, with the heat map; or from stored results:
+Measure and print, about an hour on 2 quiet cores; with --write into both pages, with the heat map; or from stored results:
 
     python -m lab.policies.policy_report [POLICY]
     python -m lab.policies.policy_report [POLICY] --write lab/results
@@ -80,20 +80,26 @@ def walking_table(found: list[dict[str, Any]], unit: str) -> str:
 
 
 def calm_table(result: dict[str, Any]) -> str:
-    s = result["summary"]
-    return rows(
-        ("standing for 60 s", "measured"),
+    summary = result["summary"]
+    cells = {
+        "still standing": lambda s: f"{100 * s['stood']:.0f} %",
+        "both feet planted": lambda s: f"{100 * s['planted']:.0f} %",
+        "heat of the windings": lambda s: f"{s['heat_w']:.0f} W",
+        "hind knees, rms": lambda s: f"{s['knee_rms_nm']:.1f} N·m",
+        "a motor at its torque limit": lambda s: f"{100 * s['at_limit']:.1f} %",
+        "torque variance above 20 Hz": lambda s: f"{100 * s['fast_torque']:.0f} %",
+        "action rate, hind legs, rms": lambda s: f"{s['action_rate_rad']:.2f} rad",
+        "drift, mean and most": lambda s: f"{s['drift_m']:.2f}, {s['drift_max_m']:.2f} m",
+    }
+    standing = summary["standing"]
+    body = [(name, *(cell(s) for s in standing.values())) for name, cell in cells.items()]
+    shares = {f"pushed by {name}": v for name, v in summary["pushed"].items()}
+    shares |= {f"pulled by {name}": v for name, v in summary["pulled"].items()}
+    return "\n\n".join(
         [
-            ("still standing", f"{100 * s['stood']:.0f} %"),
-            ("both feet planted", f"{100 * s['planted']:.0f} % of the time"),
-            ("heat of the windings", f"{s['heat_w']:.0f} W"),
-            ("hind knees", f"{s['knee_rms_nm']:.1f} N·m rms"),
-            ("a motor at its torque limit", f"{100 * s['at_limit']:.1f} % of the time"),
-            ("torque variance above 20 Hz", f"{100 * s['fast_torque']:.0f} %"),
-            ("action rate, hind legs", f"{s['action_rate_rad']:.2f} rad rms"),
-            ("drift", f"{s['drift_m']:.2f} m mean, {s['drift_max_m']:.2f} m at most"),
-            *((f"push of {push} m/s while standing", f"{100 * v:.0f} % stand") for push, v in s["pushed"].items()),
-        ],
+            rows(("standing for 60 s", *standing), body),
+            rows(("while standing", "stand after it"), [(name, f"{100 * v:.0f} %") for name, v in shares.items()]),
+        ]
     )
 
 
@@ -177,6 +183,7 @@ def report(given: argparse.Namespace, robot: str) -> None:
     rise = stored(given.stand_up, "summary") if given.stand_up else evaluate_stand_up(given.policy, StandUpSettings())
     calm = stored(given.calm, "summary") if given.calm else evaluate_calm(given.policy, CalmSettings())
     fastest = cached_policy(str(given.policy), "cyberdog2").contract.velocity_max[0]
+    robots = next(iter(calm["summary"]["standing"].values()))["episodes"]
     episodes, points = len(next(iter(table["episodes"].values()))["contacts"]), robust["episodes_per_point"]
     text = "\n\n".join(
         [
@@ -191,8 +198,8 @@ def report(given: argparse.Namespace, robot: str) -> None:
             "On the spot, the same for turns:",
             walking_table(table["turning"], "rad_s"),
             "## Calm",
-            f"`mimic evaluate {given.policy} calm`, {calm['summary']['episodes']} randomised robots (Table II), and "
-            "100 for each push.",
+            f"`mimic evaluate {given.policy} calm`, {robots} randomised robots (Table II), and "
+            f"{CalmSettings().pushed_episodes} for each push and pull.",
             calm_table(calm),
             "## Standing up and standing still",
             f"`mimic evaluate {given.policy} stand-up`, {rise['summary']['starts']} starts, "

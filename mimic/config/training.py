@@ -227,7 +227,7 @@ class LearnSettings:
     """Smallest and largest spread of the actions [units of action]."""
     resume_std: float = 0.0
     """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
-    critic_updates: int = 100
+    critic_updates: int = 250
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none."""
     hidden: tuple[int, ...] = (512, 256, 128)
     """Widths of the hidden layers, policy and critic alike."""

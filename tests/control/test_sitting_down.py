@@ -71,7 +71,7 @@ def test_it_begins_with_a_history_of_its_own(play, memory_plant, fixed_policy, s
     frames = sitter.seen[0].reshape(sitter.contract.history, -1)
     assert np.array_equal(frames[0], frames[-1])
     assert not frames[0][18:30].any()  # no action before
-    assert np.allclose(frames[0][-2:], [0.0, 1.0])  # its clock begins
+    assert np.allclose(frames[0][39:41], [0.0, 1.0])  # its clock begins
 
 
 def test_the_figures_of_a_run_do_not_see_the_sitting_down(play, memory_plant, fixed_policy, sitter, track, description):

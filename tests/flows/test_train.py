@@ -78,17 +78,17 @@ def test_the_recipe_of_sitting_down_has_another_task_and_other_numbers():
     assert mdp.randomisation.push == (0.0, 0.9)
 
 
-@pytest.mark.parametrize("task", ["stand_track", "sit_down"])
-def test_the_last_command_on_a_card_of_the_go2_has_the_settings_of_its_training(task):
-    card = shipped("policies", f"go2_{task}.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["stand_track", "go2_stand_track", "go2_sit_down"])
+def test_the_last_command_on_a_card_has_the_settings_of_its_training(name):
+    card = shipped("policies", f"{name}.md").read_text(encoding="utf-8")
     commands = re.findall(r"^    (mimic train .*)", card.replace("\\\n", ""), re.MULTILINE)
     command = shlex.split(commands[-1])
     mdp, learn = training_settings(command[command.index("--recipe") + 1], command[command.index("--set") + 1 :])
-    taken_up = replace(learn, reaching=0.0, mirror=learn.mirror if task == "stand_track" else 0.0)  # as train does
-    stored = shipped("policies", f"go2_{task}.settings.json").read_text(encoding="utf-8")
+    taken_up = replace(learn, reaching=0.0, mirror=0.0 if mdp.task == "sit_down" else learn.mirror)  # as train does
+    stored = shipped("policies", f"{name}.settings.json").read_text(encoding="utf-8")
     assert json.loads(json.dumps({"mdp": plain(mdp), "learn": plain(taken_up)})) == json.loads(stored)
-    policy = load_policy(None, load_description("go2"), task=task)
-    assert policy.contract.training == sha256(stored.encode()).hexdigest()
+    robot = load_description("go2" if name.startswith("go2") else "cyberdog2")
+    assert load_policy(None, robot, task=mdp.task).contract.training == sha256(stored.encode()).hexdigest()
 
 
 def test_a_recipe_of_one_s_own_goes_down_into_tables_and_words_come_after_it(tmp_path):

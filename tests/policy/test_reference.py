@@ -23,7 +23,7 @@ def test_the_network_answers_as_its_reference_says(file):
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
     contract, known = json.loads(metadata[METADATA_KEY]), json.loads(metadata[REFERENCE_KEY])
-    frames, gait = None, 0.0
+    frames, gait, slow = None, 0.0, None
     q, quat, action = np.array(known["inputs"]["q"]), np.array(known["inputs"]["quat"]), np.zeros(12)
     for k in range(STEPS):
         w, x, y, z = quat[k]
@@ -45,6 +45,11 @@ def test_the_network_answers_as_its_reference_says(file):
             *known["inputs"]["toes"][k],
             *(gait * np.sin(clock), gait * np.cos(clock)),
         ]
+        if "gyro" in dict(contract["terms"]):
+            now = np.array([*frame[:18], *velocity])  # joint positions, down, forward, velocity command
+            slow = now if slow is None else slow + (now - slow) * contract["dt"] / 3.0
+            turning, moving = np.array(known["inputs"]["gyro"][k]), np.array(known["inputs"]["dq"][k])
+            frame += [*np.clip(0.25 * turning, -5, 5), *np.clip(0.05 * moving, -2, 2), *slow]
         frames = [frame] * contract["history"] if frames is None else [*frames[1:], frame]
         observation = np.concatenate(frames)
         assert np.allclose(observation, known["observation"][k], rtol=0, atol=1e-9), k
@@ -58,7 +63,8 @@ def test_the_network_answers_as_its_reference_says(file):
 def test_the_reference_tries_what_is_clipped(file):
     metadata = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"]).get_modelmeta()
     known = json.loads(metadata.custom_metadata_map[REFERENCE_KEY])
-    errors = np.array(known["observation"]).reshape(STEPS, -1, 41)[:, -1, 32]
+    width = sum(width for _, width in json.loads(metadata.custom_metadata_map[METADATA_KEY])["terms"])
+    errors = np.array(known["observation"]).reshape(STEPS, -1, width)[:, -1, 32]
     assert errors.min() == -1.0
     assert errors.max() == 1.0
     assert len(known["action"]) == STEPS
