@@ -1,6 +1,6 @@
 """The tables of lab/results/policy.md and robustness.md for a policy, as Markdown.
 
-Measure and print, about an hour on 2 quiet cores; with --write into both pages, with the heat map; or from stored results:
+Measure and print, an hour on 2 quiet cores; with --write into both pages, with the heat map; or from stored results:
 
     python -m lab.policies.policy_report [POLICY]
     python -m lab.policies.policy_report [POLICY] --write lab/results
