@@ -18,17 +18,17 @@ class RewardWeights:
     """Base at the height of now."""
     upright: float = 1.0
     """Trunk at the lean of now."""
-    velocity: float = 5.0
+    velocity: float = 10.0
     """Base velocity as asked."""
     heading: float = 4.0
     """Heading as asked."""
-    toes: float = 8.0
+    toes: float = 10.0
     """Front toes near their goals, felt from 20 cm on."""
-    toes_fine: float = 4.0
+    toes_fine: float = 5.0
     """The same within 3 cm."""
-    gait: float = 16.0
+    gait: float = 20.0
     """Hind feet that step with the clock, or stand planted while the robot is asked to stand."""
-    drift: float = -25.0
+    drift: float = -40.0
     """Way from where the robot came to rest [per m]."""
     slip: float = -4.0
     """Squared speed and turning of toes on the ground [per m^2/s^2]."""
@@ -42,13 +42,13 @@ class RewardWeights:
     """Each front leg or hind knee on or near the ground."""
     action_rate: float = -0.012
     """Squared change of the action [per (unit of action)^2]."""
-    unrest: float = -2.0
+    unrest: float = -4.0
     """The same of the hind legs while the robot is asked to stand and does not topple [per (unit of action)^2]."""
-    shuffle: float = -30.0
+    shuffle: float = -40.0
     """Speed of hind toes on the ground meanwhile [per m/s]."""
     torque: float = -0.03
     """Sum of squared torques, each as a share of its motor's largest."""
-    heat: float = -2.0
+    heat: float = -4.0
     """The same up to a limit: it heats the windings."""
     overload: float = -1.5
     """Squared torque beyond the rated one, the same way."""
@@ -69,9 +69,6 @@ REGULARISERS = ("action_rate", "torque", "joint_velocity", "joint_acceleration")
 
 
 REFINING_TERMS = (
-    "drift",
-    "unrest",
-    "shuffle",
     "heat",
     "slip",
     "foot_shift",
@@ -84,15 +81,19 @@ REFINING_TERMS = (
 each step than by falling, and a policy learns to fall at once; that was tried."""
 
 
+RESTING_TERMS = ("drift", "unrest", "shuffle")
+"""Reward terms that count once robots may rest while they are asked to stand."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 
-    velocity: float = 5.0
+    velocity: float = 2.5
     """Of the weight of that name, as all here."""
     heading: float = 2.5
     """Walking straight."""
     toes_fine: float = 3.0
     """Reaching exactly."""
-    slip: float = 5.0
+    slip: float = 3.5
     """Sliding little."""

@@ -45,7 +45,7 @@ class DisturbanceRanges:
     contact_time: tuple[float, float] = (0.3, 2.0)
     """Factor on the time constant of the ground, which counts for half of a contact's (12 to 30 ms); nothing about a
     real floor's is known, and solvers differ. Quiet worlds have it too, and the next one."""
-    friction_ratio: tuple[float, float] = (1.0, 100.0)
+    friction_ratio: tuple[float, float] = (1.0, 10.0)
     """How much stiffer contacts are against sliding than against sinking, log-uniform: MuJoCo's impratio. At 1 a foot
     that bears weight creeps, and a policy learns to stand on what no floor does."""
     slope: tuple[float, float] = (0.0, 5.0)
@@ -93,14 +93,14 @@ class MdpSettings:
 
     task: Literal["stand_track", "sit_down"] = "stand_track"
     """What is trained: stand, track and walk, or sit down."""
-    worlds: int = 8192
+    worlds: int = 16384
     """Robots simulated at once."""
     effects: str = ""
     """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
     timestep: float = 0.004
     """Physics step [s]; 0 is that of the description."""
-    episode_steps: int = 800
-    """Control steps of an episode; shorter than the paper's 1000, so that more of them stand up."""
+    episode_steps: int = 1000
+    """Control steps of an episode; the paper's."""
     upright_share: float = 0.25
     """Share of episodes that start upright, once the robot stands."""
     upright_share_at_first: float = 0.5
@@ -120,7 +120,7 @@ class MdpSettings:
     m/s to each side at 3 Hz, 0.09 at 4 (root mean square), which counts as velocity error."""
     action_scale: float = 0.5
     """Radians per unit of action."""
-    history: int = 10
+    history: int = 16
     """Frames in an observation; paper: 3. The speed of the base cannot be seen in 60 ms."""
     noise_q: float = 0.01
     """Half width of the noise on joint positions [rad]."""
@@ -150,27 +150,28 @@ class MdpSettings:
     paper ends an episode no joint gets there by itself, but an almost straight knee is left without torque."""
     curriculum_ends: float = 0.003
     """While a smaller share of the robots than this falls or meets a termination in a control step, rising or standing,
-    what makes the task hard grows: the paper's terminations, the REFINING_TERMS, disturbances. Imposed from the
-    beginning, the terminations end every episode within the first tenth of a second, before anything is learned."""
-    curriculum_steps: float = 9_600.0
+    the paper's terminations and the REFINING_TERMS grow. Imposed from the beginning, the terminations end every
+    episode within the first tenth of a second, before anything is learned."""
+    curriculum_steps: float = 6_000.0
     """Control steps of a world over which they grow; a termination ends an episode with a probability a step that grows
     with the square of the share done."""
-    curriculum_latest: float = 16_800.0
+    curriculum_latest: float = 9_000.0
     """From this control step of a world on they grow in any case."""
-    rest_share_at_first: float = 0.0
-    """Share of the worlds whose gait clock rests while the robot is asked to stand before; it grows to 1. A robot that
-    may rest from the beginning does not learn to walk."""
-    disturbance_share_at_first: float = 0.2
-    """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before; it grows to 1.
+    disturbance_share_at_first: float = 0.4
+    """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before ``rest_steps``.
     On a ground that bounces fully from the beginning a policy learns to stand and step with almost straight legs, and
     keeps that (lab/results/training.md)."""
-    swing_height: float = 0.055
+    rest_steps: tuple[float, float] = (20_000.0, 30_000.0)
+    """Control steps of a world between which the share of the worlds grows from 0 to 1 whose gait clock rests while the
+    robot is asked to stand, and with it the RESTING_TERMS and all disturbances. A policy that may rest, or is dragged,
+    before it walks well does not learn to walk."""
+    swing_height: float = 0.04
     """Wanted clearance of a swinging hind toe at mid-swing [m]."""
     rewards: RewardWeights = field(default_factory=RewardWeights)
     finish: FinishFactors = field(default_factory=FinishFactors)
     """Factors on the weights of rewards once everything is learned: walking straight and sliding little are polish,
     which, asked for with these weights from the beginning, keeps a policy from stepping and reaching."""
-    finish_steps: tuple[float, float] = (26_000.0, 42_000.0)
+    finish_steps: tuple[float, float] = (10_000.0, 15_000.0)
     """Control steps of a world between which these factors grow from 1."""
 
     def __post_init__(self) -> None:
@@ -183,11 +184,11 @@ class MdpSettings:
         check_range("quiet-share", self.quiet_share, 0.0, 1.0)
         check_range("episode-steps", self.episode_steps, 100, 100_000)
         check_range("solver-iterations", self.solver_iterations, 1, 200)
-        begin, end = self.finish_steps
-        if not begin < end:
-            raise ConfigError(
-                f"finish-steps is {begin:g}, {end:g}; expected the first to be smaller, such as 12000, 18000"
-            )
+        for name, (begin, end) in (("finish-steps", self.finish_steps), ("rest-steps", self.rest_steps)):
+            if not begin < end:
+                raise ConfigError(
+                    f"{name} is {begin:g}, {end:g}; expected the first to be smaller, such as 10000, 15000"
+                )
 
 
 ENDLESS = 100_000_000
@@ -200,7 +201,7 @@ class LearnSettings:
 
     iterations: int = 0
     """Most policy updates; 0 does not limit them."""
-    minutes: float = 21.0
+    minutes: float = 23.0
     """Stop after this wall-clock time [min]; 0 does not stop."""
     seed: int = 1
     """Of worlds, commands, network and actions."""
@@ -217,11 +218,11 @@ class LearnSettings:
     """At the beginning; it then adapts to desired_kl."""
     desired_kl: float = 0.02
     """Divergence between two updates that the learning rate aims at, at the beginning."""
-    desired_kl_end: float = 0.005
+    desired_kl_end: float = 0.003
     """… and at the end; in between it falls geometrically."""
     entropy: float = 0.004
     """Weight of the entropy bonus at the beginning."""
-    entropy_end: float = 0.0002
+    entropy_end: float = 0.0001
     """… and at the end; in between it falls geometrically, so that the spread of the actions narrows late."""
     std_range: tuple[float, float] = (0.03, 1.2)
     """Smallest and largest spread of the actions [units of action]."""

@@ -152,7 +152,9 @@ def train(
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and resume.suffix == ".onnx":
         if compare_contracts(resume, contract):
-            env.resume_at(math.ceil(mdp.curriculum_latest + mdp.curriculum_steps))
+            env.resume_at(
+                math.ceil(max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps))
+            )
         take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]

@@ -15,7 +15,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from mimic.config.rewards import REFINING_TERMS
+from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
@@ -167,7 +167,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._load = zeros(2)
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
-        self._rest_share = torch.full((1,), self.settings.rest_share_at_first, device=device)
+        self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
         self._weights = torch.tensor(list(self._weights_at(0.0).values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
@@ -301,12 +301,17 @@ class StandTrackEnv(VecEnv, Chance):
     def _weights_at(self, ramp: float) -> dict[str, float]:
         """Return the weight of each reward term by now; ``ramp`` of what makes the task hard is there, 0 to 1."""
         s = self.settings
-        begin, end = s.finish_steps
-        finished = min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
+        finished = self._passed(s.finish_steps)
         factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * ramp)
+        factors |= dict.fromkeys(RESTING_TERMS, self._passed(s.rest_steps))
         for name, factor in asdict(s.finish).items():
             factors[name] = factors.get(name, 1.0) * (1 + (factor - 1) * finished)
         return {name: w * factors.get(name, 1.0) for name, w in grown(asdict(s.rewards), self._calls).items()}
+
+    def _passed(self, steps: tuple[float, float]) -> float:
+        """Return the share of the time between two numbers of control steps that has passed."""
+        begin, end = steps
+        return min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
 
     def _ramp_share(self) -> float:
         ends = float(self._log["all/ends"]) if "all/ends" in self._log else 1.0  # waits for the device
@@ -317,10 +322,11 @@ class StandTrackEnv(VecEnv, Chance):
     def _set_difficulty(self, ramp: float) -> None:
         """Set what grows as the robot learns to stand, for the share of the ramp that is done."""
         s = self.settings
-        share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * ramp
+        rests = self._passed(s.rest_steps)
+        share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * rests
         self.worlds.set_share(share)
         self.disturbances.set_share(share)
-        self._rest_share.fill_(s.rest_share_at_first + (1 - s.rest_share_at_first) * ramp)
+        self._rest_share.fill_(rests)
         self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
 
     def _command(self) -> None:

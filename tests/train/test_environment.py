@@ -32,7 +32,7 @@ FEW = MdpSettings(
     noise_axes=0.0,
     noise_gyro=0.0,
     noise_dq=0.0,
-    rest_share_at_first=1.0,
+    rest_steps=(-1.0, 0.0),
     disturbances=UNDISTURBED,
     disturbance_share_at_first=1.0,
     quiet_share=0.0,
@@ -319,9 +319,7 @@ def test_gains_slopes_and_the_ground_come_in_over_the_ramp(description):
         disturbances=dataclasses.replace(UNDISTURBED, slope=(4.0, 4.0), contact_time=(1.5, 1.5)),
         randomisation=dataclasses.replace(FEW.randomisation, restitution=(0.4, 0.4)),
         disturbance_share_at_first=0.25,
-        curriculum_latest=240.0,
-        curriculum_steps=480.0,
-        curriculum_ends=-1.0,
+        rest_steps=(240.0, 720.0),
     )
 
     usual = env.worlds.mj_model.geom("floor").solref[0]
@@ -447,11 +445,11 @@ def test_a_foot_bears_the_share_of_the_weight_that_the_ground_gives_it(descripti
 
 
 def test_at_first_every_robot_steps_and_in_the_end_only_who_is_asked_to(description):
-    env = make(description, rest_share_at_first=0.0, still_share=1.0, stand_share=1.0)
+    env = make(description, rest_steps=(240.0, 720.0), still_share=1.0, stand_share=1.0)
     env.step(torch.zeros(FEW.worlds, 12))
     assert (env._gait == 1).all()
-    for share, least, most in ((0.5, 1, FEW.worlds - 1), (1.0, FEW.worlds, FEW.worlds)):
-        env._set_difficulty(share)
+    for calls, least, most in ((480, 1, FEW.worlds - 1), (720, FEW.worlds, FEW.worlds)):
+        env.resume_at(calls)
         for _ in range(15):
             env.moves.heading.copy_(env._heading)
             env.step(torch.zeros(FEW.worlds, 12))
