@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lab.rivals.cases import Case, switched_on
+from lab.rivals.torque import Motion, motions_of
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
@@ -23,8 +24,6 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.log.pool import pool
-from mimic.sysid.torque.columns import Motion
-from mimic.sysid.torque.regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
@@ -276,9 +275,7 @@ def of_sindy(case: Case) -> Found:
     Sequentially thresholded least squares, the threshold by leaving out blocks of 1.5 s. Source: Brunton, Proctor, Kutz
     2016.
     """
-    logs = [(log, case.machine) for log in case.fitted]
-    torques = Torques(logs)
-    delay, motions = torques.delay, torques.motions
+    delay, motions = motions_of([(log, case.machine) for log in case.fitted])
     joints = len(case.machine.joints)
     values = {key: np.zeros(joints) for key in LIBRARY}
     for j in range(joints):

@@ -40,11 +40,9 @@ class Thresholds:
     """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
-    shortlist: int = 5
-    """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
-    the worst was fifth of either (lab/hidden_effects/torque_screen)."""
     finished: int = 3
-    """Effects of each model that are fitted to the end, most of the cost of a search."""
+    """Effects of each model that are fitted to the end, those that one linear step says most of; of a closed-form arm
+    what was hidden came first in each log (lab/results/calibration.md)."""
     beam: int = 2
     """Models that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
 

@@ -194,6 +194,37 @@ def fitting(
     )
 
 
+def stepping(
+    problem: Problem, start: Point, names: Sequence[str], joints: Mapping[str, BoolArray], known: Fit
+) -> Asking:
+    """Ask for the derivatives that a fit lacks at a start; return one linear step of all numbers, which none replays.
+
+    Args:
+        problem: Log and model.
+        start: Where to begin; has the effects.
+        names: Effects that are fitted.
+        joints: Which joints have an effect.
+        known: Its derivatives are used for the free parameters that it has.
+    """
+    free = problem.free_parameters(start, joints, names)
+    columns = {(k.key, k.joint): c for k, c in zip(known.free_parameters, known.columns, strict=True)}
+    fresh = [k for k in free if (k.key, k.joint) not in columns]
+    points, groups, sizes = problem.difference_points(start, fresh)
+    residual, *moved = yield [start, *points]
+    made = problem.columns(residual, np.array(moved), groups, fresh, sizes) if moved else []
+    columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
+    stacked = tuple(columns[k.key, k.joint] for k in free)
+    step = solve(problem.sums(residual, stacked, free), problem.blocks.train, free, start.read(free), 0.0)
+    left = residual - sum(np.float32(size) * column for size, column in zip(step, stacked, strict=True))
+    return Fit(
+        point=start.moved(free, step),
+        free_parameters=tuple(free),
+        residual=left,
+        columns=stacked,
+        sums=problem.sums(left, stacked, free),
+    )
+
+
 def _by_secant(
     problem: Problem,
     free_parameters: Sequence[FreeParameter],

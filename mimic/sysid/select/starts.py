@@ -16,7 +16,9 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, solve
 from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.torque.columns import best_order
+
+FEWEST, MOST = 1.5, 40
+"""Periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +61,16 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
         if p.starts and not p.fixed
     ]
     return [_clipped(incumbent.point.with_effect(name, machine, dict(v))) for v in itertools.product(*axes)]
+
+
+def best_order(q: FloatArray, r: FloatArray) -> float:
+    """Return the order whose sine and cosine over positions (T,) explain most of a residual (T,)."""
+    bounds = CATALOGUE["cogging"].parameter("order")
+    turns = 2 * np.pi / max(float(np.ptp(q)), 1e-9) if len(q) else np.inf
+    low, high = max(FEWEST * turns, bounds.low), min(MOST * turns, bounds.high)
+    orders = np.arange(low, high, turns / 12) if low < high else np.array([bounds.high])  # a twelfth of a peak's width
+    waves = (np.stack([np.cos(k * q), np.sin(k * q), np.ones_like(q)], -1) for k in orders)
+    return float(orders[np.argmin([np.sum((r - w @ np.linalg.lstsq(w, r, rcond=None)[0]) ** 2) for w in waves])])
 
 
 def _clipped(point: Point) -> Point:
