@@ -19,7 +19,7 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.replay import Replay
+from mimic.sysid.fit.replay import Replay, Targets
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
 
@@ -218,9 +218,9 @@ class Problem:
         joined = self.uncorrected(points)
         return joined if self.correction is None else joined + self.correction
 
-    def uncorrected(self, points: Sequence[Point]) -> FloatArray:
-        """Return the residuals of these steps as they are, see `residuals`."""
-        return self._whitened(self._replayed(self.replay, points))
+    def uncorrected(self, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
+        """Return the residuals of these steps as they are, for targets of each point or those of the log."""
+        return self._whitened(self._replayed(self.replay, points, targets))
 
     def in_fine_steps(self, point: Point) -> FloatArray:
         """Return whitened residuals (T, C), extrapolated to steps of length zero.
@@ -265,7 +265,7 @@ class Problem:
         residual[..., self.blocks.index < 0, :] = np.nan
         return residual
 
-    def _replayed(self, replay: Replay, points: Sequence[Point]) -> FloatArray:
+    def _replayed(self, replay: Replay, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
         joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
         apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
@@ -273,7 +273,7 @@ class Problem:
             apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
         for rows in apart.values():
             values = stack([points[i] for i in rows], self.machine)
-            made = replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows))
+            made = replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows), targets)
             joined[rows, :, : self.joints] = made.residual
             if self.channels > self.joints:
                 joined[rows, :, self.joints :] = made.torque_residual
