@@ -19,7 +19,6 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
 from mimic.sysid.fit.baseline import (
-    MOST_STEPS,
     compared,
     errors_by_log,
     errors_of,
@@ -28,7 +27,7 @@ from mimic.sysid.fit.baseline import (
     problem_of,
     step_of,
 )
-from mimic.sysid.fit.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
+from mimic.sysid.fit.least_squares import MOST_STEPS, Fit, correlations, deviations, fit, fit_all, fitting
 from mimic.sysid.fit.problem import FreeParameter, Point, Problem
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool

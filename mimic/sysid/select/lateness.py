@@ -155,7 +155,7 @@ def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:
 
 
 def _responses(problem: Problem, fitted: Fit, near: bool) -> FloatArray | None:
-    """Return what a period of lateness, or four times a quarter more, of every n-th target changes (n, T, C), if seen."""
+    """Return what a period of lateness (or a quarter more, times four) of every n-th target changes (n, T, C)."""
     replay, period, share = problem.replay, problem.replay.sending.period, 0.25 if near else 1.0
     offsets = int(np.ceil(FORGOTTEN / period))
     if not 0 < offsets <= MOST_OFFSETS < len(replay.sent):

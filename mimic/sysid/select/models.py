@@ -21,7 +21,18 @@ from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
-from mimic.sysid.fit.least_squares import Asking, Fit, Judged, fit, fit_all, fitting, left_out, left_out_all, stepping
+from mimic.sysid.fit.least_squares import (
+    MOST_STEPS,
+    Asking,
+    Fit,
+    Judged,
+    fit,
+    fit_all,
+    fitting,
+    left_out,
+    left_out_all,
+    stepping,
+)
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
@@ -30,22 +41,12 @@ from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
 
-MATERIAL = 0.0125
-"""Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
-
 SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
 """Numbers of joints that are a baseline parameter of the machine where they are alike in all."""
 
 SOFT = 0.1
 """Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an
 elasticity of its own."""
-
-MOST_STEPS = 6
-"""Most steps of the fit of a candidate."""
-
-MOST_REPLAYS = 900
-"""Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
-
 
 # ---------------------------------------------------------------------- the rule
 
@@ -108,7 +109,7 @@ def compare(
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
     return Comparison(
         gain=float(0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))),
-        z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > MATERIAL] - price)),
+        z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > RULES.material] - price)),
         share=float((bad.sum() - good.sum()) / max(bad.sum() - whole.sum(), 1e-9)),
     )
 
@@ -338,7 +339,7 @@ class Selection:
         best = replace(baseline, problem=baseline.problem.warmed_up(baseline.fitted.point))
         beam, last = [best], ()
         for _ in range(self.settings.most_effects):
-            if baseline.problem.replay.replays > MOST_REPLAYS:
+            if baseline.problem.replay.replays > RULES.replays:
                 note = "further effects were not looked for: the search has a limit, and what is left is reported"
                 best = replace(best, notes=(*best.notes, note))
                 break
