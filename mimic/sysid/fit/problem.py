@@ -265,11 +265,6 @@ class Problem:
                 joined[rows, :, self.joints :] = made.torque_residual
         return joined
 
-    def squares(self, points: Sequence[Point]) -> FloatArray:
-        """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
-        left = self.uncorrected(points)[:, self.blocks.fitted, : self.joints]
-        return np.sum(np.where(np.isfinite(left), left, np.inf).astype(np.float64) ** 2, axis=(1, 2))
-
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
         there = self.blocks.index >= 0

@@ -55,11 +55,6 @@ class SendingTimes:
     later: float = 0.0
     """The same for later."""
 
-    def of_part(self, rows: slice, begin: float) -> SendingTimes:
-        """Return the times of the targets in some rows, from their own first row, which is at a time [s]."""
-        kept = (self.rows >= rows.start) & (self.rows < rows.stop)
-        return replace(self, rows=self.rows[kept] - rows.start, at=self.at[kept] - begin)
-
     @property
     def period(self) -> float:
         """Usual time between two targets [s]."""

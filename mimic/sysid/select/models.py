@@ -23,7 +23,6 @@ from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
 from mimic.sysid.fit.least_squares import (
     MOST_STEPS,
-    Asking,
     Fit,
     Judged,
     fit,
@@ -428,26 +427,21 @@ class Selection:
         strong = sorted((t for t in quick if t.against.gain >= RULES.gain), key=lambda t: -t.score(problem))
         strong = strong[: RULES.finished]
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
-        again = {s.name: s for s in starts}
-        first = [again[t.name] for t in strong]
-        asked = [
-            self._fitting(near, s, _apart_from_shared(s.point, s), MOST_STEPS, t.fitted, every=3)
-            for s, t in zip(first, strong, strict=True)
-        ]
+        first, asked = [next(s for s in starts if s.name == t.name) for t in strong], []
+        for s, t in zip(first, strong, strict=True):
+            point, where = _apart_from_shared(s.point, s), {**near.joints, s.name: s.joints}
+            asked.append(
+                fitting(problem, point, [*near.names, s.name], where, most=MOST_STEPS, frozen=t.fitted, every=3)
+            )
         fits = fit_all(problem, asked)
         done = self._trials(near, first, fits, left_out_all(fits, problem), near.squares)
-        names_done = [t.name for t in done]
-        done += [replace(t, finished=False) for t in quick if t.name not in names_done]
+        for t in quick:  # without the many derivatives, which nothing needs any more
+            if t not in strong:
+                done.append(replace(t, finished=False, fitted=replace(t.fitted, columns=())))
         if near is model:
             return done
         longer = model.squares / np.maximum(near.squares, 1e-9)  # what is left in long segments, as those of trials
         return [replace(t, squares=t.squares * longer, short=True) for t in done]
-
-    def _fitting(
-        self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 0
-    ) -> Asking:
-        where = {**model.joints, s.name: s.joints}
-        return fitting(model.problem, point, [*model.names, s.name], where, most=most, frozen=frozen, every=every)
 
     def _trials(
         self,
