@@ -157,7 +157,7 @@ class Trial:
     against: Comparison
     """With the model that lacks it."""
     finished: bool = True
-    """Whether it was fitted to the end: others can only be worse than they seem."""
+    """Whether it was fitted to the end; of others one linear step is all that is known."""
     short: bool = False
     """Whether it was fitted in short segments."""
     lateness: Lateness | None = None
@@ -275,7 +275,7 @@ class FittedModel:
         for m in kept:
             assert m.trial is not None
             shown = self if m is kept[-1] else m
-            found = tuple(_candidate(m.problem, t, m.trial, self.groups) for t in m.tried)
+            found = tuple(_candidate(m.problem, t, m.trial) for t in m.tried)
             errors = errors_of(shown.problem, shown.fitted.residual)
             group = self.groups.get(m.trial.name, ())
             made.append(Stage(added=m.trial.name, errors=errors, candidates=found, alternatives=group))
@@ -286,15 +286,14 @@ class FittedModel:
         return made
 
 
-def _candidate(
-    problem: Problem, t: Trial, best: Trial | None = None, groups: Mapping[str, tuple[str, ...]] | None = None
-) -> Candidate:
+def _candidate(problem: Problem, t: Trial, best: Trial | None = None) -> Candidate:
     """Return the record of a trial beside the one that was taken."""
     machine, spec = problem.machine, CATALOGUE[t.name]
     why, odds, apart = t.why or t.against.why_not, 0.0, 0.0
     if best is not None:
-        odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
         why = "" if best is t else why or "another effect explains more"
+    if best is not None and t.finished:  # what one linear step promises is no probability
+        odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
         apart = 0.0 if best is t else compare(problem, best.squares, t.squares, best.numbers - t.numbers).z
     return Candidate(
         name=t.name,
@@ -367,7 +366,7 @@ class Selection:
             if lost.better and not self._surely(model, jitter, lost):
                 tried = [lost, replace(jitter, why="lost commands explain as much with fewer numbers")]
         tried += self._tried(model, [n for n in names if not CATALOGUE[n].read_off])
-        tried.sort(key=lambda t: -t.score(model.problem))
+        tried.sort(key=lambda t: (t.finished, t.score(model.problem)), reverse=True)
         grown: list[FittedModel] = []
         good = [t for t in tried if t.better]
         good = [t for t in good if t is good[0] or not self._surely(model, good[0], t)]  # a beam of what is as good
@@ -435,9 +434,10 @@ class Selection:
             )
         fits = fit_all(problem, asked)
         done = self._trials(near, first, fits, left_out_all(fits, problem), near.squares)
-        for t in quick:  # without the many derivatives, which nothing needs any more
-            if t not in strong:
-                done.append(replace(t, finished=False, fitted=replace(t.fitted, columns=())))
+        for t in quick:
+            if t not in strong:  # its many derivatives are of no more use
+                why = "other effects promise more" if t.against.better else ""
+                done.append(replace(t, finished=False, why=why, fitted=replace(t.fitted, columns=())))
         if near is model:
             return done
         longer = model.squares / np.maximum(near.squares, 1e-9)  # what is left in long segments, as those of trials
