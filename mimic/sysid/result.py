@@ -42,7 +42,7 @@ class Thresholds:
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
     finished: int = 4
     """Effects of each model that are fitted to the end, those that one linear step says most of; what was hidden in
-    logs of a closed-form arm was first, a torque limit fourth (lab/results/calibration.md)."""
+    logs of a closed-form arm was first, a low-pass third and a torque limit fourth (lab/results/calibration.md)."""
     correlated: float = 0.7
     """Correlation of two fitted numbers from which on they are listed."""
     far: float = 100.0
