@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lab.rivals.cases import Case, switched_on
+from lab.rivals.torque import Motion, motions_of
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, EffectValues
@@ -23,8 +24,6 @@ from mimic.sysid.calibrate import calibrate
 from mimic.sysid.fit.baseline import problem_of, step_of
 from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.log.pool import pool
-from mimic.sysid.torque.columns import Motion
-from mimic.sysid.torque.regression import Torques
 
 SETTINGS = CalibrateSettings(threads=1)
 PACE = ("coulomb", "viscous", "armature", "encoder_offset", "delay")
@@ -75,7 +74,7 @@ def of_random(case: Case, samples: int = 8192) -> Found:
     size = sum(problem_rows(case, keys).values())
     for begin in range(0, samples, problem.replay.sets_per_batch):
         x = rng.random((min(problem.replay.sets_per_batch, samples - begin), size))
-        squares = np.nan_to_num(problem.squares([_point(case, keys, row) for row in x]), nan=np.inf)
+        squares = np.nan_to_num(_squares(problem, [_point(case, keys, row) for row in x]), nan=np.inf)
         if squares.min() < best:
             best, winner = float(squares.min()), x[int(squares.argmin())]
     return Found(effects=_effects(case, _point(case, keys, winner)), names=None, replays=problem.replay.replays)
@@ -96,7 +95,7 @@ def of_cma(case: Case, replays: int = 4096, population: int = 64) -> Found:
     )
     while not search.stop():
         x = search.ask()
-        squares = problem.squares([_point(case, keys, np.asarray(row)) for row in x])
+        squares = _squares(problem, [_point(case, keys, np.asarray(row)) for row in x])
         search.tell(x, np.nan_to_num(np.log(squares), nan=UNSTABLE, posinf=UNSTABLE).tolist())
     found = _point(case, keys, np.asarray(search.result.xbest))
     return Found(effects=_effects(case, found), names=None, replays=problem.replay.replays)
@@ -109,6 +108,11 @@ def _problem(case: Case, names: Sequence[str]) -> tuple[Problem, list[tuple[str,
     problem = problem_of(together, machine, replace(SETTINGS, torque=False))  # both compare positions
     before = problem.residuals([Point.of(names, machine)])[0]
     return problem.without(~np.isfinite(before).all(-1)), keys
+
+
+def _squares(problem: Problem, points: Sequence[Point]) -> FloatArray:
+    """Return the sum of squares in the fitted blocks (N,); inf where a replay blew up."""
+    return np.array([problem.block_squares(r)[problem.blocks.train].sum() for r in problem.uncorrected(points)])
 
 
 def problem_rows(case: Case, keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], int]:
@@ -207,7 +211,7 @@ def _best_delay(case: Case, values: Mapping[tuple[str, str], FloatArray]) -> Poi
     problem, _ = _problem(case, list(dict.fromkeys(name for name, _ in values)))
     low, high = case.ranges["delay", "time"]
     points = [Point({**values, ("delay", "time"): np.array([d])}) for d in np.linspace(low, high, 121)]
-    return points[int(np.argmin(np.nan_to_num(problem.squares(points), nan=np.inf)))]
+    return points[int(np.argmin(np.nan_to_num(_squares(problem, points), nan=np.inf)))]
 
 
 def _set_damping(joint: object, value: float) -> None:
@@ -276,9 +280,7 @@ def of_sindy(case: Case) -> Found:
     Sequentially thresholded least squares, the threshold by leaving out blocks of 1.5 s. Source: Brunton, Proctor, Kutz
     2016.
     """
-    logs = [(log, case.machine) for log in case.fitted]
-    torques = Torques(logs)
-    delay, motions = torques.delay, torques.motions
+    delay, motions = motions_of([(log, case.machine) for log in case.fitted])
     joints = len(case.machine.joints)
     values = {key: np.zeros(joints) for key in LIBRARY}
     for j in range(joints):

@@ -328,7 +328,8 @@ class Law:
             ctrl = ctrl / get("encoder_scale", "factor")
         if self._lag_u is not None:
             left, held = self._lag_u
-            wanted, ctrl, parts = ctrl, ctrl + held * (s["goal"] - ctrl), ()
+            wanted, ctrl = ctrl, ctrl + held * (s["goal"] - ctrl)
+            parts = [(share, target + (1 - held) * (part - target)) for share, part in parts]
             s["goal"] = wanted + left * (s["goal"] - wanted)
         if self._d.volts is not None:
             kp = kp * self._supply

@@ -350,15 +350,6 @@ def inertias(
     return changed_inertias(Inertias.of(machine.model, count), machine.body, machine, factor, shift, payload)
 
 
-def loaded(machine: MachineModel, payload: FloatArray) -> MachineModel:
-    """Return the machine with masses (J,) at the ends of its links [kg]."""
-    if not payload.any():
-        return machine
-    model = copy(machine.model)
-    inertias(machine, None, None, payload[None]).write(model)
-    return replace(machine, model=model)
-
-
 def changed_inertias(
     own: Inertias,
     bodies: Sequence[int] | IntArray,

@@ -13,13 +13,12 @@ from threadpoolctl import threadpool_limits
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, as_logged, loaded
+from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray
 from mimic.sysid.fit.baseline import (
-    MOST_STEPS,
     compared,
     errors_by_log,
     errors_of,
@@ -28,7 +27,7 @@ from mimic.sysid.fit.baseline import (
     problem_of,
     step_of,
 )
-from mimic.sysid.fit.least_squares import Fit, correlations, deviations, fit, fit_all, fitting
+from mimic.sysid.fit.least_squares import MOST_STEPS, Fit, correlations, deviations, fit, fit_all, fitting
 from mimic.sysid.fit.problem import FreeParameter, Point, Problem
 from mimic.sysid.log.checks import targets_match_log
 from mimic.sysid.log.pool import pool
@@ -36,7 +35,6 @@ from mimic.sysid.result import RULES, Calibration, Errors, LogErrors, Traces
 from mimic.sysid.select.encoders import as_read, coarse_encoders, with_encoders
 from mimic.sysid.select.models import FittedModel, Selection
 from mimic.sysid.select.starts import predicted, starts_of
-from mimic.sysid.torque.regression import Torques, torques_of
 from mimic.sysid.unexplained import (
     experiments,
     next_logs,
@@ -135,7 +133,7 @@ def calibrate(
         before = final = _refined(before, tick)
         stages, residual = before.stages(())[:1], before.fitted.residual
         if settings.most_effects:
-            final, last = Selection(settings=settings, tick=tick, torques=_torques(before)).run(before)
+            final, last = Selection(settings=settings, tick=tick).run(before)
             final = _no_worse(final, before)
             before = before if final.added else final
             stages, residual = final.stages(last), final.fitted.residual
@@ -264,27 +262,6 @@ def _refined(h: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     tick("refining the step size")
     problem, fitted = compared(problem, fitted, h.names, h.joints)
     return replace(h, problem=problem, fitted=fitted)
-
-
-def _torques(h: FittedModel) -> tuple[Torques, ...]:
-    """Return the torques of the fitted blocks of a log, of drives as the baseline fit has them."""
-    problem, replay, values = h.problem, h.problem.replay, h.fitted.point.values
-    limits = {k: values["torque_speed", k] for k in ("torque", "flat", "speed") if ("torque_speed", k) in values}
-    machine = replace(replay.machine, drives=replace(replay.machine.drives, **limits))
-    seen = problem.blocks.fitted
-    logs, rows, sent = [], [], []
-    for part in replay.parts:
-        own_gains = {k: getattr(part, k) * values.get(("gains", k), 1.0) for k in ("kp", "kd")}
-        if machine.drives.volts is not None:
-            d, volts = machine.drives, machine.drives.volts * part.supply
-            own_gains = {"voltage": volts, "gain": part.kp * d.resistance / (d.kt * volts)}
-            own_gains |= {k: values.get(("motor", k), getattr(d, k)) for k in ("kt", "resistance")}
-        gains = {k: dict(zip(machine.joints, row, strict=True)) for k, row in own_gains.items()}
-        own = replay.log.part(part.slice)
-        logs.append((replace(own, metadata={**own.metadata, **gains}), loaded(machine, part.payload)))
-        rows.append(seen[part.slice])
-        sent.append(replay.sending.of_part(part.slice, part.begin))
-    return torques_of(logs, rows, sent)
 
 
 def _with_threshold(problem: Problem, fitted: Fit, name: str, names: Sequence[str], where: dict[str, BoolArray]) -> Fit:

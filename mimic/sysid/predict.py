@@ -14,12 +14,9 @@ from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.problem import FINE
-from mimic.sysid.fit.replay import Replay, physics_step
+from mimic.sysid.fit.replay import SEGMENT, Replay, physics_step
 from mimic.sysid.log.pool import valid_samples
 from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
-
-PIECE = 6.0
-"""Length of the pieces of a log that is not replayed in one [s]."""
 
 
 def predict(
@@ -45,7 +42,7 @@ def predict(
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     p.pop(("lost_commands", "share"), None)
     p = p or {("delay", "time"): np.zeros((1, 1))}
-    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {"segment": PIECE}
+    pieces: dict[str, Any] = {"segment": math.inf, "lead_in": 0.0} if whole else {"segment": SEGMENT[1]}
     made = []
     for times in (FINE, 2 * FINE):
         step = physics_step(log.rate) / times

@@ -40,11 +40,20 @@ class Thresholds:
     """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2
     """Error over noise floor up to which a joint is explained; the right effects leave 1.02 to 1.13 (suite)."""
-    shortlist: int = 5
-    """Effects that torques ask for, by gain and as many by z, that are replayed; of what was hidden in closed-form arms
-    the worst was fifth of either (lab/hidden_effects/torque_screen)."""
-    finished: int = 3
-    """Effects of each model that are fitted to the end, most of the cost of a search."""
+    finished: int = 4
+    """Effects of each model that are fitted to the end, those that one linear step says most of; what was hidden in
+    logs of a closed-form arm was first, a low-pass third and a torque limit fourth (lab/results/calibration.md)."""
+    correlated: float = 0.7
+    """Correlation of two fitted numbers from which on they are listed."""
+    far: float = 100.0
+    """Mean square of what is left, in noise floors, from which on short segments say more than long ones. What is not
+    measured begins each of them wrong: a low-pass on the targets, at eight noise floors, was missed in short ones."""
+    doubtful: float = 1.5
+    """Growth of a block's sum of squares without it, from which on a replay says what it is, not the linear model."""
+    material: float = 0.0125
+    """Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
+    replays: int = 900
+    """Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
     beam: int = 2
     """Models that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
 
@@ -55,9 +64,6 @@ RULES = Thresholds()
 
 FORMAT = 4
 """Version of the keys of `Calibration.to_json`."""
-
-CORRELATED = 0.7
-"""Correlation of two fitted numbers from which on they are listed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -244,7 +250,7 @@ class Calibration(ShownAsTable):
                 "errors": {name: self._errors(errors) for name, errors in ends.items()},
                 "stages": [plain(s) | {"errors": self._errors(s.errors)} for s in self.stages],
                 "effects": [{key: getattr(e, key) for key in kept} for e in self.effects],
-                "correlations": [] if self.correlations is None else self.correlations.pairs(CORRELATED),
+                "correlations": [] if self.correlations is None else self.correlations.pairs(RULES.correlated),
             }
         )
 

@@ -234,6 +234,20 @@ def test_torques_of_both_signs_in_one_step_cancel_neither_in_gears_nor_in_windin
     assert made.law.states["heat"] == pytest.approx(np.full((1, 2), 0.0025 * (0.6 * 36.0 + 0.4 * 81.0) / 5.0))
 
 
+def test_several_targets_in_a_step_are_limited_one_by_one_behind_a_filter_too(bench):
+    """Else one machine with a filter would change all others that are simulated beside it."""
+    zero = np.zeros((1, 2))
+    parts = [(np.full((1, 1), 0.7), np.full((1, 2), -0.2)), (np.full((1, 1), 0.3), np.full((1, 2), 1.5))]
+    mean = np.full((1, 2), 0.7 * -0.2 + 0.3 * 1.5)
+    plain = bench().law.step(zero, zero, mean, 0.0, parts=parts).tau
+    assert np.abs(plain - bench().law.step(zero, zero, mean, 0.0).tau).max() > 0.1
+    none, slow = (
+        bench({"target_filter": {"time": time}}).law.step(zero, zero, mean, 0.0, parts=parts).tau for time in (0.0, 0.1)
+    )
+    assert none == pytest.approx(plain, abs=1e-3)
+    assert np.abs(slow).max() < 0.25 * np.abs(plain).max()
+
+
 def test_a_motor_brakes_with_its_whole_torque_at_any_speed(bench):
     effects = {"torque_speed": {"torque": 4.0, "speed": 12.0, "flat": 0.0}}
     made = bench(effects, inertia=1e5).run(0.02, target=lambda t: -90.0, speed=11.0)

@@ -95,7 +95,7 @@ DRIVE = (
         title="torque constant falling with heat",
         equation="tau = (1 - loss h) tau_cmd, dh/dt = (tau^2 - h) / time",
         parameters=(
-            Parameter("loss", "1/(N m)^2", low=0.0, high=0.5, step=0.01, spread=50),
+            Parameter("loss", "1/(N m)^2", low=0.0, high=0.5, step=0.01, spread=50, starts=(10.0,)),
             Parameter(
                 "time",
                 "s",

@@ -54,7 +54,7 @@ class Effect:
     baseline: bool = False
     """Part of every model; fitted first."""
     structural: bool = False
-    """A threshold or an added state: a derivative at neutral does not see it, so it is always refitted."""
+    """A threshold or an added state: a derivative at neutral does not see it, so that it begins at its own starts."""
     tip: bool = False
     """Only the last joint of a chain can have it."""
     chain_shared: bool = False

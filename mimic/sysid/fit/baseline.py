@@ -13,7 +13,7 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import Asking, Fit, answered, fit, fitting
+from mimic.sysid.fit.least_squares import MOST_STEPS, Asking, Fit, answered, fit, fitting
 from mimic.sysid.fit.problem import WIDE, Key, Point, Problem
 from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.noise import coarse_steps, noise_floor
@@ -68,13 +68,6 @@ def compared(
     return settled(problem, fitted, names, where)
 
 
-LEAST_LOGS = 3
-"""Fewest logs of which each is left out once."""
-
-REFITS = 4
-"""Most steps of a fit without one of the logs."""
-
-
 def errors_of(problem: Problem, residual: FloatArray) -> Errors:
     """Return the errors of each joint [rad or m] of a residual (T, C) in noise floors."""
     joints = problem.joints
@@ -94,7 +87,7 @@ def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str,
     """
     rows = [_rows(problem, part) for part in problem.replay.parts]
     refits = [_without(problem, one, where, here) for here in rows for one in (before, final)]
-    apart = answered(problem.residuals, refits) if len(rows) >= LEAST_LOGS else []
+    apart = answered(problem.residuals, refits) if len(rows) > 2 else []
     unseen = [
         _rms(problem, f.residual, here) for f, here in zip(apart, [r for r in rows for _ in range(2)], strict=False)
     ]
@@ -139,19 +132,11 @@ def _rms(problem: Problem, residual: FloatArray, rows: BoolArray) -> FloatArray:
 def _without(problem: Problem, fitted: Fit, where: Mapping[str, BoolArray], rows: BoolArray) -> Asking:
     """Return a fit to all but some rows (T,)."""
     names = list(dict.fromkeys(name for name, _ in fitted.point.values))
-    return fitting(problem.holding_out(rows), fitted.point, names, where, most=REFITS, frozen=fitted, every=0)
+    return fitting(problem.holding_out(rows), fitted.point, names, where, most=MOST_STEPS, frozen=fitted, every=0)
 
 
 SAME_AS_VISCOUS: tuple[Key, ...] = (("gains", "kd"),)
 """Numbers that brake as viscous friction does; measured torque tells them from it, another Kd, or drives that are off.
-"""
-
-LEAST_NOISE = 1e-9
-"""Noise floor where no reading shows any [rad or m]."""
-
-MOST_STEPS = 10
-"""Most steps of the baseline fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends
-at 1.
 """
 
 
@@ -192,7 +177,7 @@ def problem_of(logs: JointLog | Pool, machine: MachineModel, settings: Calibrate
 def _of_moving(readings: FloatArray, noise: FloatArray) -> FloatArray:
     """Return noise floors (J,); a constant channel (T, J) gets the largest floor of the others."""
     moves = (np.ptp(readings, axis=0) > 0) & (noise > 0)
-    return np.where(moves, noise, noise[moves].max() if moves.any() else LEAST_NOISE)
+    return np.where(moves, noise, noise[moves].max() if moves.any() else 1e-9)
 
 
 def step_of(logs: Sequence[JointLog], settings: CalibrateSettings) -> float:

@@ -19,9 +19,10 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.replay import Replay
+from mimic.sysid.fit.replay import SEGMENT, SHOOT, Replay, Targets
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
+from mimic.sysid.result import RULES
 
 Key = tuple[str, str]
 """(effect, parameter)"""
@@ -131,26 +132,11 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
 FINE = 3
 """A fine replay has this many times more steps."""
 
-FINE_SEGMENT = 0.5
-"""Length of its segments [s]; they are few, so that short ones are faster."""
-
-MANY_SEGMENT = 1.5
-"""That of the many for central differences [s]: less time is spent on settling."""
-
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
 
-
-WIDE, NARROW = 0.25, 0.0625
-"""Shares of a free parameter's step over which one-sided and central differences are taken."""
-
-
-POORLY_EXPLAINED = 100.0
-"""Mean square of what is left, in noise floors, from which on short segments say more than long ones. What is not
-measured begins each of them wrong: a low-pass on the targets, at eight noise floors, was missed in short segments."""
-
-LEAST_WEIGHT = 1e-4
-"""Of a chain of which very much is left."""
+WIDE = 0.25
+"""Share of a free parameter's step over which differences are taken."""
 
 
 class Problem:
@@ -201,7 +187,7 @@ class Problem:
 
     def poorly_explained(self, residual: FloatArray) -> bool:
         """Return whether so much is left (T, C) that fits are also begun in short segments."""
-        return float(np.mean(self.mean_squares(residual, False))) > POORLY_EXPLAINED
+        return float(np.mean(self.mean_squares(residual, False))) > RULES.far
 
     def in_short_segments(self) -> Problem:
         """Return the problem of a replay in short segments, whose fits find the way from far off."""
@@ -218,9 +204,9 @@ class Problem:
         joined = self.uncorrected(points)
         return joined if self.correction is None else joined + self.correction
 
-    def uncorrected(self, points: Sequence[Point]) -> FloatArray:
-        """Return the residuals of these steps as they are, see `residuals`."""
-        return self._whitened(self._replayed(self.replay, points))
+    def uncorrected(self, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
+        """Return the residuals of these steps as they are, for targets of each point or those of the log."""
+        return self._whitened(self._replayed(self.replay, points, targets))
 
     def in_fine_steps(self, point: Point) -> FloatArray:
         """Return whitened residuals (T, C), extrapolated to steps of length zero.
@@ -228,7 +214,7 @@ class Problem:
         From replays with ``FINE`` and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
-        both = [self._replayed(self.replay.finer(FINE * more, FINE_SEGMENT), [point])[0] for more in (1, 2)]
+        both = [self._replayed(self.replay.finer(FINE * more, SHOOT), [point])[0] for more in (1, 2)]
         found = self._whitened(np.stack(both))
         return 2.0 * found[1] - found[0]
 
@@ -238,7 +224,7 @@ class Problem:
         They are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
         derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
         """
-        points, groups, sizes = self.difference_points(point, free_parameters, NARROW)
+        points, groups, sizes = self.difference_points(point, free_parameters)
         if not points:
             return []
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
@@ -250,12 +236,12 @@ class Problem:
             by[group] = back[group]
             opposite.append(point.moved(free_parameters, by))
         asked = [*points, *opposite]
-        made = self._whitened(self._replayed(self.replay.finer(FINE, MANY_SEGMENT, len(asked)), asked))
+        made = self._whitened(self._replayed(self.replay.finer(FINE, SEGMENT[0], len(asked)), asked))
         return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
     def warmed_up(self, point: Point) -> Problem:
         """Return the problem whose segments begin with motors as warm as a finer replay says; see `in_fine_steps`."""
-        fine = self.replay.finer(FINE, FINE_SEGMENT)
+        fine = self.replay.finer(FINE, SHOOT)
         heat = np.sqrt(fine.mean_square_torque(stack([point], self.machine)))
         return self.changed(replay=self.replay.with_heat(heat))
 
@@ -265,7 +251,7 @@ class Problem:
         residual[..., self.blocks.index < 0, :] = np.nan
         return residual
 
-    def _replayed(self, replay: Replay, points: Sequence[Point]) -> FloatArray:
+    def _replayed(self, replay: Replay, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
         joined = np.empty((len(points), len(replay.log.t), self.channels), dtype=np.float32)
         apart: dict[bool, list[int]] = {}  # all in one batch pay for the laws of each, and one is dear
@@ -273,16 +259,11 @@ class Problem:
             apart.setdefault(("supply_sag", "drop") in point.values, []).append(i)
         for rows in apart.values():
             values = stack([points[i] for i in rows], self.machine)
-            made = replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows))
+            made = replay.run(values or {("delay", "time"): np.zeros((len(rows), 1))}, len(rows), targets)
             joined[rows, :, : self.joints] = made.residual
             if self.channels > self.joints:
                 joined[rows, :, self.joints :] = made.torque_residual
         return joined
-
-    def squares(self, points: Sequence[Point]) -> FloatArray:
-        """Return the sum of squares of the positions in the fitted blocks (N,), uncorrected; inf where it blew up."""
-        left = self.uncorrected(points)[:, self.blocks.fitted, : self.joints]
-        return np.sum(np.where(np.isfinite(left), left, np.inf).astype(np.float64) ** 2, axis=(1, 2))
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
@@ -337,13 +318,13 @@ class Problem:
 
         Otherwise a leg that lacks an effect bends the delay of the machine to make up for it, and the other legs then
         seem to lack something too. A chain's own numbers are what they were: its weight is on its priors as well. It is
-        this very problem where no chain's weight changes by more than half.
+        this very problem where no chain's weight changes as much.
         """
         left = np.maximum(self.mean_squares(residual, False), 1.0)
         chains = np.array([left[self.channel_chain == c].mean() for c in range(len(self.weight))])
         share = chains.min() / chains
-        weight = np.where(share > EQUAL, 1.0, np.maximum(share, LEAST_WEIGHT))
-        return self.changed(weight=weight) if np.any(np.abs(np.log(weight / self.weight)) > np.log(1.5)) else self
+        weight = np.where(share > EQUAL, 1.0, share)
+        return self.changed(weight=weight) if np.any(np.abs(np.log(weight / self.weight)) > -np.log(EQUAL)) else self
 
     # ------------------------------------------------------------------ derivatives
 
@@ -396,7 +377,7 @@ class Problem:
         return list(found.values())
 
     def difference_points(
-        self, point: Point, free_parameters: Sequence[FreeParameter], share: float = WIDE
+        self, point: Point, free_parameters: Sequence[FreeParameter]
     ) -> tuple[list[Point], list[list[int]], FloatArray]:
         """Return the points for one-sided differences, the free parameters moved in each, and the moves."""
         groups = self.groups(free_parameters)
@@ -407,7 +388,7 @@ class Problem:
             for i in group:
                 high = free_parameters[i].bounds[1]
                 value = point.at(free_parameters[i])
-                size = share * free_parameters[i].step
+                size = WIDE * free_parameters[i].step
                 by[i] = size if value + size <= high else -size
                 sizes[i] = by[i]
             points.append(point.moved(free_parameters, by))

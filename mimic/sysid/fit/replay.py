@@ -29,13 +29,8 @@ from mimic.sysid.log.timing import SendingTimes, at_rows
 LONGEST_STEP = 0.0025
 """[s]"""
 
-UNSEEN, UNUSUAL = 0.05, 2.5
-"""Readings further apart than this [s] and than so many usual distances: targets may have come and gone between them.
-"""
-
-
-ON_EDGE = 1e-6
-"""Share of a step within which a target begins to act at its edge."""
+UNSEEN = 0.05
+"""Readings further apart than this [s] and than twice the usual: targets may have come and gone between them."""
 
 
 def physics_step(rate: float) -> float:
@@ -76,7 +71,7 @@ class Prediction:
 def stretch_starts(t: FloatArray) -> FloatArray:
     """Return the start of the gap-free stretch that each reading (T,) is in [s]."""
     between = np.diff(t)
-    gap = between > max(UNSEEN, UNUSUAL * float(np.median(between)))
+    gap = between > max(UNSEEN, 2 * float(np.median(between)))
     return np.maximum.accumulate(np.where(np.concatenate([[True], gap]), t, -np.inf))
 
 
@@ -103,7 +98,7 @@ def on_grid(arrival: FloatArray, values: FloatArray, step: float, steps: int) ->
         steps: How many.
     """
     at = arrival / step
-    at = np.where(np.abs(at - np.round(at)) < ON_EDGE, np.round(at), at)
+    at = np.where(np.abs(at - np.round(at)) < 1e-6, np.round(at), at)
     cell = np.floor(at).astype(int)
     jump = np.sqrt((np.diff(values, axis=0, prepend=values[:1]) ** 2).sum(1)) + 1e-12
     inside = (cell >= 0) & (cell < steps)
@@ -213,7 +208,7 @@ class Replay:
             segment = float(np.clip(total / SEGMENTS, *SEGMENT))
         cuts = [self._cut(part, segment) for part in self.parts]
         longest = max(float(np.diff(c).max()) for c in cuts) * timestep
-        if longest > 1.5 * segment:  # all run as long as one that cannot be cut
+        if longest > 2 * segment:  # all run as long as one that cannot be cut
             cuts = [self._cut(part, longest) for part in self.parts]
         self._part_of = np.repeat(np.arange(len(cuts)), [len(c) - 1 for c in cuts])
         first, last = (np.concatenate([c[a : len(c) + b] for c in cuts]) for a, b in ((0, -1), (1, 0)))

@@ -11,26 +11,23 @@ import numpy as np
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, UNITS, JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.noise import Following, following, noise_floor, reversals, speed
+from mimic.sysid.log.noise import LEAST_MOTION, Following, following, noise_floor, reversals, speed
 from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.log.timing import MOST_WRONG
 
-GAP = 1.5
-"""Two readings further apart than this many usual distances have others missing between them."""
+UNUSUAL = 1.5
+"""So many times the usual is more than usual: of the time between readings, or of the way from one to the next."""
 ANSWERED = 0.1
 """A joint that does not read otherwise so long after its target moved does not answer [s]."""
-LEAST_MOTION = 3.0
-"""A joint whose positions spread by no more than so many noise floors does not move."""
-JUMP = 1.5
-"""A reading that was frozen goes on so many of the largest usual changes further; a joint that sticks goes on there."""
-FOLLOWS, STRANGER = 0.9, 0.5
-"""Correlation of a joint with a target that it certainly follows, and certainly does not."""
+FOLLOWS, STRANGER = 0.9, 0.7
+"""Correlation of a joint with a target that it certainly follows, and no more than badly."""
 
 
 def gaps(log: JointLog) -> Iterator[str]:
     """Readings that are missing, too few, or read more slowly than logged."""
     steps = np.diff(log.t)
     usual = float(np.median(steps))
-    wide = np.flatnonzero(steps > GAP * usual)
+    wide = np.flatnonzero(steps > UNUSUAL * usual)
     if len(wide):
         missing = int(np.round(steps[wide] / usual - 1).clip(1).sum())
         longest = int(wide[steps[wide].argmax()])
@@ -140,14 +137,14 @@ def misassigned(log: JointLog, correlation: FloatArray, moves: BoolArray) -> Ite
 def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, moves: BoolArray) -> Iterator[str]:
     """Joints that follow their target badly, or before it comes."""
     own = np.diag(correlation)
-    weak = np.flatnonzero(moves & (own < 0.7))
+    weak = np.flatnonzero(moves & (own < STRANGER))
     if len(weak):
         worst = weak[own[weak].argmin()]
         yield (
             f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
             f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
         )
-    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -1.5 / log.rate))
+    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -UNUSUAL / log.rate))
     if len(early):
         i = int(early[0])
         yield (
@@ -176,7 +173,7 @@ def stuck(log: JointLog) -> Iterator[str]:
             asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - ANSWERED]
             if seconds < 0.25 or np.ptp(asked_of_it) < 0.1 * np.ptp(wanted):
                 continue
-            goes_on = abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= JUMP * np.quantile(np.abs(np.diff(x)), 0.99)
+            goes_on = abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= UNUSUAL * np.quantile(np.abs(np.diff(x)), 0.99)
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where:
                 yield (
@@ -262,9 +259,6 @@ def _list(names: list[str]) -> str:
     return ", ".join(names)
 
 
-MOST_LOST = 0.2
-"""Greatest share of rows that may be left out."""
-
 SHORTEST = 5.0
 """Shortest log that is accepted [s]."""
 
@@ -336,7 +330,7 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
         return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
 
     follows, lag = median(near), near.lag[moving]
-    if follows > FOLLOWS and (np.nan_to_num(lag) < -1.5 / log.rate).all():
+    if follows > FOLLOWS and (np.nan_to_num(lag) < -UNUSUAL / log.rate).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
     back = median(following(log.t, log.q, asked[::-1]))
@@ -347,7 +341,7 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
         late = float(np.nanmedian(far.lag[moving]))
         when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
         return False, f"positions follow the targets logged {when}: two clocks, or rows that do not match"
-    if follows < 0.7:
+    if follows < STRANGER:
         return False, f"positions do not follow the targets (correlation {follows:.2f})"
     return True, ""
 
@@ -386,7 +380,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
     lost = float((told | ~ok).mean())
     if lost > 0:
         what = f"hold something that is not a number, the first of them {_first_gap(log)}"
-        if lost > MOST_LOST:
+        if lost > MOST_WRONG:
             raise CalibrationError(f"{lost:.0%} of the rows {what}; expected readings")
         warnings.append(f"{round(lost * len(log.t))} rows ({lost:.1%}) {what}; left out")
         log = log.part(ok)
@@ -399,7 +393,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         )
         log = replace(log, q=np.where(spiked, np.nan, log.q))
     gone = missing(log)
-    odd = at_odd_times(log, MOST_LOST) & ~gone
+    odd = at_odd_times(log, MOST_WRONG) & ~gone
     if odd.any():
         warnings.append(
             f"{int(odd.sum())} rows ({odd.mean():.1%}) were answered at another time than the others; left out"

@@ -5,17 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm, truncnorm
 
 from mimic.records import BoolArray, FloatArray
-
-_DIFFERENCE = 20.0
-"""Variance of the third difference of white noise, over that of the noise: 1 + 9 + 9 + 1."""
-_SPREAD = 2.31
-"""Sum of the squared autocorrelations of that difference, 1 + 2 (0.75^2 + 0.3^2 + 0.05^2)."""
-
-_TRIMMED = 0.759
-"""Variance of a normal distribution cut at 1.96 standard deviations."""
-
 
 AGREEMENT = 0.5
 """Mean of the unit vectors of the readings from which on they are multiples of a step."""
@@ -26,16 +18,11 @@ FINEST_STEP = 2.5
 Rounding is a 3.5th of a step and in the floor too: where readings agree by a half, a step is 2.9 floors.
 """
 
-COARSEST_STEP = 0.1
-"""Greatest step that is looked for [rad]."""
+LEAST_MOTION = 4.0
+"""A joint that moves by no more than so many noise floors rests; readings of one that rests agree with each other."""
 
 WINDS = 8.0
 """Bins in the finest step."""
-
-LEAST_CHANGE = 4.0
-"""Change between the readings before and after, in noise floors, from which on a joint moves: where it rests, readings
-agree with each other whatever the encoder.
-"""
 
 MOST_BINS = 1 << 24
 """Steps are not looked for in a motion over more bins: it turns a hundred times and more."""
@@ -70,21 +57,25 @@ def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> F
         rate: Readings per second [Hz].
         known: Rows that were read (T,), all by default; what is filled in between has no resolution.
     """
-    rows = max(int(0.5 * rate), 32)
+    rows, kernel = max(int(0.5 * rate), 32), np.array([1.0, -3.0, 3.0, -1.0])
+    alike = np.correlate(kernel, kernel, "full") / (
+        kernel @ kernel
+    )  # autocorrelation of the differences of white noise
     third = np.diff(x, 3, axis=0)
     blocks = [third[i : i + rows] for i in range(0, len(third) - rows + 1, rows)] or [third]
     variances = np.array([_variance(b) for b in blocks])
     live = np.where(variances > 0, variances, np.nan)  # a frozen reading tells nothing
     low = np.nan_to_num([np.nanquantile(c, 0.1) if np.isfinite(c).any() else 0.0 for c in live.T])
-    shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * _SPREAD / rows), 0.3) if len(blocks) > 5 else 1.0
-    white = np.sqrt(low / _DIFFERENCE / shrunk)
+    shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * (alike @ alike) / rows), 0.3) if len(blocks) > 5 else 1.0
+    white = np.sqrt(low / (kernel @ kernel) / shrunk)
     return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in (x if known is None else x[known]).T])
 
 
 def _variance(x: FloatArray) -> FloatArray:
     """Return the variance of each column of white noise whose largest twentieth, steps and spikes, is left out."""
     size = np.sort(np.abs(x - np.median(x, axis=0)), axis=0)
-    return (size[: max(int(0.95 * len(size)), 1)] ** 2).mean(axis=0) / _TRIMMED
+    kept = 0.95
+    return (size[: max(int(kept * len(size)), 1)] ** 2).mean(axis=0) / truncnorm.var(*norm.interval(kept))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,10 +180,11 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     """
     every = max(1, len(q) // 3000)
     there = np.zeros(len(q), dtype=bool)
-    there[1:-1] = np.abs(q[2:] - q[:-2]) > LEAST_CHANGE * noise
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > LEAST_MOTION * noise
     moving, q = (q - q.mean())[there], (q - q.mean())[::every]
     most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
-    if most <= 1.0 / COARSEST_STEP or not len(moving):
+    least = LEAST_LEVELS / max(float(np.ptp(moving)), 1e-6) if len(moving) else np.inf
+    if most <= least:
         return 0.0, 1.0
     width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
     bins = max(1.0 / (spacing * width), np.ptp(q) / width)
@@ -202,13 +194,13 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     size = int(2 ** np.ceil(np.log2(max(bins, len(counts)))))
     around = np.fft.rfftfreq(size, width)
     agreement = np.abs(np.fft.rfft(counts, size)) / len(q)
-    agreement[(around < 1.0 / COARSEST_STEP) | (around > most)] = 0.0
+    agreement[(around < least) | (around > most)] = 0.0
     best = around[int(np.argmax(agreement))]
     near = best + np.linspace(-1, 1, 41) * spacing
     agree = [_agreement(q, f) for f in near]
     found = float(near[int(np.argmax(agree))])
     sure = max(agree) >= AGREEMENT and _agreement(moving, found) >= AGREEMENT
-    return (1.0 / found, max(agree)) if sure and np.ptp(moving) * found >= LEAST_LEVELS else (0.0, 1.0)
+    return (1.0 / found, max(agree)) if sure else (0.0, 1.0)
 
 
 def _agreement(q: FloatArray, around: float) -> float:

@@ -30,14 +30,11 @@ LEAST_TARGETS = 20
 OUTSIDE = 0.02
 """Share of a bracket by which a periodic clock may miss it: rounding of the times in the file."""
 
-MOST_OUTSIDE = 0.2
-"""Share of the targets that may miss their bracket by more (late senders, lost rows) on a clock that counts as one."""
+MOST_WRONG = 0.2
+"""Share that may be wrong of a whole that counts: of rows, or of targets that miss their bracket on a steady clock."""
 
 ALIKE = 2e-5
 """Two sets of times that differ by less, beside a constant, are one: it moves no joint by its noise [s]."""
-
-MOST_RATES = 100000
-"""Most rates that are tried, the lowest ones."""
 
 BEND = 10.0
 """Time between the places where the rate of a clock may change, where a steady one does not fit [s]."""
@@ -57,11 +54,6 @@ class SendingTimes:
     """By how much all may have been sent earlier, together [s]: a delay that follows from them is as much longer."""
     later: float = 0.0
     """The same for later."""
-
-    def of_part(self, rows: slice, begin: float) -> SendingTimes:
-        """Return the times of the targets in some rows, from their own first row, which is at a time [s]."""
-        kept = (self.rows >= rows.start) & (self.rows < rows.stop)
-        return replace(self, rows=self.rows[kept] - rows.start, at=self.at[kept] - begin)
 
     @property
     def period(self) -> float:
@@ -124,7 +116,7 @@ def _stamped(log: JointLog, rows: IntArray) -> FloatArray | None:
     at = np.where(known, stamps, 0.0).sum(axis=0) / known.sum(axis=0)
     between = 1.0 / log.rate
     fits = (at <= log.t[rows] + between) & (at >= log.t[np.maximum(rows - 1, 0)] - between)
-    if fits.mean() < 1.0 - MOST_OUTSIDE or (np.diff(at) <= 0).any():
+    if fits.mean() < 1.0 - MOST_WRONG or (np.diff(at) <= 0).any():
         return None
     return np.concatenate([[0.0], (at - log.t[0])[1:]])
 
@@ -139,7 +131,7 @@ def _periodic(low: FloatArray, high: FloatArray) -> tuple[FloatArray, float] | N
     width = float(np.median(high - low))
     for bends in (0, int((high[-1] - high[0]) / BEND)):
         clock, slack, missed = _through(_basis(count, bends), low, high)
-        if (missed > OUTSIDE * width).mean() <= MOST_OUTSIDE:
+        if (missed > OUTSIDE * width).mean() <= MOST_WRONG:
             return np.clip(clock, low, high), slack
     return None
 
@@ -153,7 +145,6 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     gaps = np.diff(middle)
     first = middle[: min(len(middle), 100)] - middle[0]
     rates = np.arange(0.4 / np.quantile(gaps, 0.1), 1.3 / max(gaps.min(), 1e-3), 0.1 / first[-1])
-    rates = rates[:MOST_RATES]
     if not len(rates):
         return None
     parts = np.array_split(rates, max(len(rates) // 1000, 1))

@@ -21,18 +21,24 @@ from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
-from mimic.sysid.fit.least_squares import Asking, Fit, fit, fit_all, fitting, left_out, left_out_all
+from mimic.sysid.fit.least_squares import (
+    MOST_STEPS,
+    Fit,
+    Judged,
+    fit,
+    fit_all,
+    fitting,
+    left_out,
+    left_out_all,
+    stepping,
+)
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
 from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
-from mimic.sysid.torque.regression import Torques, asked_for
 
 INDEPENDENT = 10.0
 """Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
-
-MATERIAL = 0.0125
-"""Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
 
 SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
 """Numbers of joints that are a baseline parameter of the machine where they are alike in all."""
@@ -40,13 +46,6 @@ SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
 SOFT = 0.1
 """Greatest compliance that the law gives all transmissions with play, times Kp: with stiffer drives it would be an
 elasticity of its own."""
-
-MOST_STEPS = 6
-"""Most steps of the fit of a candidate."""
-
-MOST_REPLAYS = 900
-"""Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
-
 
 # ---------------------------------------------------------------------- the rule
 
@@ -109,7 +108,7 @@ def compare(
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
     return Comparison(
         gain=float(0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))),
-        z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > MATERIAL] - price)),
+        z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > RULES.material] - price)),
         share=float((bad.sum() - good.sum()) / max(bad.sum() - whole.sum(), 1e-9)),
     )
 
@@ -158,7 +157,7 @@ class Trial:
     against: Comparison
     """With the model that lacks it."""
     finished: bool = True
-    """Whether it was fitted to the end: others can only be worse than they seem."""
+    """Whether it was fitted to the end; of others one linear step is all that is known."""
     short: bool = False
     """Whether it was fitted in short segments."""
     lateness: Lateness | None = None
@@ -276,7 +275,7 @@ class FittedModel:
         for m in kept:
             assert m.trial is not None
             shown = self if m is kept[-1] else m
-            found = tuple(_candidate(m.problem, t, m.trial, self.groups) for t in m.tried)
+            found = tuple(_candidate(m.problem, t, m.trial) for t in m.tried)
             errors = errors_of(shown.problem, shown.fitted.residual)
             group = self.groups.get(m.trial.name, ())
             made.append(Stage(added=m.trial.name, errors=errors, candidates=found, alternatives=group))
@@ -287,15 +286,14 @@ class FittedModel:
         return made
 
 
-def _candidate(
-    problem: Problem, t: Trial, best: Trial | None = None, groups: Mapping[str, tuple[str, ...]] | None = None
-) -> Candidate:
+def _candidate(problem: Problem, t: Trial, best: Trial | None = None) -> Candidate:
     """Return the record of a trial beside the one that was taken."""
     machine, spec = problem.machine, CATALOGUE[t.name]
     why, odds, apart = t.why or t.against.why_not, 0.0, 0.0
     if best is not None:
-        odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
         why = "" if best is t else why or "another effect explains more"
+    if best is not None and t.finished:  # what one linear step promises is no probability
+        odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
         apart = 0.0 if best is t else compare(problem, best.squares, t.squares, best.numbers - t.numbers).z
     return Candidate(
         name=t.name,
@@ -331,8 +329,6 @@ class Selection:
     settings: CalibrateSettings
     tick: Callable[[str], None]
     """Called with what is being done."""
-    torques: Sequence[Torques]
-    """Of the log, see `mimic.sysid.torque.regression.torques_of`."""
 
     def run(self, baseline: FittedModel) -> tuple[FittedModel, tuple[Trial, ...]]:
         """Return the best model, and what was tried last where nothing was added to it."""
@@ -341,7 +337,7 @@ class Selection:
         best = replace(baseline, problem=baseline.problem.warmed_up(baseline.fitted.point))
         beam, last = [best], ()
         for _ in range(self.settings.most_effects):
-            if baseline.problem.replay.replays > MOST_REPLAYS:
+            if baseline.problem.replay.replays > RULES.replays:
                 note = "further effects were not looked for: the search has a limit, and what is left is reported"
                 best = replace(best, notes=(*best.notes, note))
                 break
@@ -369,16 +365,8 @@ class Selection:
             lost, jitter = sorted(tried, key=lambda t: t.name != "lost_commands")
             if lost.better and not self._surely(model, jitter, lost):
                 tried = [lost, replace(jitter, why="lost commands explain as much with fewer numbers")]
-        names = [n for n in names if not CATALOGUE[n].read_off]
-        self.tick("comparing torques")
-        nearly = bool(np.all(model.problem.mean_squares(model.fitted.residual, False) < RULES.explained**2))
-        wanted = asked_for(self.torques, names, model.added, RULES.z if nearly and self.torques else 0.0)
-        first = [n for n in wanted if n in names]
-        rest = [n for n in names if n not in wanted and CATALOGUE[n].structural and not nearly]
-        for some in (first, rest):
-            if some and not any(t.better and t.lateness is None for t in tried):
-                tried += self._tried(model, some)
-        tried.sort(key=lambda t: -t.score(model.problem))
+        tried += self._tried(model, [n for n in names if not CATALOGUE[n].read_off])
+        tried.sort(key=lambda t: (t.finished, t.score(model.problem)), reverse=True)
         grown: list[FittedModel] = []
         good = [t for t in tried if t.better]
         good = [t for t in good if t is good[0] or not self._surely(model, good[0], t)]  # a beam of what is as good
@@ -396,10 +384,6 @@ class Selection:
     def _surely(self, model: FittedModel, one: Trial, other: Trial) -> bool:
         """Return whether a model is surely better with one effect than with another."""
         return compare(model.problem, one.squares, other.squares, one.numbers - other.numbers).better
-
-    def _hopeless(self, model: FittedModel, one: Trial, best: Trial | None) -> bool:
-        """Return whether an effect that derivatives see is surely worse than the best after the same two steps."""
-        return best is not None and not CATALOGUE[one.name].structural and self._surely(model, best, one)
 
     def candidates(self, model: FittedModel) -> list[str]:
         """Return the effects that may be added to a model."""
@@ -429,47 +413,52 @@ class Selection:
         )
 
     def _tried(self, model: FittedModel, names: Sequence[str]) -> list[Trial]:
-        """Return effects beside a model, the strongest of them fitted to the end."""
-        self.tick(f"refitting {len(names)} effects")
+        """Return effects beside a model, those fitted to the end that one linear step says most of."""
+        self.tick(f"one step towards each of {len(names)} effects")
         near, problem = model.compared, model.compared.problem
         starts = starting_points(problem, near.fitted, names, predicted(problem, near.fitted))
-        asked = [self._fitting(near, s, s.point, 2, near.fitted) for s in starts]
-        quick = self._judged(near, starts, fit_all(problem, asked), replays=False)
-        asked_first = list(names[:2])  # by gain and by z
-        strong = [t for t in quick if t.name in asked_first or (t.numbers and t.against.gain >= RULES.gain)]
-        best = max(strong, key=lambda t: t.score(problem), default=None)
-        strong = [t for t in strong if t.name in asked_first or not self._hopeless(near, t, best)]
-        strong.sort(key=lambda t: (t.name not in asked_first, -t.score(problem)))
+        asked = [stepping(problem, near.fitted.point, near.names, near.joints, near.fitted)]
+        for s in starts:
+            where = {**near.joints, s.name: s.joints}
+            asked.append(stepping(problem, s.point, [*near.names, s.name], where, near.fitted))
+        (_, *steps), ((before, _), *judged) = (made := fit_all(problem, asked)), left_out_all(made, problem, False)
+        quick = self._trials(near, starts, steps, judged, before)
+        strong = sorted((t for t in quick if t.against.gain >= RULES.gain), key=lambda t: -t.score(problem))
         strong = strong[: RULES.finished]
         self.tick(f"comparing {', '.join(CATALOGUE[t.name].title for t in strong)}")
-        again = {s.name: s for s in starts}
-        first = [again[t.name] for t in strong]
-        asked = [
-            self._fitting(near, s, _apart_from_shared(t.fitted.point, s), MOST_STEPS, t.fitted, every=3)
-            for s, t in zip(first, strong, strict=True)
-        ]
-        done = self._judged(near, first, fit_all(problem, asked))
-        names_done = [t.name for t in done]
-        done += [replace(t, finished=False) for t in quick if t.name not in names_done]
+        first, asked = [next(s for s in starts if s.name == t.name) for t in strong], []
+        for s, t in zip(first, strong, strict=True):
+            point, where = _apart_from_shared(s.point, s), {**near.joints, s.name: s.joints}
+            asked.append(
+                fitting(problem, point, [*near.names, s.name], where, most=MOST_STEPS, frozen=t.fitted, every=3)
+            )
+        fits = fit_all(problem, asked)
+        done = self._trials(near, first, fits, left_out_all(fits, problem), near.squares)
+        for t in quick:
+            if t not in strong:  # its many derivatives are of no more use
+                why = "other effects promise more" if t.against.better else ""
+                done.append(replace(t, finished=False, why=why, fitted=replace(t.fitted, columns=())))
         if near is model:
             return done
         longer = model.squares / np.maximum(near.squares, 1e-9)  # what is left in long segments, as those of trials
         return [replace(t, squares=t.squares * longer, short=True) for t in done]
 
-    def _fitting(
-        self, model: FittedModel, s: StartingPoint, point: Point, most: int, frozen: Fit | None = None, every: int = 0
-    ) -> Asking:
-        where = {**model.joints, s.name: s.joints}
-        return fitting(model.problem, point, [*model.names, s.name], where, most=most, frozen=frozen, every=every)
-
-    def _judged(
-        self, model: FittedModel, starts: Sequence[StartingPoint], fits: Sequence[Fit], replays: bool = True
+    def _trials(
+        self,
+        model: FittedModel,
+        starts: Sequence[StartingPoint],
+        fits: Sequence[Fit],
+        judged: Sequence[Judged],
+        before: FloatArray,
     ) -> list[Trial]:
-        """Return fits as trials: a chain gets an effect where left-out blocks of it pay for its numbers."""
+        """Return fits as trials: a chain gets an effect where left-out blocks of it pay for its numbers.
+
+        Before are those of the model without it, judged in the same way.
+        """
         problem, made = model.problem, []
         chain, of = problem.machine.chain, problem.channel_chain
         noise = np.maximum(problem.readings, 1)[:, None]
-        for s, f, (squares, _) in zip(starts, fits, left_out_all(fits, problem, replays), strict=True):
+        for s, f, (squares, _) in zip(starts, fits, judged, strict=True):
             own = [k for k in f.free_parameters if k.key[0] == s.name]
             if CATALOGUE[s.name].scope == "machine":
                 joints, numbers = s.joints, len(own)
@@ -479,13 +468,13 @@ class Selection:
                 for c in np.unique(chain):
                     mine, count = of == c, sum(chain[k.joint] == c for k in own)
                     price = _price(count, _independent(problem) * int(mine.sum()))
-                    good, bad = ((x[:, mine] + noise).sum(0) for x in (squares, model.squares))
+                    good, bad = ((x[:, mine] + noise).sum(0) for x in (squares, before))
                     if count and 0.5 * np.log(bad / good).sum() > price:
                         joints[[k.joint for k in own if chain[k.joint] == c]] = True
                         numbers += count
                     else:
-                        squares[:, mine] = model.squares[:, mine]
-            against = compare(problem, squares, model.squares, numbers, model.channels(joints, s.name))
+                        squares[:, mine] = before[:, mine]
+            against = compare(problem, squares, before, numbers, model.channels(joints, s.name))
             made.append(Trial(name=s.name, fitted=f, squares=squares, joints=joints, numbers=numbers, against=against))
         return made
 

@@ -16,7 +16,11 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, solve
 from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.torque.columns import best_order
+
+DELAY = ("delay", "time")
+
+FEWEST, MOST = 1.5, 40
+"""Periods of cogging in the range of motion; a longer wave is a spring, or whatever else depends on position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +62,21 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
         for p in spec.parameters
         if p.starts and not p.fixed
     ]
-    return [_clipped(incumbent.point.with_effect(name, machine, dict(v))) for v in itertools.product(*axes)]
+    points = [_clipped(incumbent.point.with_effect(name, machine, dict(v))) for v in itertools.product(*axes)]
+    if name != "target_filter" or DELAY not in incumbent.point.values:
+        return points
+    late = [np.mean(p.values[name, "time"]) for p in points]  # a low-pass delays by its time what the delay does less
+    return [_clipped(Point({**p.values, DELAY: p.values[DELAY] - by})) for p, by in zip(points, late, strict=True)]
+
+
+def best_order(q: FloatArray, r: FloatArray) -> float:
+    """Return the order whose sine and cosine over positions (T,) explain most of a residual (T,)."""
+    bounds = CATALOGUE["cogging"].parameter("order")
+    turns = 2 * np.pi / max(float(np.ptp(q)), 1e-9) if len(q) else np.inf
+    low, high = max(FEWEST * turns, bounds.low), min(MOST * turns, bounds.high)
+    orders = np.arange(low, high, turns / 12) if low < high else np.array([bounds.high])  # a twelfth of a peak's width
+    waves = (np.stack([np.cos(k * q), np.sin(k * q), np.ones_like(q)], -1) for k in orders)
+    return float(orders[np.argmin([np.sum((r - w @ np.linalg.lstsq(w, r, rcond=None)[0]) ** 2) for w in waves])])
 
 
 def _clipped(point: Point) -> Point:
@@ -99,7 +117,8 @@ def starting_points(
         if rows[0] in replayed and CATALOGUE[name].scope == "machine":
             point = points[min(rows, key=lambda i: float(left[i].sum()))][1]
         elif rows[0] in replayed:
-            point, joints = _mixed(name, [points[i][1] for i in rows], [left[i] for i in rows], own, problem)
+            starts = [points[i][1] for i in rows]
+            point, joints = _mixed(name, starts, [left[i] for i in rows], own, problem, incumbent.point)
         found.append(StartingPoint(name=name, point=point, joints=joints))
     return found
 
@@ -119,7 +138,7 @@ def _channel_squares(problem: Problem, residual: FloatArray) -> FloatArray:
 
 
 def _mixed(
-    name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem
+    name: str, points: Sequence[Point], squares: Sequence[FloatArray], own: FloatArray, problem: Problem, none: Point
 ) -> tuple[Point, BoolArray]:
     """Return the point at which each joint has the start that suits it best, or none, and which joints have one."""
     joints = problem.joints
@@ -136,7 +155,8 @@ def _mixed(
         j = int(np.argmin(harm.min(0)))
         choice[j] = 1 + int(np.argmin(harm[:, j]))
         mask = choice > 0
-    values = dict(points[0].values)
+    used = choice[choice > 0]
+    values = dict((points[int(np.bincount(used).argmax()) - 1] if len(used) else none).values)
     for p in CATALOGUE[name].parameters:
         rows = np.stack([neutral(name, p.name, problem.machine), *(x.values[name, p.name] for x in points)])
         values[name, p.name] = rows[np.maximum(choice, 1) if p.shape and not p.fixed else choice, np.arange(joints)]

@@ -12,8 +12,8 @@ from mimic.dynamics.effect_set import EffectSet, EffectValues
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, as_logged, hung_robot, read_machine
 from mimic.robot.description import load_description
-from mimic.sysid.fit.baseline import MOST_STEPS, problem_of
-from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.baseline import problem_of
+from mimic.sysid.fit.least_squares import MOST_STEPS, fit
 from mimic.sysid.fit.problem import Point, Problem
 from mimic.sysid.fit.replay import Replay
 from mimic.sysid.log.pool import make_blocks

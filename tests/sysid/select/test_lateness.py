@@ -86,7 +86,7 @@ def test_joints_agree_on_jitter_of_which_each_by_itself_shows_less_than_its_nois
     fitted = fit(problem, Point.of(BASELINE, pair), BASELINE, {}, most=4)
     (found,) = late_targets(problem, fitted, ["delay_jitter"])
     assert compare(problem, found.squares, left_out(fitted, problem)[0], 1).better
-    assert found.value == pytest.approx(0.002, rel=0.3)
+    assert found.point.values["delay_jitter", "spread"][0] == pytest.approx(0.002, rel=0.3)
     assert found.interval[0] > 0.001
 
 

@@ -9,6 +9,7 @@ from mimic.dynamics.catalogue import BASELINE, CATALOGUE
 from mimic.dynamics.effect_set import EffectValues
 from mimic.dynamics.machine import MachineModel
 from mimic.sysid.fit.least_squares import fit
+from mimic.sysid.fit.problem import Point
 from mimic.sysid.select.starts import PredictedMotion, starting_points, starts_of
 
 
@@ -33,6 +34,19 @@ def test_cogging_is_not_looked_for_beyond_its_bound(pair: MachineModel, log_of, 
     motion = PredictedMotion(t=log.t, q=slow, dq=np.gradient(slow, log.t, axis=0), tau=np.zeros_like(log.q))
     order = starts_of("cogging", left, problem, motion)[0].values["cogging", "order"]
     assert np.all(order <= CATALOGUE["cogging"].parameter("order").high)
+
+
+def test_a_low_pass_begins_with_a_delay_that_is_shorter_by_its_time(pair: MachineModel, log_of, problem_of) -> None:
+    log = log_of(pair)
+    problem, point = problem_of(pair, log)
+    fitted = fit(problem, point, BASELINE, {}, most=1)
+    delayed = replace(fitted, point=Point({**fitted.point.values, ("delay", "time"): np.array([0.03])}))
+    motion = PredictedMotion(t=log.t, q=log.q, dq=np.gradient(log.q, log.t, axis=0), tau=np.zeros_like(log.q))
+    starts = [start.values for start in starts_of("target_filter", delayed, problem, motion)]
+    times = [float(v["target_filter", "time"].mean()) for v in starts]
+    assert min(times) > 0.0
+    least = CATALOGUE["delay"].parameter("time").low
+    assert [float(v["delay", "time"][0]) for v in starts] == pytest.approx([max(0.03 - t, least) for t in times])
 
 
 @pytest.mark.slow

@@ -1,1 +1,0 @@
-"""What the torques say of effects, within seconds."""
