@@ -135,8 +135,8 @@ FINE = 3
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
 
-WIDE = 0.25
-"""Share of a free parameter's step over which differences are taken."""
+WIDE, NARROW = 0.25, 0.0625
+"""Shares of a free parameter's step over which one-sided and central differences are taken."""
 
 
 class Problem:
@@ -224,7 +224,7 @@ class Problem:
         They are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
         derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
         """
-        points, groups, sizes = self.difference_points(point, free_parameters)
+        points, groups, sizes = self.difference_points(point, free_parameters, NARROW)
         if not points:
             return []
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))
@@ -377,7 +377,7 @@ class Problem:
         return list(found.values())
 
     def difference_points(
-        self, point: Point, free_parameters: Sequence[FreeParameter]
+        self, point: Point, free_parameters: Sequence[FreeParameter], share: float = WIDE
     ) -> tuple[list[Point], list[list[int]], FloatArray]:
         """Return the points for one-sided differences, the free parameters moved in each, and the moves."""
         groups = self.groups(free_parameters)
@@ -388,7 +388,7 @@ class Problem:
             for i in group:
                 high = free_parameters[i].bounds[1]
                 value = point.at(free_parameters[i])
-                size = WIDE * free_parameters[i].step
+                size = share * free_parameters[i].step
                 by[i] = size if value + size <= high else -size
                 sizes[i] = by[i]
             points.append(point.moved(free_parameters, by))
