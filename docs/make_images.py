@@ -36,10 +36,6 @@ from mimic.view.scene.viewer import screenshot
 
 HERE = Path(__file__).resolve().parent
 CLIPS = HERE.parent / "examples" / "videos"
-MOMENTS = {"boxing": 8.9, "ballet": 8.0, "waving": 4.0}
-"""Time in each clip that the picture shows [s]."""
-STAND_UP = (0.0, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.5)
-"""Times of the stand-up that its strip shows [s]."""
 SIT_DOWN = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.8)
 """Times after the beginning of sitting down that its strip shows [s]."""
 
@@ -174,17 +170,9 @@ def main() -> None:
         loop(Path(folder), images)
         live(Path(folder), images)
         two_robots(Path(folder) / "two", images)
-        for name, moment in MOMENTS.items():
-            run = Path(folder) / name
-            status = mimic([str(CLIPS / f"{name}.mp4"), "--rate", "0.1", "--sim", "--no-view", "-o", str(run)])
-            assert status == 0, f"{name} ended with exit status {status}"
-            screenshot(run / "scene.rrd", images / f"{name}.png", time_s=moment)
-            small(images / f"{name}.png")
-        log = store.load(Path(folder) / "boxing" / "log.parquet", RunLog)
-        sits = float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))])
-        for name, begin, times in (("stand_up", 0.0, STAND_UP), ("sit_down", sits, SIT_DOWN)):
-            strip(log, images / f"{name}.png", begin, times)
-            small(images / f"{name}.png", width=1600)
+        log = store.load(Path(folder) / "as given" / "log.parquet", RunLog)
+        strip(log, images / "sit_down.png", float(log.t[np.argmax(log.phase == PHASES.index("sit_down"))]), SIT_DOWN)
+        small(images / "sit_down.png", width=1600)
 
 
 if __name__ == "__main__":

@@ -106,10 +106,11 @@ def compare(
     whole = noise[:, 0] * int(use.sum())
     d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole)) - price
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
+    left = float(bad.sum() - whole.sum())
     return Comparison(
         gain=float(0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))),
         z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > RULES.material] - price)),
-        share=float((bad.sum() - good.sum()) / max(bad.sum() - whole.sum(), 1e-9)),
+        share=float(bad.sum() - good.sum()) / left if left > 0.0 else 0.0,  # noise explains all: nothing to remove
     )
 
 

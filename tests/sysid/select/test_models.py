@@ -56,6 +56,16 @@ def test_blocks_at_the_noise_say_nothing_by_chance(problem: Problem) -> None:
     assert np.mean(np.array(scores) > 3.0) < 0.02
 
 
+def test_where_noise_explains_all_no_effect_removes_anything(problem: Problem) -> None:
+    rng = np.random.default_rng(3)
+    worse = 0.98 + 0.01 * rng.standard_normal(len(problem.readings))
+    found = compare(problem, squares(problem, 0.95 * worse), squares(problem, worse), 1)
+    assert found.z > 3.0
+    assert found.gain > 0.04
+    assert found.share == 0.0
+    assert "it removes 0 % of the unexplained error" in found.why_not
+
+
 def test_an_effect_that_acts_in_few_blocks_is_seen_there(problem: Problem) -> None:
     count = len(problem.readings)
     worse = np.where(np.arange(count) < 12, 1.4, 1.0)
