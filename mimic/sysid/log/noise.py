@@ -58,16 +58,15 @@ def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> F
         known: Rows that were read (T,), all by default; what is filled in between has no resolution.
     """
     rows, kernel = max(int(0.5 * rate), 32), np.array([1.0, -3.0, 3.0, -1.0])
-    alike = np.correlate(kernel, kernel, "full") / (
-        kernel @ kernel
-    )  # autocorrelation of the differences of white noise
+    power = kernel @ kernel
+    alike = np.correlate(kernel, kernel, "full") / power  # autocorrelation of the differences of white noise
     third = np.diff(x, 3, axis=0)
     blocks = [third[i : i + rows] for i in range(0, len(third) - rows + 1, rows)] or [third]
     variances = np.array([_variance(b) for b in blocks])
     live = np.where(variances > 0, variances, np.nan)  # a frozen reading tells nothing
     low = np.nan_to_num([np.nanquantile(c, 0.1) if np.isfinite(c).any() else 0.0 for c in live.T])
     shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * (alike @ alike) / rows), 0.3) if len(blocks) > 5 else 1.0
-    white = np.sqrt(low / (kernel @ kernel) / shrunk)
+    white = np.sqrt(low / power / shrunk)
     return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in (x if known is None else x[known]).T])
 
 

@@ -36,6 +36,9 @@ MOST_WRONG = 0.2
 ALIKE = 2e-5
 """Two sets of times that differ by less, beside a constant, are one: it moves no joint by its noise [s]."""
 
+MOST_RATES = 100000
+"""Most rates that are tried, the lowest ones: single targets that come 1 ms apart would ask for any number."""
+
 BEND = 10.0
 """Time between the places where the rate of a clock may change, where a steady one does not fit [s]."""
 
@@ -145,6 +148,7 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     gaps = np.diff(middle)
     first = middle[: min(len(middle), 100)] - middle[0]
     rates = np.arange(0.4 / np.quantile(gaps, 0.1), 1.3 / max(gaps.min(), 1e-3), 0.1 / first[-1])
+    rates = rates[:MOST_RATES]
     if not len(rates):
         return None
     parts = np.array_split(rates, max(len(rates) // 1000, 1))

@@ -182,7 +182,7 @@ def predicted(problem: Problem, fitted: Fit) -> PredictedMotion:
     t = log.t - log.t[0]
     dq = np.gradient(q, t, axis=0)
     target = log.q_des if log.q_des is not None else q
-    delay = fitted.point.values.get(("delay", "time"), np.zeros(1))[0]
+    delay = fitted.point.values.get(DELAY, np.zeros(1))[0]
     delay -= float(np.mean(t[problem.replay.sent] - problem.replay.sending.at))
     late = np.stack([np.interp(t - delay, t, column) for column in target.T], -1)
     kp, kd = problem.replay.row_gains
