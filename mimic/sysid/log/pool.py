@@ -120,7 +120,7 @@ class Sums:
 
 def spikes(log: JointLog) -> BoolArray:
     """Return the position readings (T, J) that are far from neighbours which agree: corrupt frames."""
-    t, q = log.t, log.q
+    t, q = log.t, np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
     if len(t) < 3:
         return found
