@@ -437,8 +437,12 @@ class Selection:
             asked.append(
                 fitting(problem, point, [*near.names, s.name], where, most=MOST_STEPS, frozen=t.fitted, every=3)
             )
-        fits = fit_all(problem, asked)
-        done = self._trials(near, first, fits, left_out_all(fits, problem), near.squares)
+        done, fits = [], fit_all(problem, asked)
+        for s, f in zip(first, fits, strict=True):
+            own = problem
+            if near is model:  # what coarse steps are wrong by changes with an effect
+                own, f = settled(problem, f, [*near.names, s.name], {**near.joints, s.name: s.joints})
+            done += self._trials(near, [s], [f], [left_out(f, own)], near.squares)
         for t in quick:
             if t not in strong:  # its many derivatives are of no more use
                 why = "other effects promise more" if t.against.better else ""
