@@ -52,8 +52,6 @@ class Thresholds:
     """Growth of a block's sum of squares without it, from which on a replay says what it is, not the linear model."""
     material: float = 0.0125
     """Change of half the log of a block's sum of squares and its noise that counts: a twentieth of the noise."""
-    replays: int = 900
-    """Replays after which no further effect is looked for: a log of two joints and 36 s then took three minutes."""
     beam: int = 2
     """Models that are kept of each size: one more than a search of one effect at a time, at twice its cost."""
 

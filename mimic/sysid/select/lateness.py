@@ -127,21 +127,25 @@ def late_targets(problem: Problem, fitted: Fit, names: Sequence[str]) -> list[La
 
 
 def fit_lateness(
-    problem: Problem, lateness: Lateness, names: Sequence[str], joints: Mapping[str, BoolArray]
+    problem: Problem, lateness: Lateness, names: Sequence[str], joints: Mapping[str, BoolArray], known: Fit
 ) -> tuple[Problem, Lateness, Fit]:
-    """Fit the lateness of each target and all numbers in turn; return the problem with that lateness, too."""
+    """Fit the lateness of each target and all numbers in turn; return the problem with that lateness, too.
+
+    Along the derivatives of a known fit, which lateness hardly changes. What the other chains show of each chain is
+    read off there once more: without replays a lost target is mistaken for a jittering one.
+    """
     best, least = None, np.inf
     while True:
         problem = problem.changed(replay=problem.replay.with_late(lateness.late))
-        fitted = fit(problem, lateness.point, names, joints, most=2)
+        fitted = fit(problem, lateness.point, names, joints, most=2, frozen=known, every=0)
         left = float(problem.mean_squares(fitted.residual, False).sum())
         if best and left > (1 - RULES.gain) * least:
             return best
-        best, least = (problem, lateness, fitted), left
         again = late_targets(problem, fitted, [lateness.name])
         if not again:
-            return best
-        lateness = replace(again[0], squares=lateness.squares)
+            return problem, lateness, fitted
+        best, least = (problem, replace(lateness, squares=again[0].squares), fitted), left
+        lateness = again[0]
 
 
 def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:

@@ -161,7 +161,8 @@ class Trial:
     """Whether it was fitted to the end; of others one linear step is all that is known."""
     short: bool = False
     """Whether it was fitted in short segments."""
-    lateness: Lateness | None = None
+    late: tuple[Problem, Lateness, Fit] | None = None
+    """Of late targets, fitted to the end: with the lateness of each."""
     why: str = ""
     """Why it was not taken though it is better."""
 
@@ -223,7 +224,7 @@ class FittedModel:
     def explained(self) -> bool:
         """Whether no remaining error is large enough to look for more."""
         left = self.problem.mean_squares(self.fitted.residual, False)
-        if self.trial is not None and self.trial.lateness is not None:
+        if self.trial is not None and self.trial.late is not None:
             left = self.trial.squares.sum(0) / max(int(self.problem.blocks.fitted.sum()), 1)
         return bool(np.all(left < RULES.enough**2))
 
@@ -233,7 +234,7 @@ class FittedModel:
 
         Of late targets that is what the other chains show of them: each target has a lateness of its own.
         """
-        late = self.trial is not None and self.trial.lateness is not None
+        late = self.trial is not None and self.trial.late is not None
         squares = self.trial.squares if self.trial is not None and late else self.squares
         return _score(self.problem, squares, len(self.fitted.free_parameters))
 
@@ -338,10 +339,6 @@ class Selection:
         best = replace(baseline, problem=baseline.problem.warmed_up(baseline.fitted.point))
         beam, last = [best], ()
         for _ in range(self.settings.most_effects):
-            if baseline.problem.replay.replays > RULES.replays:
-                note = "further effects were not looked for: the search has a limit, and what is left is reported"
-                best = replace(best, notes=(*best.notes, note))
-                break
             grown: list[FittedModel] = []
             for i, model in enumerate(beam):
                 made, tried = self.extended(model)
@@ -403,14 +400,21 @@ class Selection:
 
     def _late(self, model: FittedModel, lateness: Lateness) -> Trial:
         """Return late targets as a trial, judged by what each chain shows of those of the others."""
+        promise = compare(model.problem, lateness.squares, model.squares, 1)
+        late = None
+        if promise.gain >= RULES.gain:
+            names = (*model.names, lateness.name)
+            late = fit_lateness(model.problem, lateness, names, model.joints, model.fitted)
+            lateness = late[1]
         return Trial(
             name=lateness.name,
-            fitted=replace(model.fitted, point=lateness.point),
+            fitted=late[2] if late else replace(model.fitted, point=lateness.point),
             squares=lateness.squares,
             joints=np.ones(model.problem.joints, dtype=bool),
             numbers=1,
-            against=compare(model.problem, lateness.squares, model.squares, 1),
-            lateness=lateness,
+            against=compare(model.problem, lateness.squares, model.squares, 1) if late else promise,
+            finished=late is not None,
+            late=late,
         )
 
     def _tried(self, model: FittedModel, names: Sequence[str]) -> list[Trial]:
@@ -433,8 +437,12 @@ class Selection:
             asked.append(
                 fitting(problem, point, [*near.names, s.name], where, most=MOST_STEPS, frozen=t.fitted, every=3)
             )
-        fits = fit_all(problem, asked)
-        done = self._trials(near, first, fits, left_out_all(fits, problem), near.squares)
+        done, fits = [], fit_all(problem, asked)
+        for s, f in zip(first, fits, strict=True):
+            own = problem
+            if near is model:  # what coarse steps are wrong by changes with an effect
+                own, f = settled(problem, f, [*near.names, s.name], {**near.joints, s.name: s.joints})
+            done += self._trials(near, [s], [f], [left_out(f, own)], near.squares)
         for t in quick:
             if t not in strong:  # its many derivatives are of no more use
                 why = "other effects promise more" if t.against.better else ""
@@ -483,8 +491,8 @@ class Selection:
         """Return the model with an effect more, fitted to the end in fine steps."""
         self.tick(f"fitting {CATALOGUE[t.name].title}")
         child = replace(model, parent=model, trial=t, tried=tuple(tried), names=(*model.names, t.name))
-        if t.lateness is not None:
-            problem, lateness, fitted = fit_lateness(model.problem, t.lateness, child.names, child.joints)
+        if t.late is not None:
+            problem, lateness, fitted = t.late
             child = replace(child, intervals={**model.intervals, t.name: lateness.interval})
         else:
             point = _only_on(model, t.name, t.joints, t.fitted.point)
@@ -629,9 +637,9 @@ def _grouped(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     for m in [m for m in model.path if m.trial is not None and m.trial.name in model.names]:
         best = m.trial
         assert best is not None
-        alike = [t for t in m.tried if t is not best and t.better and t.name not in model.names and t.lateness is None]
+        alike = [t for t in m.tried if t is not best and t.better and t.name not in model.names and t.late is None]
         alike = [t for t in alike if not compare(m.problem, best.squares, t.squares, best.numbers - t.numbers).better]
-        if not alike or best.lateness is not None:
+        if not alike or best.late is not None:
             continue
         tick(f"comparing {CATALOGUE[best.name].title} with {', '.join(CATALOGUE[t.name].title for t in alike)}")
         names, where, point = _bare(near, best.name, model.mask(best.name))
