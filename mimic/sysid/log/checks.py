@@ -12,8 +12,8 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
-    FORGOTTEN,
     LEAST_MOTION,
+    MEMORY,
     Following,
     following,
     noise_floor,
@@ -21,11 +21,9 @@ from mimic.sysid.log.noise import (
     rounding,
     speed,
 )
-from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
 
-UNUSUAL = 1.5
-"""So many times the usual is more than usual: of the time between readings, or of the way from one to the next."""
 FOLLOWS, STRANGER = 0.9, 0.7
 """Correlation of a joint with a target that it certainly follows, and no more than badly."""
 
@@ -34,17 +32,16 @@ def gaps(log: JointLog) -> Iterator[str]:
     """Readings that are missing, too few, or read more slowly than logged."""
     steps = np.diff(log.t)
     usual = float(np.median(steps))
-    wide = np.flatnonzero(steps > UNUSUAL * usual)
-    if len(wide):
-        missing = int(np.round(steps[wide] / usual - 1).clip(1).sum())
-        longest = int(wide[steps[wide].argmax()])
+    missing = int(np.maximum(np.round(steps / usual) - 1, 0).sum())
+    if missing:
+        longest = int(steps.argmax())
         yield (
             f"about {missing} readings are missing ({missing / (missing + len(log.t)):.1%}); the longest gap is"
             f" {1e3 * steps[longest]:.0f} ms at t = {log.t[longest]:.2f} s"
         )
     repeated = (np.diff(log.q, axis=0) == 0).all(axis=1)
-    steps = np.array([resolution(x) for x in log.q.T])
-    moving = np.any(np.abs(speed(log.t, log.q))[1:] * usual > steps, axis=1)
+    finest = np.array([resolution(x) for x in log.q.T])
+    moving = np.any(np.abs(speed(log.t, log.q))[1:] * usual > finest, axis=1)
     stale = float(repeated[moving].mean()) if moving.any() else 0.0
     if stale > MOST_WRONG:
         yield (
@@ -62,7 +59,7 @@ def units(log: JointLog) -> Iterator[str]:
     ratio = np.divide(spread, wanted, out=np.ones(len(moves)), where=moves)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
-            found = [joint for joint, r in zip(log.joints, of, strict=True) if 1 / UNUSUAL < r / factor < UNUSUAL]
+            found = [joint for joint, r in zip(log.joints, of, strict=True) if round(np.log(r / factor)) == 0]
             if found:
                 yield (
                     f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des:"
@@ -119,7 +116,7 @@ def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, move
             f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
             f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
         )
-    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -UNUSUAL / log.rate))
+    early = np.flatnonzero(moves & (own > FOLLOWS) & (np.round(lag * log.rate) < -1))
     if len(early):
         i = int(early[0])
         yield (
@@ -144,7 +141,7 @@ def stuck(log: JointLog) -> Iterator[str]:
         still = np.diff(x) == 0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - FORGOTTEN]
+            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - MEMORY]
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
             if where and len(asked_of_it) and np.ptp(asked_of_it) > wanted.std():
                 yield (
@@ -257,7 +254,7 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
         return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
 
     follows, lag = median(near), near.lag[moving]
-    if follows > FOLLOWS and (np.nan_to_num(lag) < -UNUSUAL / log.rate).all():
+    if follows > FOLLOWS and (np.round(np.nan_to_num(lag) * log.rate) < -1).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
     if follows >= STRANGER:
@@ -339,7 +336,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         warnings.append(f"{len(twice)} rows have the same time as the row before; left out")
         log = log.part(np.delete(np.arange(len(log.t)), twice))
     distance = float(np.median(np.diff(log.t)))
-    if distance >= 0.5:
+    if 2 * distance >= BETWEEN:
         raise CalibrationError(
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"

@@ -31,8 +31,8 @@ LEAST_LEVELS = 6
 SMOOTH = 0.03
 """Time over which signals are averaged where their noise would hide what they do [s]."""
 
-FORGOTTEN = 0.1
-"""Time after which a drive has answered its target and forgotten where it was [s]."""
+MEMORY = 0.1
+"""Time in which a drive answers its target, and forgets where it was [s]."""
 
 LOW = 0.1
 """Quantile of the blocks of a log that its noise is taken from."""
@@ -139,8 +139,8 @@ def _vertex(curve: FloatArray, k: int) -> float:
 
 def smooth(t: FloatArray, x: FloatArray) -> FloatArray:
     """Return the moving mean of signals (T, ...) over ``SMOOTH``."""
-    rows = max(round(SMOOTH / float(np.median(np.diff(t)))), 1)
-    return uniform_filter1d(x, rows, axis=0, mode="nearest")
+    rows = int(SMOOTH / 2 / float(np.median(np.diff(t))))
+    return uniform_filter1d(x, 2 * rows + 1, axis=0, mode="nearest")
 
 
 def speed(t: FloatArray, q: FloatArray) -> FloatArray:

@@ -177,7 +177,7 @@ def valid_samples(log: JointLog) -> BoolArray:
 
 
 BETWEEN = 1.0
-"""Time between the logs of a pool [s]; what is longer than a gap in a log is forgotten."""
+"""Time between the logs of a pool [s]: a gap, so that it must be more than two readings are apart."""
 
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""

@@ -33,12 +33,10 @@ from mimic.sysid.fit.least_squares import (
     stepping,
 )
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
+from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
 from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
-
-INDEPENDENT = 10.0
-"""Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
 
 SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
 """Numbers of joints that are a baseline parameter of the machine where they are alike in all."""
@@ -127,8 +125,9 @@ def _score(problem: Problem, squares: FloatArray, numbers: int) -> float:
 
 
 def _independent(problem: Problem) -> float:
+    """Return how many readings count in a likelihood: one for each time in which a drive forgets."""
     readings = max(int(problem.blocks.fitted.sum()), 1)
-    return max(readings * min(INDEPENDENT / problem.replay.log.rate, 1.0), 2.0)
+    return max(readings * min(1.0 / (MEMORY * problem.replay.log.rate), 1.0), 2.0)
 
 
 def _rank_score(d: FloatArray) -> float:
