@@ -68,13 +68,17 @@ def units(log: JointLog) -> Iterator[str]:
 
 
 def wrapped(log: JointLog) -> str | None:
-    """Return where an encoder wraps around, None if none does: no joint moves by half a turn from row to row."""
-    jump = np.diff(log.q, axis=0)
-    row, i = np.unravel_index(np.abs(jump).argmax(), jump.shape)
-    if abs(jump[row, i]) <= np.pi:
-        return None
-    when = f"t = {log.t[row]:.2f} s"
-    return f"q.{log.joints[i]} jumps by {jump[row, i]:+.2f} rad at {when}: the encoder wraps around; unwrap it"
+    """Return where an encoder wraps around, None if none does: by a turn, give or take a step as it makes elsewhere."""
+    for name in ("q", "q_des"):
+        if (value := getattr(log, name)) is None:
+            continue
+        jump = np.diff(value, axis=0)
+        size = np.abs(jump)
+        step = np.max(size, axis=0, where=size < np.pi, initial=0.0)
+        for row, i in np.argwhere((size > 2 * step) & (np.abs(size - 2 * np.pi) <= step))[:1]:
+            when = f"by {jump[row, i]:+.2f} rad at t = {log.t[row]:.2f} s"
+            return f"{name}.{log.joints[i]} jumps {when}: the encoder wraps around; unwrap it"
+    return None
 
 
 def misassigned(log: JointLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
@@ -126,9 +130,10 @@ def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, move
 
 
 def stuck(log: JointLog) -> Iterator[str]:
-    """Readings that are dead or clipped; what is lost for a while ends in a jump, which no log may have."""
+    """Readings that are frozen or clipped."""
     asked = log.q_des if log.q_des is not None else log.force
     assert asked is not None
+    fastest = np.abs(speed(log.t, log.q)).max(axis=0) / log.rate
     for i, joint in enumerate(log.joints):
         x, wanted = log.q[:, i], asked[:, i]
         if np.ptp(wanted) <= rounding(wanted):
@@ -142,13 +147,17 @@ def stuck(log: JointLog) -> Iterator[str]:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - MEMORY]
+            if not len(asked_of_it) or np.ptp(asked_of_it) < wanted.std() / 2:
+                continue
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
-            if where and len(asked_of_it) and np.ptp(asked_of_it) > wanted.std():
-                yield (
-                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {log.t[stop] - log.t[start]:.2f} s from"
-                    f" t = {log.t[start]:.2f} s while its target moves: clipped, or at a stop"
-                )
-                break
+            if not where and abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= fastest[i]:
+                continue  # it sticks
+            when = f"{log.t[stop] - log.t[start]:.2f} s from t = {log.t[start]:.2f} s while its target moves"
+            if where:
+                yield f"q.{joint} stays at {where}, {x[start]:.4g}, for {when}: clipped, or at a stop"
+            else:
+                yield f"q.{joint} is frozen at {x[start]:.4g} for {when}: readings were lost"
+            break
 
 
 def excitation(log: JointLog, moves: BoolArray) -> Iterator[str]:
