@@ -125,7 +125,7 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
 
 def _centred(x: FloatArray, dt: float) -> FloatArray:
     """Return signals less their slow part (moving mean of 4 s)."""
-    return x - uniform_filter1d(x, min(int(4.0 / dt), len(x)), axis=0, mode="nearest")
+    return x - uniform_filter1d(x, int(4.0 / dt), axis=0, mode="nearest")
 
 
 def _vertex(curve: FloatArray, k: int) -> float:

@@ -173,15 +173,32 @@ def test_a_channel_of_nan_is_as_good_as_none(log: JointLog) -> None:
     assert check_log(replace(log, tau=np.full_like(log.q, np.nan))).log.tau is None
 
 
-def test_frozen_readings_are_refused_and_clipped_ones_said(log: JointLog) -> None:
-    def freeze(x: np.ndarray) -> np.ndarray:
-        x[2000:2200] = x[2000]
-        return x
+def held(x: FloatArray, until: int) -> FloatArray:
+    """Return readings (T,) that stay where they are in row 2000, and go on from 40 mrad beside it."""
+    return np.concatenate([x[:2000], np.full(until - 2000, x[2000]), x[until:] - x[until] + x[2000] + 0.04])
 
-    with pytest.raises(CalibrationError, match=r"q\.hip jumps by .* \(t = 11\.000 s\)"):
-        check_log(changed(log, "q", "hip", freeze))
+
+def test_frozen_and_clipped_readings_are_distinguished(log: JointLog) -> None:
+    warning = only(check_log(changed(log, "q", "knee", lambda x: held(x, 2200))).warnings, "q.knee is frozen")
+    assert "from t = 10.00 s" in warning
     clipped = check_log(changed(log, "q", "hip", lambda x: np.minimum(x, 0.1)))
     only(clipped.warnings, "q.hip stays at its highest value, 0.1")
+    with pytest.raises(CalibrationError, match=r"q\.hip jumps by .* \(t = 11\.000 s\)"):
+        check_log(changed(log, "q", "hip", lambda x: np.where(np.abs(log.t - 10.5) < 0.5, x[2100], x)))
+
+
+def test_a_joint_that_rests_until_it_is_asked_to_move_is_not_frozen(log: JointLog) -> None:
+    def asked(x: np.ndarray) -> np.ndarray:
+        x[2000:2080] = x[2080] - 0.5 * np.ptp(x)
+        return x
+
+    facts = check_log(changed(changed(log, "q_des", "knee", asked), "q", "knee", lambda x: held(x, 2084)))
+    assert not any("q.knee is frozen" in w for w in facts.warnings)
+
+
+def test_a_target_that_wraps_around(log: JointLog) -> None:
+    with pytest.raises(CalibrationError, match=r"q_des\.hip jumps by .* unwrap"):
+        check_log(changed(log, "q_des", "hip", lambda x: np.where(x > 0.2, x - 2 * np.pi, x)))
 
 
 def test_a_dead_encoder(log: JointLog) -> None:
