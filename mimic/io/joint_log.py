@@ -230,11 +230,14 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
 
 
 def _steps_of_a_turn(x: FloatArray) -> int | None:
-    """Return into how many steps an encoder divides one, where many readings are such shares of one."""
+    """Return into how many steps an encoder divides one, where many readings are such shares of one.
+
+    Steps of 360 degrees / 65536 are multiples of 1/8192, too, but all of 45.
+    """
     for steps in (2**bits for bits in range(10, 17)):
         counts = np.round(steps * x)
         if np.abs(steps * x - counts).max(initial=0.0) < 0.05 and len(np.unique(counts)) > 50:
-            return steps
+            return steps if np.gcd.reduce(np.diff(np.unique(counts)).astype(int)) == 1 else None
     return None
 
 

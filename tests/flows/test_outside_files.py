@@ -593,6 +593,8 @@ def test_turns_of_an_encoder_are_not_radians(steps, tmp_path):
     path = parquet(tmp_path / "a.parquet", q__a=turned[:, 0], q__b=turned[:, 1])
     refused(path, f"q.a has steps of 1/{steps}", "turns", "factor of 6.28")
     assert read_log(path, {"units": "rad"}).q == pytest.approx(turned)
+    in_degrees = parquet(tmp_path / "c.parquet", q__a=360 * turned[:, 0], q__b=360 * turned[:, 1])
+    refused(in_degrees, "not radians", "degrees (57.3 a radian)")
     ticks = np.round(ANGLES / (2 * np.pi) * steps) * 2 * np.pi / steps
     read_log(parquet(tmp_path / "b.parquet", q__a=ticks[:, 0], q__b=np.round(ticks[:, 1], 4)))
 

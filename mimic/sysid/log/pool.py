@@ -119,7 +119,7 @@ class Sums:
 
 def spikes(log: JointLog) -> BoolArray:
     """Return the position readings (T, J) that are far above or below both neighbours: corrupt frames."""
-    t, q = log.t, log.q
+    t, q = log.t, np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
     up, down = np.diff(q[:-1], axis=0), -np.diff(q[1:], axis=0)
     times = np.maximum(np.diff(t)[:-1], np.diff(t)[1:])[:, None]
