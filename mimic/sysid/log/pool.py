@@ -15,8 +15,8 @@ from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
-LEAST_BLOCKS = 16
-"""Fewer blocks could not say how sure anything is: those of short logs are shorter."""
+SHORT, LEAST_BLOCKS = 9.5, 16
+"""A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
@@ -76,7 +76,7 @@ def make_blocks(
     """
     logs = logs or [slice(0, len(t))]
     total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
-    seconds = min(1.0, total / LEAST_BLOCKS)
+    seconds = 1.0 if total > SHORT else total / LEAST_BLOCKS
     index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
     for rows in logs:
         since = t[rows] - t[rows][0]

@@ -146,14 +146,14 @@ def test_a_log_is_judged_alike_whatever_logs_are_before_it(pendulum: MachineMode
 
 
 def test_a_block_in_which_a_drive_is_switched_is_fitted_and_the_next_is_held_out() -> None:
-    t = np.arange(0.0, 24.0, 0.01)
-    logs, counts = [slice(0, 1200), slice(1200, 2400)], np.ones(len(t), dtype=bool)
+    t = np.arange(0.0, 12.0, 0.01)
+    logs, counts = [slice(0, 600), slice(600, 1200)], np.ones(len(t), dtype=bool)
     plain = make_blocks(t, counts, logs=logs)
-    assert plain.index[[0, 1199, 1200, 2399]].tolist() == [0, 11, 12, 23]
-    assert np.flatnonzero(plain.held_out).tolist() == [2, 6, 10, 14, 18, 22]
+    assert plain.index[[0, 599, 600, 1199]].tolist() == [0, 5, 6, 11]
+    assert np.flatnonzero(plain.held_out).tolist() == [2, 8]
     on = np.ones((len(t), 2), dtype=bool)
-    on[1450:1700, 1] = False  # from 2.5 s of the second log
-    assert np.flatnonzero(make_blocks(t, counts, logs=logs, enabled=on).held_out).tolist() == [2, 6, 10, 15, 18, 22]
+    on[850:1100, 1] = False  # from 2.5 s of the second log
+    assert np.flatnonzero(make_blocks(t, counts, logs=logs, enabled=on).held_out).tolist() == [2, 9]
 
 
 def test_a_lower_supply_moves_the_torque_speed_line(pendulum: MachineModel) -> None:
