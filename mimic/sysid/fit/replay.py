@@ -149,6 +149,9 @@ SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
+FEW = 400
+"""Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
+
 
 @contextmanager
 def _unheard() -> Iterator[None]:
@@ -387,8 +390,7 @@ class Replay:
         if size not in self._batches:
             model = self._model()
             self._batches.clear()
-            alone = size <= self.segments  # threads would wait for each other at every step
-            self._batches[size] = Batch(model, size, 1 if alone else self.threads)
+            self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
         return self._batches[size]
 
     @_unheard()
