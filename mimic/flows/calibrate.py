@@ -187,17 +187,13 @@ def checked_log(
     """
     import numpy as np
 
-    from mimic.io.joint_log import unit_fault
     from mimic.sysid.log.checks import check_log
 
     log = _read(log, {})
     machine = machine_of(model, log.metadata)
     log = log.of(machine.joints)
     show("checking the log", 0)
-    limits = np.stack([machine.low, machine.high], -1)
-    if machine.unit == "rad" and (fault := unit_fault(log, limits)):
-        raise CalibrationError(fault)
-    check = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+    check = check_log(log, np.stack([machine.low, machine.high], -1), unit=machine.unit)
     dropped = [f"of the model, a replay leaves out: {'; '.join(machine.dropped)}"] if machine.dropped else []
     return check, machine, [*dropped, *_missing_gains(log, machine), *check.warnings]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -44,9 +43,6 @@ from mimic.sysid.unexplained import (
     stopped_at,
     unexplained_residuals,
 )
-
-STEP_SHARE = 0.85
-"""Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
 OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
 """Their baseline parameters: motor constants scale all torques, so that masses must be known, and behind the gear of a
@@ -115,16 +111,14 @@ def calibrate(
     problem = problem.without(~np.isfinite(first).all(-1))
     nominal = errors_of(problem, first)
 
-    steps = itertools.count(1)
-
     def tick(text: str) -> None:
-        done = 1.0 - STEP_SHARE ** next(steps)
-        report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
+        report(text, problem.replay.replays)
 
     before = _baseline(problem, settings, tick)
     problem = before.problem
     spread = np.nanstd(log.q, axis=0)
-    error = Errors.total(errors_of(problem, before.fitted.residual).train / np.maximum(spread, 1e-9))
+    spread = np.maximum(spread, problem.noise[: len(spread)])
+    error = Errors.total(errors_of(problem, before.fitted.residual).train / spread)
     follows, why = targets_match_log(log)
     log_matches_model = follows and error < RULES.most
     final, stages = before, before.stages(())[:1]
@@ -228,7 +222,7 @@ def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
     for free in h.fitted.free_parameters:
         none = neutral(*free.key, h.problem.machine)[max(free.joint, 0)]
         for bound in free.bounds:
-            if abs(h.fitted.point.at(free) - bound) < 1e-9 and bound not in (none, 0.0):
+            if h.fitted.point.at(free) == bound and bound not in (none, 0.0):
                 found.append((free, bound))
     return found
 

@@ -14,7 +14,7 @@ from mimic.dynamics.servo import parameters_of
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.problem import FINE
-from mimic.sysid.fit.replay import SEGMENT, Replay, physics_step
+from mimic.sysid.fit.replay import SEGMENT, Replay, on_steps, physics_step
 from mimic.sysid.log.pool import valid_samples
 from mimic.sysid.log.timing import AT_ROW, SENT, sending_times
 
@@ -75,16 +75,17 @@ def simulate_log(
     p = parameters_of(effects, machine)
     spread = float(p.pop(("delay_jitter", "spread"), np.zeros((1, 1)))[0, 0])
     share = float(p.pop(("lost_commands", "share"), np.zeros((1, 1)))[0, 0])
-    times = np.arange(0.0, t[-1] + 1e-9, 1.0 / settings.rate_hz)
-    rows = np.clip(np.searchsorted(t, times + 1e-9, side="right") - 1, 0, len(t) - 1)
+    sent = on_steps(t * settings.rate_hz)
+    number = np.arange(int(sent[-1]) + 1)
+    times, rows = number / settings.rate_hz, np.maximum(np.searchsorted(sent, number, side="right") - 1, 0)
     kept = rng.random(len(t)) >= share
     kept[0] = True
     late = t + spread * rng.random(len(t))
     late[0] = t[0]
-    fine = np.arange(0.0, t[-1] + 1e-9, settings.timestep)
+    fine = np.arange(int(on_steps(t[-1] / settings.timestep)) + 1) * settings.timestep
     nothing = np.zeros((len(fine), len(machine.joints)))
     command = JointLog(joints=machine.joints, t=fine, q=nothing, tau=nothing, q_des=_arrived(fine, late, q_des, kept))
-    replay = Replay(machine, command, timestep=settings.timestep, segment=1e9, lead_in=0.0, threads=1, torque=True)
+    replay = Replay(machine, command, timestep=settings.timestep, segment=math.inf, lead_in=0.0, threads=1, torque=True)
     made = replay.run(p or {("delay", "time"): np.zeros((1, 1))}, 1)
     q, tau = -made.residual[0].astype(np.float64), -made.torque_residual[0].astype(np.float64)  # type: ignore[index]
     read = times + settings.jitter * rng.standard_normal(len(times))

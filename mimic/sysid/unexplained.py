@@ -14,7 +14,9 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet
 from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
+from mimic.sysid.fit.least_squares import SMALLEST
 from mimic.sysid.fit.problem import FreeParameter
+from mimic.sysid.log.noise import smooth
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.select.starts import PredictedMotion
 
@@ -23,6 +25,9 @@ BURST_TIME = 0.1
 
 FEATURES = 160
 """Random Fourier features of the regression on the state."""
+
+FOLDS = 5
+"""Shares of the blocks that are left out, one after another."""
 
 
 def unexplained_residuals(
@@ -66,7 +71,7 @@ def _remainder(
     ratio = float(np.sqrt(np.mean(r**2)))
     dt = float(np.median(np.diff(t)))
     peak_hz, peak_ratio = _peak(r, dt)
-    slow = _low_pass(r, dt)
+    slow = smooth(t, r)
     inputs = {k: v[rows] for k, v in state.items()}
     r2 = predicted(slow, inputs, blocks[rows])
     depends: tuple[str, ...] = ()
@@ -75,7 +80,7 @@ def _remainder(
         lost = {k: r2 - predicted(slow, {n: v for n, v in inputs.items() if n != k}, blocks[rows]) for k in inputs}
         score = {k: max(alone[k], 0.0) + max(lost[k], 0.0) for k in inputs}
         top = max(score.values())
-        depends = tuple(sorted((k for k in score if score[k] > 0.4 * top), key=lambda k: -score[k]))
+        depends = tuple(sorted((k for k in score if score[k] > RULES.most * top), key=lambda k: -score[k]))
     if ratio < RULES.explained:
         verdict = "explained"
     elif r2 > RULES.predictable:
@@ -97,11 +102,14 @@ def _remainder(
 
 
 def _peak(r: FloatArray, dt: float) -> tuple[float, float]:
-    size = min(len(r), int(10.0 / dt))
-    frequency, power = signal.welch(r - r.mean(), 1 / dt, nperseg=size)
-    inside = frequency > 0.15
+    """Return the frequency [Hz] at which a residual (T,) is largest, and its power there over the usual one.
+
+    A wave longer than the folds says nothing: what is left out lies between what is not.
+    """
+    frequency, power = signal.welch(r - r.mean(), 1 / dt, nperseg=len(r) // FOLDS)
+    inside = frequency > 1 / FOLDS
     at = int(np.argmax(power[inside]))
-    return float(frequency[inside][at]), float(power[inside][at] / max(np.median(power[inside]), 1e-12))
+    return float(frequency[inside][at]), float(power[inside][at] / max(np.median(power[inside]), SMALLEST))
 
 
 def _steady(r: FloatArray, t: FloatArray, blocks: IntArray, near_hz: float) -> float:
@@ -109,21 +117,14 @@ def _steady(r: FloatArray, t: FloatArray, blocks: IntArray, near_hz: float) -> f
 
     Something external keeps its phase; what the robot's own motion makes comes and goes with it.
     """
-    span = float(t[-1] - t[0])
     best, wave = -1.0, np.zeros((len(r), 2))
-    for frequency in np.arange(max(near_hz - 0.15, 0.1), near_hz + 0.15, 0.25 / span):
+    for frequency in near_hz + np.linspace(-FOLDS, FOLDS, 8 * FOLDS + 1) / (t[-1] - t[0]):
         angle = 2 * np.pi * frequency * t
         a = np.stack([np.cos(angle), np.sin(angle)], -1)
         fitted = a @ np.linalg.lstsq(a, r, rcond=None)[0]
         if (found := float(fitted @ r)) > best:
             best, wave = found, a
-    error, total = 0.0, 0.0
-    for fold in range(5):
-        test = blocks % 5 == fold
-        w = np.linalg.lstsq(wave[~test], r[~test], rcond=None)[0]
-        error += float(np.sum((r[test] - wave[test] @ w) ** 2))
-        total += float(np.sum(r[test] ** 2))
-    return 1.0 - error / max(total, 1e-12)
+    return _share(wave, r, blocks, 0.0)
 
 
 def _bursts(r: FloatArray, dt: float) -> bool:
@@ -134,13 +135,7 @@ def _bursts(r: FloatArray, dt: float) -> bool:
     return bool(top.sum() > RULES.most * np.maximum(squares, 0.0).sum() and squares.sum() > 0)
 
 
-def _low_pass(r: FloatArray, dt: float, cutoff: float = 15.0) -> FloatArray:
-    if cutoff >= 0.45 / dt or len(r) < 60:
-        return r
-    return signal.sosfiltfilt(signal.butter(2, cutoff, fs=1 / dt, output="sos"), r)
-
-
-def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: IntArray, folds: int = 5) -> float:
+def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: IntArray) -> float:
     """Return the share of the variance of r (T,) that inputs predict on blocks left out; negative where they mislead.
 
     Ridge regression on random Fourier features of the scaled inputs; whole blocks are left out, because neighbouring
@@ -151,19 +146,18 @@ def predicted(r: FloatArray, inputs: dict[str, FloatArray], blocks: IntArray, fo
     rng = np.random.default_rng(0)
     weights = rng.standard_normal((x.shape[1], FEATURES)) / np.sqrt(x.shape[1]) * rng.choice([0.5, 1.5, 4.0], FEATURES)
     a = np.concatenate([x, np.cos(x @ weights + rng.uniform(0, 2 * np.pi, FEATURES)), np.ones((len(x), 1))], -1)
-    every = max(1, len(r) // 12000)
-    fold = (blocks % folds).astype(int)
-    error, total = 0.0, 0.0
-    for k in range(folds):
-        train, test = (fold != k), (fold == k)
-        if not test.any() or not train.any():
-            continue
-        b = a[train][::every]
-        ridge = 1e-3 * len(b) * np.eye(a.shape[1])
-        w = np.linalg.solve(b.T @ b + ridge, b.T @ r[train][::every])
-        error += float(np.sum((r[test] - a[test] @ w) ** 2))
-        total += float(np.sum((r[test] - r[train].mean()) ** 2))
-    return 1.0 - error / max(total, 1e-12)
+    return _share(a, r - r.mean(), blocks, 1e-3)
+
+
+def _share(a: FloatArray, r: FloatArray, blocks: IntArray, ridge: float) -> float:
+    """Return the share of the squares of r (T,) that columns a (T, N) predict on blocks left out."""
+    parts = [(a[rows], r[rows]) for rows in (blocks % FOLDS == k for k in range(FOLDS))]
+    outer, along = [x.T @ x for x, _ in parts], [x.T @ y for x, y in parts]
+    error = 0.0
+    for k, (x, y) in enumerate(parts):
+        rest = sum(outer) - outer[k] + ridge * (len(r) - len(y)) * np.eye(a.shape[1])
+        error += float(np.sum((y - x @ np.linalg.lstsq(rest, sum(along) - along[k], rcond=None)[0]) ** 2))
+    return 1.0 - error / max(float(r @ r), SMALLEST)
 
 
 def experiments(stages: list[Stage]) -> tuple[str, ...]:
@@ -269,7 +263,7 @@ def sentence(
 def shares_of(stages: list[Stage], noise: FloatArray) -> list[float]:
     """Return the share of each added effect in what the baseline model leaves beyond the noise of held-out blocks."""
     squares = [Errors.total(s.errors.held_out) ** 2 for s in stages]
-    whole = max(squares[0] - Errors.total(noise) ** 2, 1e-300)
+    whole = max(squares[0] - Errors.total(noise) ** 2, SMALLEST)
     fell = [(before - after) / whole for before, after in itertools.pairwise(squares)]
     return [min(max(f, 0.0), 1.0) for f, s in zip(fell, stages[1:], strict=True) if s.added]
 

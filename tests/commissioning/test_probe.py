@@ -146,7 +146,7 @@ def test_the_log_is_one_that_calibration_takes(description, probed, tmp_path):
     machine = hung_robot(description)
     log = log.of(machine.joints)
     limits = np.stack([machine.low, machine.high], -1)
-    facts = check_log(log, limits, torque=np.asarray(machine.drives.torque), unit=machine.unit)
+    facts = check_log(log, limits, unit=machine.unit)
     assert len(facts.log.t) == len(log.t) == round(SLOW.seconds * SLOW.rate_hz)
     assert log.rate == pytest.approx(SLOW.rate_hz, rel=1e-3)
     assert log.metadata["kp"] == SHORT.kp

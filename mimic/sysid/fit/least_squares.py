@@ -16,17 +16,16 @@ from mimic.sysid.result import RULES, Correlations
 DAMPINGS = (0.0, 0.3, 10.0)
 """Values of Levenberg's parameter that are tried side by side."""
 
-LARGEST = 1e12
-"""Stands for the sum of squares of a replay that blew up."""
+LARGEST, SMALLEST = float(np.finfo(np.float32).max), np.finfo(float).tiny
+"""Stands for the sum of squares of a replay that blew up, and for what must not be zero."""
 
 MOST_DOUBTFUL = 6
 """Most blocks of a fit for which that is replayed, those that grow most; the others keep what the linear model says."""
 
 MOST_STEPS = 10
-"""Most steps of a fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends at 1."""
+"""Most steps of a fit; measured on hidden machines, five of them left a joint at 1.7 noise floors that ends at 1.
 
-CONVERGED = 2e-3
-"""A fit has converged when the sum of squares falls by less than this share."""
+A fit has converged when the error would fall by less than ``RULES.gain`` in so many steps as the last one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +67,7 @@ def solve(
         h = hessian[np.ix_(index, index)] + np.diag(scale[index])
         g = gradient[index] - hessian[np.ix_(index, np.flatnonzero(~inside_bounds))] @ step[~inside_bounds]
         step[index] = scaled_solution(h, g, 1e-12)
-        out = inside_bounds & ((at + step < low - 1e-15) | (at + step > high + 1e-15))
+        out = inside_bounds & ((at + step < low) | (at + step > high))
         if not out.any():
             break
         step[out] = np.clip(at[out] + step[out], low[out], high[out]) - at[out]
@@ -78,7 +77,7 @@ def solve(
 
 def scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> FloatArray:
     """Return the solution of normal equations whose unknowns have units of their own, scaled to a diagonal of ones."""
-    d = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    d = 1.0 / np.sqrt(np.maximum(np.diag(hessian), SMALLEST))
     return d * np.linalg.lstsq(hessian * d[:, None] * d[None], gradient * d, rcond=rcond)[0]
 
 
@@ -180,7 +179,7 @@ def fitting(
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         stale = stale or winner > 0
-        if not winner or (1 - best / before < CONVERGED).all():
+        if not winner or (1 - best / before < 2 * RULES.gain / MOST_STEPS).all():
             break
     if every and free_parameters and stale:
         points, groups, sizes = problem.difference_points(point, free_parameters)
@@ -322,7 +321,7 @@ def _by_linear_model(fitted: Fit, problem: Problem) -> Judged:
     total = s.weighed_over(train)[0] + np.diag(prior(fitted.free_parameters) * s.weight)
     low_high = np.array([k.bounds for k in fitted.free_parameters]).reshape(-1, 2)
     at = fitted.point.read(fitted.free_parameters)
-    inside_bounds = (at > low_high[:, 0] + 1e-12) & (at < low_high[:, 1] - 1e-12)
+    inside_bounds = (at > low_high[:, 0]) & (at < low_high[:, 1])
     index = np.flatnonzero(inside_bounds)
     moves = np.zeros((len(train), len(at)))
     stacked = np.stack([fitted.columns[i] for i in index]) if len(index) else None
@@ -344,7 +343,7 @@ def _trials(fitted: Fit, problem: Problem, made: Judged) -> tuple[BoolArray, lis
     """
     own = problem.channel_chain[:, None] == np.arange(int(problem.machine.chain.max()) + 1)
     inside = np.minimum(problem.block_squares(fitted.residual)[problem.blocks.train], LARGEST)
-    growth = (made[0] @ own) / np.maximum(inside @ own, 1e-9)
+    growth = (made[0] @ own) / np.maximum(inside @ own, SMALLEST)
     doubt = growth > RULES.doubtful
     doubt[np.argsort(-growth.max(1))[MOST_DOUBTFUL:]] = False
     rows = np.flatnonzero(doubt.any(1))
@@ -404,7 +403,7 @@ def correlations(fitted: Fit, problem: Problem) -> Correlations | None:
         return None
     hessian, scale = _information(fitted, problem), np.array([k.step for k in fitted.free_parameters])
     covariance = np.linalg.pinv(hessian * scale[:, None] * scale[None], hermitian=True)
-    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    spread = np.sqrt(np.maximum(np.diag(covariance), SMALLEST))
     matrix = np.clip(covariance / spread[:, None] / spread[None], -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
     names = tuple(k.called(problem.machine.joints) for k in fitted.free_parameters)

@@ -23,6 +23,7 @@ from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray, IntArray
+from mimic.sysid.log.noise import MEMORY, speed
 from mimic.sysid.log.pool import VOLTAGE, Part, enabled, rows_of, single
 from mimic.sysid.log.timing import SendingTimes, at_rows
 
@@ -33,10 +34,15 @@ UNSEEN = 0.05
 """Readings further apart than this [s] and than twice the usual: targets may have come and gone between them."""
 
 
+def on_steps(times: Any) -> Any:
+    """Return times in steps, whole where single precision does not tell."""
+    return np.where(np.abs(times - np.round(times)) < np.finfo(np.float32).eps, np.round(times), times)
+
+
 def physics_step(rate: float) -> float:
     """Return the longest step up to LONGEST_STEP [s] that divides the time between readings at ``rate`` [Hz]."""
     between = 1.0 / rate
-    return between / max(1, int(np.ceil(between / LONGEST_STEP - 1e-6)))
+    return between / max(1, int(np.ceil(on_steps(between / LONGEST_STEP))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,16 +103,15 @@ def on_grid(arrival: FloatArray, values: FloatArray, step: float, steps: int) ->
         step: Physics step [s].
         steps: How many.
     """
-    at = arrival / step
-    at = np.where(np.abs(at - np.round(at)) < 1e-6, np.round(at), at)
+    at = on_steps(arrival / step)
     cell = np.floor(at).astype(int)
-    jump = np.sqrt((np.diff(values, axis=0, prepend=values[:1]) ** 2).sum(1)) + 1e-12
+    jump = np.sqrt((np.diff(values, axis=0, prepend=values[:1]) ** 2).sum(1))
     inside = (cell >= 0) & (cell < steps)
     size, moment = np.zeros(steps), np.zeros(steps)
     np.add.at(size, cell[inside], jump[inside])
     np.add.at(moment, cell[inside], (jump * (at - cell))[inside])
     last = np.clip(np.searchsorted(cell, np.arange(steps), side="right") - 1, 0, len(values) - 1)
-    return Targets(held=values[last], begun=moment / np.maximum(size, 1e-12))
+    return Targets(held=values[last], begun=np.divide(moment, size, out=moment, where=size > 0))
 
 
 def acting(
@@ -133,10 +138,10 @@ def acting(
 LEAD_IN = 0.8
 """Time that a segment runs before its readings count [s]."""
 
-SHOOT, SHORT_LEAD_IN = 0.5, 0.1
-"""Length of short segments and what they run before [s]: filters and rotors settle, but a joint that sticks and slips
-does not get far from where it was. What it does depends on all that it did before: over a long time the error has many
-local minima, over a short one hardly any (multiple shooting; Ribeiro et al. 2020)."""
+SHOOT = 0.5
+"""Length of short segments, which run ``MEMORY`` before [s]: filters and rotors settle, but a joint that sticks and
+slips does not get far from where it was. What it does depends on all that it did before: over a long time the error has
+many local minima, over a short one hardly any (multiple shooting; Ribeiro et al. 2020)."""
 
 SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 """Segments of a log, and the least and greatest length of one [s]: steps in sequence cost more than simulations."""
@@ -144,13 +149,8 @@ SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
-
 FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
-
-
-AROUND = 0.01
-"""The velocity that a segment begins with is that between readings so long before and after [s]."""
 
 
 @contextmanager
@@ -201,7 +201,8 @@ class Replay:
         self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
-        self.total = math.ceil(t[-1] / timestep - 1e-6)
+        steps = on_steps(t / timestep)
+        self.total = math.ceil(steps[-1])
         self._lead = round(lead_in / timestep)
         if segment is None:
             total = sum(part.end - part.begin for part in self.parts)
@@ -215,8 +216,9 @@ class Replay:
         self._begin = np.maximum(first - self._lead, np.array([c[0] for c in cuts])[self._part_of])
         self._first = first
         self.length = int((last - self._begin).max())
-        self._rows = np.clip(np.floor(t / timestep + 1e-9).astype(int), 0, self.total)
-        self._part = t / timestep - self._rows
+        self._rows = np.floor(steps).astype(int)
+        self._part = steps - self._rows
+        self._speed = np.concatenate([speed(t[part.slice], log.q[part.slice]) for part in self.parts])
         self.counts = t - stretch_starts(t) >= lead_in
         """Readings that count: all but those of the settling at the beginning and after each gap (T,)."""
         asked = log.q_des if log.q_des is not None else log.q * 0.0
@@ -227,7 +229,7 @@ class Replay:
         self._grid = self.delayed(np.zeros(len(self.sent)))
         self._force = None if log.force is None else self._mean_over_steps(log.force)
         on = enabled(log)
-        row = np.clip(np.searchsorted(t, np.arange(self.total) * timestep + 1e-9, side="right") - 1, 0, len(t) - 1)
+        row = np.searchsorted(steps, np.arange(self.total), side="right") - 1
         self._most = None if on.all() else np.where(on[row], UNLIMITED, 0.0)
         self._supply = self._supply_share()
         self.readings = self._readings()
@@ -248,7 +250,7 @@ class Replay:
 
     def in_short_segments(self) -> Self:
         """Return this replay in short segments, see `SHOOT`."""
-        short = self._again(self.dt, SHOOT, SHORT_LEAD_IN).with_late(self.late)
+        short = self._again(self.dt, SHOOT, MEMORY).with_late(self.late)
         return short._with(heat=self.heat, _count=self._count)
 
     def _again(self, timestep: float, segment: float, lead_in: float = LEAD_IN) -> Self:
@@ -269,7 +271,7 @@ class Replay:
 
         No long one begins while a drive is switched off: a joint that swings freely does not forget where it began.
         """
-        begin, end = round(part.begin / self.dt), math.ceil(part.end / self.dt - 1e-6)
+        begin, end = round(part.begin / self.dt), math.ceil(on_steps(part.end / self.dt))
         cuts = np.linspace(begin, end, max(1, round((part.end - part.begin) / segment)) + 1).round().astype(int)
         off = np.concatenate([[0], np.cumsum(~enabled(self.log).all(axis=1))])
         t = self.log.t - self.log.t[0]
@@ -486,9 +488,9 @@ class Replay:
     def _readings(self) -> Readings:
         row = np.flatnonzero(self.counts)
         step, part = self._rows[row], self._part[row]
-        whole = part < 1e-6  # at the end of the step before
+        whole = part == 0  # at the end of the step before
         step, part = np.where(whole, step - 1, step), np.where(whole, 1.0, part)
-        segment = np.clip(np.searchsorted(self._first, step + 1e-9, side="right") - 1, 0, self.segments - 1)
+        segment = np.maximum(np.searchsorted(self._first, step, side="right") - 1, 0)
         step = step - self._begin[segment]
         inside = (step >= 0) & (step < self.length) | (row == 0) & (step == -1)
         row, segment, step, part = (x[inside] for x in (row, segment, step, part))
@@ -508,14 +510,9 @@ class Replay:
         )
 
     def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
-        t = self.log.t - self.log.t[0]
-        at = begin * self.dt
-        q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
-        low, high = (np.array([getattr(part, end) for part in self.parts]) for end in ("begin", "end"))
-        part = np.tile(self._part_of, len(begin) // self.segments)
-        around = np.clip(at + np.array([[-AROUND], [AROUND]]), low[part], high[part])
-        before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
-        return q, (after - before) / (around[1] - around[0])[:, None]
+        at, t = begin * self.dt, self.log.t - self.log.t[0]
+        q, dq = (np.stack([np.interp(at, t, column) for column in x.T], -1) for x in (self.log.q, self._speed))
+        return q, dq
 
     def _heat_at(self, p: Parameters) -> FloatArray | None:
         """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).

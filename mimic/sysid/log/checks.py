@@ -9,16 +9,21 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import CalibrationError
-from mimic.io.joint_log import CHANNELS, UNITS, JointLog
+from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.log.noise import LEAST_MOTION, Following, following, noise_floor, reversals, speed
-from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.log.noise import (
+    LEAST_MOTION,
+    MEMORY,
+    Following,
+    following,
+    noise_floor,
+    resolution,
+    rounding,
+    speed,
+)
+from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
 
-UNUSUAL = 1.5
-"""So many times the usual is more than usual: of the time between readings, or of the way from one to the next."""
-ANSWERED = 0.1
-"""A joint that does not read otherwise so long after its target moved does not answer [s]."""
 FOLLOWS, STRANGER = 0.9, 0.7
 """Correlation of a joint with a target that it certainly follows, and no more than badly."""
 
@@ -27,60 +32,34 @@ def gaps(log: JointLog) -> Iterator[str]:
     """Readings that are missing, too few, or read more slowly than logged."""
     steps = np.diff(log.t)
     usual = float(np.median(steps))
-    wide = np.flatnonzero(steps > UNUSUAL * usual)
-    if len(wide):
-        missing = int(np.round(steps[wide] / usual - 1).clip(1).sum())
-        longest = int(wide[steps[wide].argmax()])
+    missing = int(np.maximum(np.round(steps / usual) - 1, 0).sum())
+    if missing:
+        longest = int(steps.argmax())
         yield (
             f"about {missing} readings are missing ({missing / (missing + len(log.t)):.1%}); the longest gap is"
             f" {1e3 * steps[longest]:.0f} ms at t = {log.t[longest]:.2f} s"
         )
-    if log.rate < 100.0:
-        yield (
-            f"only {log.rate:.0f} readings a second: effects above {log.rate / 2:.0f} Hz, delays and lags are hard to"
-            " see; 200 Hz or more are better"
-        )
-    fast = np.abs(np.diff(log.q, axis=0)).max(axis=1) > 0
-    moving = np.abs(speed(log.t, log.q)).max(axis=1)[1:] > 0.2 * np.abs(speed(log.t, log.q)).max()
-    stale = float((~fast)[moving].mean()) if moving.any() else 0.0
-    if stale > 0.1:
+    repeated = (np.diff(log.q, axis=0) == 0).all(axis=1)
+    finest = np.array([resolution(x) for x in log.q.T])
+    moving = np.any(np.abs(speed(log.t, log.q))[1:] * usual > finest, axis=1)
+    stale = float(repeated[moving].mean()) if moving.any() else 0.0
+    if stale > MOST_WRONG:
         yield (
             f"{stale:.0%} of the rows repeat the reading before while the machine moves: it is read more slowly than"
             " logged, or rows are duplicated"
         )
 
 
-def units(log: JointLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
-    """Degrees for radians, thousandths for units."""
-    for name in ("q", "q_des"):
-        value = getattr(log, name)
-        if value is None:
-            continue
-        if unit == "rad":
-            furthest = np.abs(value).max(axis=0)
-            bound = np.full(len(log.joints), np.inf)
-            if limits is not None:
-                bound = np.abs(np.where(np.isfinite(limits), limits, 0.0)).max(axis=1)
-                bound[~np.isfinite(limits).any(axis=1)] = np.inf
-            turns_far = np.inf if log.metadata.get(UNITS) == "rad" else 20.0
-            far = furthest > np.where(np.isfinite(bound), 3.0 * bound + 1.0, turns_far)
-            if (far := far & (np.ptp(value, axis=0) > 2 * np.pi)).any():
-                i = int(np.argmax(np.where(far, furthest, 0.0)))
-                limit = (
-                    f"the limit of the joint is {bound[i]:.2f} rad" if np.isfinite(bound[i]) else "a turn is 6.28 rad"
-                )
-                yield (
-                    f"{name}.{log.joints[i]} reaches {furthest[i]:.1f}, and {limit}: the log seems to be in degrees;"
-                    ' multiply by pi/180, or write "units": "deg" into its notes ("rad" if that is right)'
-                )
+def units(log: JointLog) -> Iterator[str]:
+    """Degrees against radians, thousandths against units."""
     if log.q_des is None:
         return
     spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
     moves = (spread > LEAST_MOTION * noise_floor(log.q, log.rate)) & (wanted > 0)
-    ratio = np.where(moves, spread / np.maximum(wanted, 1e-300), 1.0)
+    ratio = np.divide(spread, wanted, out=np.ones(len(moves)), where=moves)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):
-            found = [joint for joint, r in zip(log.joints, of, strict=True) if abs(r / factor - 1.0) < 0.3]
+            found = [joint for joint, r in zip(log.joints, of, strict=True) if round(np.log(r / factor)) == 0]
             if found:
                 yield (
                     f"{larger} of {_list(found)} moves about {factor:.0f} times as far as the other of q and q_des:"
@@ -88,21 +67,18 @@ def units(log: JointLog, limits: FloatArray | None, unit: str) -> Iterator[str]:
                 )
 
 
-def turns(log: JointLog, unit: str) -> Iterator[str]:
-    """An encoder that wraps around."""
-    if unit != "rad":
-        return
+def wrapped(log: JointLog) -> str | None:
+    """Return where an encoder wraps around, None if none does: by a turn, give or take a step as it makes elsewhere."""
     for name in ("q", "q_des"):
-        value = getattr(log, name)
-        if value is None:
+        if (value := getattr(log, name)) is None:
             continue
         jump = np.diff(value, axis=0)
-        for i in np.flatnonzero((np.abs(np.abs(jump) - 2 * np.pi) < 0.5).any(axis=0)):
-            row = int(np.abs(jump[:, i]).argmax())
-            yield (
-                f"{name}.{log.joints[i]} jumps by {jump[row, i]:+.2f} rad at t = {log.t[row]:.2f} s: the encoder wraps"
-                " around; unwrap it"
-            )
+        size = np.abs(jump)
+        step = np.max(size, axis=0, where=size < np.pi, initial=0.0)
+        for row, i in np.argwhere((size > 2 * step) & (np.abs(size - 2 * np.pi) <= step))[:1]:
+            when = f"by {jump[row, i]:+.2f} rad at t = {log.t[row]:.2f} s"
+            return f"{name}.{log.joints[i]} jumps {when}: the encoder wraps around; unwrap it"
+    return None
 
 
 def misassigned(log: JointLog, correlation: FloatArray, moves: BoolArray) -> Iterator[str]:
@@ -144,7 +120,7 @@ def weak_following(log: JointLog, correlation: FloatArray, lag: FloatArray, move
             f"{_list([log.joints[i] for i in weak])}: target badly followed (correlation {own[worst]:.2f} at"
             f" {log.joints[worst]}): weak gains, a blocked joint, or targets that do not belong to these readings"
         )
-    early = np.flatnonzero(moves & (own > FOLLOWS) & (lag < -UNUSUAL / log.rate))
+    early = np.flatnonzero(moves & (own > FOLLOWS) & (np.round(lag * log.rate) < -1))
     if len(early):
         i = int(early[0])
         yield (
@@ -157,9 +133,10 @@ def stuck(log: JointLog) -> Iterator[str]:
     """Readings that are frozen or clipped."""
     asked = log.q_des if log.q_des is not None else log.force
     assert asked is not None
+    fastest = np.abs(speed(log.t, log.q)).max(axis=0) / log.rate
     for i, joint in enumerate(log.joints):
         x, wanted = log.q[:, i], asked[:, i]
-        if np.ptp(wanted) <= 1e-9:
+        if np.ptp(wanted) <= rounding(wanted):
             continue
         if np.ptp(x) == 0:
             yield (
@@ -169,29 +146,22 @@ def stuck(log: JointLog) -> Iterator[str]:
         still = np.diff(x) == 0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            seconds = log.t[stop] - log.t[start]
-            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - ANSWERED]
-            if seconds < 0.25 or np.ptp(asked_of_it) < 0.1 * np.ptp(wanted):
+            asked_of_it = wanted[start : stop + 1][log.t[start : stop + 1] <= log.t[stop] - MEMORY]
+            if not len(asked_of_it) or np.ptp(asked_of_it) < wanted.std() / 2:
                 continue
-            goes_on = abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= UNUSUAL * np.quantile(np.abs(np.diff(x)), 0.99)
             where = "its highest value" if x[start] == x.max() else "its lowest value" if x[start] == x.min() else ""
-            if where:
-                yield (
-                    f"q.{joint} stays at {where}, {x[start]:.4g}, for {seconds:.2f} s from"
-                    f" t = {log.t[start]:.2f} s while its target moves: clipped, or at a stop"
-                )
-            elif goes_on:
+            if not where and abs(x[min(stop + 1, len(x) - 1)] - x[start]) <= fastest[i]:
                 continue  # it sticks
+            when = f"{log.t[stop] - log.t[start]:.2f} s from t = {log.t[start]:.2f} s while its target moves"
+            if where:
+                yield f"q.{joint} stays at {where}, {x[start]:.4g}, for {when}: clipped, or at a stop"
             else:
-                yield (
-                    f"q.{joint} is frozen at {x[start]:.4g} for {seconds:.2f} s from t = {log.t[start]:.2f} s while its"
-                    " target moves: readings were lost"
-                )
+                yield f"q.{joint} is frozen at {x[start]:.4g} for {when}: readings were lost"
             break
 
 
-def excitation(log: JointLog, moves: BoolArray, noise: FloatArray, unit: str) -> Iterator[str]:
-    """Parameters that this motion cannot show.
+def excitation(log: JointLog, moves: BoolArray) -> Iterator[str]:
+    """Joints that this motion shows nothing of.
 
     Raises:
         CalibrationError: If nothing moves.
@@ -203,29 +173,6 @@ def excitation(log: JointLog, moves: BoolArray, noise: FloatArray, unit: str) ->
         )
     if idle:
         yield f"the target of {_list(idle)} never moves: nothing can be fitted to {'it' if len(idle) == 1 else 'them'}"
-    velocity = speed(log.t, log.q)
-    few, slow, narrow = [], [], []
-    for i in np.flatnonzero(moves):
-        span = float(np.ptp(log.q[:, i]))
-        if reversals(log.q[:, i], max(0.02 * span, 10.0 * noise[i])) < 4:
-            few.append(log.joints[i])
-        quick = float(np.quantile(np.abs(velocity[:, i]), 0.99))
-        if quick <= 0 or span / quick > 5.0:
-            slow.append(log.joints[i])
-        if unit == "rad" and span < 0.1:
-            narrow.append(log.joints[i])
-    if few:
-        yield f"{_list(few)}: fewer than four reversals, so dry friction cannot be separated from an offset"
-    if slow:
-        yield (
-            f"{_list(slow)}: no fast motion, so that viscous friction, rotor inertia and delay cannot be fitted;"
-            " add fast sines or steps"
-        )
-    if narrow:
-        yield (
-            f"{_list(narrow)}: moves by less than 0.1 rad, so that gravity hardly changes and the mass of the link"
-            " cannot be fitted; add static poses"
-        )
 
 
 def beyond(log: JointLog, limits: FloatArray | None) -> Iterator[str]:
@@ -235,24 +182,12 @@ def beyond(log: JointLog, limits: FloatArray | None) -> Iterator[str]:
     for i, joint in enumerate(log.joints):
         low, high = limits[i]
         past = np.maximum(low - log.q_des[:, i], log.q_des[:, i] - high)
-        share = float((past > 1e-6).mean())
+        share = float((past > rounding(log.q_des[:, i])).mean())
         if share > 0:
             yield (
                 f"the target of {joint} is beyond its limits ({low:.3f} to {high:.3f}) by up to {past.max():.3f} in"
                 f" {share:.1%} of the rows: the joint may rest on its stop there"
             )
-
-
-def full(log: JointLog, torque: FloatArray | None) -> Iterator[str]:
-    """Motors at their limit: a share of the readings of torque within 1 % of the largest."""
-    if log.tau is None:
-        return
-    for i, joint in enumerate(log.joints):
-        size = np.abs(log.tau[:, i])
-        top = size.max() if torque is None else torque[i]
-        share = float((size > 0.99 * top).mean())
-        if top > 0 and share > 0.02:
-            yield f"the torque of {joint} is at its limit, {top:.3g}, in {share:.1%} of the rows"
 
 
 def _list(names: list[str]) -> str:
@@ -275,15 +210,12 @@ class LogCheck:
     """What the user should know, a line each."""
 
 
-def check_log(
-    log: JointLog, limits: FloatArray | None = None, torque: FloatArray | None = None, unit: str = "rad"
-) -> LogCheck:
+def check_log(log: JointLog, limits: FloatArray | None = None, unit: str = "rad") -> LogCheck:
     """Return the properties of a usable log, with warnings.
 
     Args:
         log: Readings of a machine.
         limits: Lower and upper joint limit (J, 2), infinite where there is none.
-        torque: Largest torque of each motor (J,), where known.
         unit: Of the positions: "rad", or "m" where the joints slide.
 
     Raises:
@@ -291,9 +223,10 @@ def check_log(
     """
     log, warnings = _readable(log)
     warnings += gaps(log)
-    wrong = [*units(log, limits, unit)] or [*turns(log, unit)]
-    if wrong:
+    if wrong := list(units(log)):
         raise CalibrationError("\n".join(wrong))
+    if unit == "rad" and (fault := unit_fault(log, limits) or jump_fault(log) or wrapped(log)):
+        raise CalibrationError(fault)
     target = followed(log)
     if target is not None:
         found = following(log.t, log.q, target)
@@ -306,16 +239,16 @@ def check_log(
     assert asked is not None  # the reader refuses a log with neither
     if target is not None and log.force is not None:
         asked = np.concatenate([target, log.force], axis=1)  # a force added to the drive
-    moves = (np.ptp(asked, axis=0) > 1e-9).reshape(-1, len(log.joints)).any(axis=0)
-    warnings += [*stuck(log), *excitation(log, moves, noise, unit), *beyond(log, limits), *full(log, torque)]
+    moves = (np.ptp(asked, axis=0) > rounding(asked)).reshape(-1, len(log.joints)).any(axis=0)
+    warnings += [*stuck(log), *excitation(log, moves), *beyond(log, limits)]
     return LogCheck(log=log, noise=noise, warnings=tuple(warnings))
 
 
 def targets_match_log(log: JointLog) -> tuple[bool, str]:
     """Return whether the targets can belong to the positions, and why not.
 
-    Only what is certain is refused: targets that nothing follows, that a position precedes, or that fit far better
-    reversed or shifted in time. Whether log and model belong together is for the fit to say.
+    Only what is certain is refused: targets that a position precedes, or that nothing follows, unless reversed or
+    shifted in time. Whether log and model belong together is for the fit to say.
     """
     if log.q_des is None:
         return True, ""
@@ -330,20 +263,20 @@ def targets_match_log(log: JointLog) -> tuple[bool, str]:
         return float(np.median(np.maximum(np.diag(of.correlation), 0.0)[moving]))
 
     follows, lag = median(near), near.lag[moving]
-    if follows > FOLLOWS and (np.nan_to_num(lag) < -UNUSUAL / log.rate).all():
+    if follows > FOLLOWS and (np.round(np.nan_to_num(lag) * log.rate) < -1).all():
         early = -1e3 * float(np.median(lag))
         return False, f"positions come {early:.0f} ms before their targets; the log runs backwards in time"
+    if follows >= STRANGER:
+        return True, ""
     back = median(following(log.t, log.q, asked[::-1]))
-    if back > FOLLOWS and back > follows + 0.01:
+    if back > FOLLOWS:
         return False, f"positions follow the targets read backwards (correlation {back:.3f}, forwards {follows:.3f})"
-    far = following(log.t, log.q, asked, (-0.4 * log.duration, 0.4 * log.duration))
-    if median(far) > FOLLOWS and median(far) > follows + 0.1:
+    far = following(log.t, log.q, asked, (-log.duration / 2, log.duration / 2))
+    if median(far) > FOLLOWS:
         late = float(np.nanmedian(far.lag[moving]))
         when = f"{abs(late):.2f} s {'before' if late > 0 else 'after'} them"
         return False, f"positions follow the targets logged {when}: two clocks, or rows that do not match"
-    if follows < STRANGER:
-        return False, f"positions do not follow the targets (correlation {follows:.2f})"
-    return True, ""
+    return False, f"positions do not follow the targets (correlation {follows:.2f})"
 
 
 def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
@@ -368,7 +301,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         if value is None or name == "dq":  # which nothing is fitted to
             continue
         finite = np.isfinite(value)
-        for i in np.flatnonzero(finite.mean(axis=0) < 0.5):
+        for i in np.flatnonzero(finite.mean(axis=0) < 1.0 - MOST_WRONG):
             share = 1.0 - finite[:, i].mean()
             what = f"{name}.{log.joints[i]} is not a number in {share:.0%} of the rows; log it, or "
             raise CalibrationError(
@@ -412,12 +345,12 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         warnings.append(f"{len(twice)} rows have the same time as the row before; left out")
         log = log.part(np.delete(np.arange(len(log.t)), twice))
     distance = float(np.median(np.diff(log.t)))
-    if distance >= 0.5:
+    if 2 * distance >= BETWEEN:
         raise CalibrationError(
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"
         )
-    if log.duration + 2.0 * distance + 0.02 < SHORTEST:  # a log of 5 s ends a target before
+    if round(log.duration, 1) < SHORTEST:  # a log of 5 s ends a target before
         raise CalibrationError(
             f"the log lasts {log.duration:.2f} s by its column t (in seconds);"
             f" {SHORTEST:g} s are needed, 120 s are good"

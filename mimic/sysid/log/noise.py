@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm, truncnorm
 
 from mimic.records import BoolArray, FloatArray
@@ -21,51 +22,54 @@ Rounding is a 3.5th of a step and in the floor too: where readings agree by a ha
 LEAST_MOTION = 4.0
 """A joint that moves by no more than so many noise floors rests; readings of one that rests agree with each other."""
 
-WINDS = 8.0
-"""Bins in the finest step."""
-
 MOST_BINS = 1 << 24
-"""Steps are not looked for in a motion over more bins: it turns a hundred times and more."""
+"""Steps are not looked for in a motion over more bins, half a noise floor each: it turns a hundred times and more."""
 
 LEAST_LEVELS = 6
 """Fewest steps in the range of motion: few places of a slow joint agree by themselves."""
 
+SMOOTH = 0.03
+"""Time over which signals are averaged where their noise would hide what they do [s]."""
+
+MEMORY = 0.1
+"""Time in which a drive answers its target, and forgets where it was [s]."""
+
+LOW = 0.1
+"""Quantile of the blocks of a log that its noise is taken from."""
+
+
+def rounding(x: FloatArray) -> FloatArray:
+    """Return what single precision rounds off signals (T, J): less is no difference."""
+    return np.finfo(np.float32).eps * np.abs(x).max(axis=0)
+
 
 def resolution(x: FloatArray) -> float:
-    """Return the step of a quantised signal, 0 where it has none: the smallest difference that many values share."""
-    values = np.unique(x)
-    if len(values) < 2:
-        return 0.0
-    steps = np.diff(values)
-    scale = max(float(np.abs(values).max()), float(values[-1] - values[0]))
-    steps = steps[steps > 1e-9 * scale]  # floating point
-    if not len(steps):
-        return 0.0
-    step = float(np.quantile(steps, 0.02))
-    on_grid = np.abs(steps / step - np.round(steps / step)) < 0.1
-    return step if on_grid.mean() > 0.9 else 0.0
+    """Return the smallest difference of values (T,): the step of a quantised signal, next to nothing of others."""
+    steps = np.diff(np.unique(x))
+    steps = steps[steps > rounding(x)]
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> FloatArray:
     """Return the standard deviation of white noise on each signal (T, J), motion left out.
 
-    Third differences leave little of a smooth motion; blocks of half a second in which the machine moves fast are
-    avoided by taking a low quantile of the blocks, whose bias is removed. No less than the resolution allows.
+    Third differences leave little of a smooth motion; blocks in which the machine moves fast are avoided by taking a
+    low quantile of the blocks, whose bias is removed. No less than the resolution allows.
 
     Args:
         x: Signals, evenly sampled.
         rate: Readings per second [Hz].
         known: Rows that were read (T,), all by default; what is filled in between has no resolution.
     """
-    rows, kernel = max(int(0.5 * rate), 32), np.array([1.0, -3.0, 3.0, -1.0])
+    rows, kernel = max(int(rate / 2), 32), np.array([1.0, -3.0, 3.0, -1.0])
     power = kernel @ kernel
     alike = np.correlate(kernel, kernel, "full") / power  # autocorrelation of the differences of white noise
     third = np.diff(x, 3, axis=0)
     blocks = [third[i : i + rows] for i in range(0, len(third) - rows + 1, rows)] or [third]
     variances = np.array([_variance(b) for b in blocks])
     live = np.where(variances > 0, variances, np.nan)  # a frozen reading tells nothing
-    low = np.nan_to_num([np.nanquantile(c, 0.1) if np.isfinite(c).any() else 0.0 for c in live.T])
-    shrunk = max(1.0 - 1.2816 * np.sqrt(2.0 * (alike @ alike) / rows), 0.3) if len(blocks) > 5 else 1.0
+    low = np.nan_to_num([np.nanquantile(c, LOW) if np.isfinite(c).any() else 0.0 for c in live.T])
+    shrunk = 1.0 + norm.ppf(LOW) * np.sqrt(2.0 * (alike @ alike) / rows)
     white = np.sqrt(low / power / shrunk)
     return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in (x if known is None else x[known]).T])
 
@@ -84,7 +88,7 @@ class Following:
     correlation: FloatArray
     """Of position i with target j (J, J), each at its best lag; negative where it is so by far more."""
     lag: FloatArray
-    """Of each position behind its own target (J,) [s]; NaN where it does not follow."""
+    """Of each position behind its own target (J,) [s]; NaN where one of them rests."""
     moves: BoolArray
     """Whether the target moves (J,)."""
 
@@ -94,13 +98,13 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
 
     Slow offsets are removed first, so that gravity and calibration of the encoder do not count.
     """
-    dt = max(float(np.median(np.diff(t))), 0.002)
+    dt = float(np.median(np.diff(t)))
     clock = np.arange(t[0], t[-1], dt)
     held = np.clip(np.searchsorted(t, clock, side="right") - 1, 0, len(t) - 1)
     x = _centred(np.stack([np.interp(clock, t, c) for c in q.T], -1), dt)
     y = _centred(target[held], dt)
     spread_x, spread_y = x.std(axis=0), y.std(axis=0)
-    moves = np.ptp(target, axis=0) > 1e-9
+    moves = np.ptp(target, axis=0) > rounding(target)
     shifts = np.arange(round(lags[0] / dt), round(lags[1] / dt) + 1)
     size = 1 << int(np.ceil(np.log2(2 * len(clock))))
     fx, fy = np.fft.rfft(x, size, axis=0), np.fft.rfft(y, size, axis=0)
@@ -114,16 +118,14 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
         late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
         rows = min(len(late), len(early))
         correlation[i, j] = np.corrcoef(late[:rows], early[:rows])[0, 1]
-        if i == j and abs(correlation[i, j]) > 0.5:
+        if i == j:
             lag[i] = (shift + _vertex(np.abs(curve), k)) * dt
     return Following(correlation=np.nan_to_num(correlation), lag=lag, moves=moves)
 
 
 def _centred(x: FloatArray, dt: float) -> FloatArray:
     """Return signals less their slow part (moving mean of 4 s)."""
-    from scipy.ndimage import uniform_filter1d
-
-    return x - uniform_filter1d(x, min(max(int(4.0 / dt), 3), len(x)), axis=0, mode="nearest")
+    return x - uniform_filter1d(x, int(4.0 / dt), axis=0, mode="nearest")
 
 
 def _vertex(curve: FloatArray, k: int) -> float:
@@ -132,30 +134,18 @@ def _vertex(curve: FloatArray, k: int) -> float:
         return 0.0
     a, b, c = curve[k - 1 : k + 2]
     bend = a - 2 * b + c
-    return 0.0 if bend >= 0 else float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5))
+    return 0.0 if bend >= 0 else 0.5 * (a - c) / bend
+
+
+def smooth(t: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the moving mean of signals (T, ...) over ``SMOOTH``."""
+    rows = int(SMOOTH / 2 / float(np.median(np.diff(t))))
+    return uniform_filter1d(x, 2 * rows + 1, axis=0, mode="nearest")
 
 
 def speed(t: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the speed of each joint (T, J), smoothed over 30 ms."""
-    from scipy.ndimage import uniform_filter1d
-
-    rows = max(round(0.03 / float(np.median(np.diff(t)))), 1)
-    return np.gradient(uniform_filter1d(q, rows, axis=0, mode="nearest"), t, axis=0)
-
-
-def reversals(x: FloatArray, least: float) -> int:
-    """Return how often a signal (T,) turns back by more than ``least``."""
-    turns, direction, extreme = 0, 0, float(x[0])
-    for value in x[:: max(1, len(x) // 20000)]:
-        if direction >= 0 and value < extreme - least:
-            turns += direction > 0
-            direction, extreme = -1, float(value)
-        elif direction <= 0 and value > extreme + least:
-            turns += direction < 0
-            direction, extreme = 1, float(value)
-        elif (direction > 0 and value > extreme) or (direction < 0 and value < extreme):
-            extreme = float(value)
-    return turns
+    """Return the speed of each joint (T, J), smoothed."""
+    return smooth(t, np.gradient(q, t, axis=0))
 
 
 def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -177,16 +167,15 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
 
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
-    every = max(1, len(q) // 3000)
     there = np.zeros(len(q), dtype=bool)
     there[1:-1] = np.abs(q[2:] - q[:-2]) > LEAST_MOTION * noise
-    moving, q = (q - q.mean())[there], (q - q.mean())[::every]
-    most, spacing = 1.0 / max(FINEST_STEP * noise, 1e-4), 1.0 / (6.0 * max(float(np.ptp(q)), 1e-6))
-    least = LEAST_LEVELS / max(float(np.ptp(moving)), 1e-6) if len(moving) else np.inf
-    if most <= least:
+    q = q - q.mean()
+    moving = q[there]
+    if not there.any() or np.ptp(moving) <= LEAST_LEVELS * FINEST_STEP * noise:
         return 0.0, 1.0
-    width = 1.0 / (WINDS * most)  # of a bin: readings in it agree in phase by more than 0.99
-    bins = max(1.0 / (spacing * width), np.ptp(q) / width)
+    least, most, spacing = LEAST_LEVELS / np.ptp(moving), 1.0 / (FINEST_STEP * noise), 1.0 / (6.0 * np.ptp(q))
+    width = noise / 2  # of a bin: readings in it agree in phase by more than 0.9
+    bins = 1.0 / (spacing * width)
     if bins > MOST_BINS:
         return 0.0, 1.0
     counts = np.bincount(((q - q.min()) / width).astype(int))

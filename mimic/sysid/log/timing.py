@@ -27,14 +27,11 @@ SENT_COLUMN = "t_send."
 LEAST_TARGETS = 20
 """Fewest targets of which a rate is looked for."""
 
-OUTSIDE = 0.02
-"""Share of a bracket by which a periodic clock may miss it: rounding of the times in the file."""
-
 MOST_WRONG = 0.2
 """Share that may be wrong of a whole that counts: of rows, or of targets that miss their bracket on a steady clock."""
 
 ALIKE = 2e-5
-"""Two sets of times that differ by less, beside a constant, are one: it moves no joint by its noise [s]."""
+"""Times that differ by less are one: it moves no joint by its noise [s]."""
 
 MOST_RATES = 100000
 """Most rates that are tried, the lowest ones: single targets that come 1 ms apart would ask for any number."""
@@ -131,10 +128,9 @@ def _periodic(low: FloatArray, high: FloatArray) -> tuple[FloatArray, float] | N
     """
     if len(low) < LEAST_TARGETS or (count := _periods(low, high)) is None:
         return None
-    width = float(np.median(high - low))
     for bends in (0, int((high[-1] - high[0]) / BEND)):
         clock, slack, missed = _through(_basis(count, bends), low, high)
-        if (missed > OUTSIDE * width).mean() <= MOST_WRONG:
+        if (missed > ALIKE).mean() <= MOST_WRONG:
             return np.clip(clock, low, high), slack
     return None
 
@@ -146,13 +142,12 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     """
     middle = (low + high) / 2
     gaps = np.diff(middle)
-    first = middle[: min(len(middle), 100)] - middle[0]
-    rates = np.arange(0.4 / np.quantile(gaps, 0.1), 1.3 / max(gaps.min(), 1e-3), 0.1 / first[-1])
-    rates = rates[:MOST_RATES]
+    first = middle[:100] - middle[0]
+    least, most, apart = 0.4 / np.quantile(gaps, 0.1), 1.3 / gaps.min(), 0.1 / first[-1]
+    rates = least + apart * np.arange(min(np.ceil((most - least) / apart), MOST_RATES))
     if not len(rates):
         return None
-    parts = np.array_split(rates, max(len(rates) // 1000, 1))
-    together = np.concatenate([np.abs(np.exp(2j * np.pi * p[:, None] * first).mean(axis=1)) for p in parts])
+    together = np.abs(sum(np.exp(2j * np.pi * rates * at) for at in first))
     good = np.flatnonzero(together >= 0.9 * together.max())
     rate = rates[good[0] : good[0] + 10][int(np.argmax(together[good[0] : good[0] + 10]))]
     slope, start, known = 1.0 / rate, middle[0], len(first)

@@ -22,7 +22,9 @@ from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
 from mimic.sysid.fit.least_squares import (
+    LARGEST,
     MOST_STEPS,
+    SMALLEST,
     Fit,
     Judged,
     fit,
@@ -33,12 +35,10 @@ from mimic.sysid.fit.least_squares import (
     stepping,
 )
 from mimic.sysid.fit.problem import FreeParameter, Key, Point, Problem
+from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.result import RULES, Candidate, Stage
 from mimic.sysid.select.lateness import Lateness, fit_lateness, late_targets
 from mimic.sysid.select.starts import StartingPoint, predicted, starting_points
-
-INDEPENDENT = 10.0
-"""Readings a second that count in a likelihood: a drive forgets in about a tenth of a second [Hz]."""
 
 SHARED: dict[Key, Key] = {("joint_delay", "time"): ("delay", "time")}
 """Numbers of joints that are a baseline parameter of the machine where they are alike in all."""
@@ -108,7 +108,7 @@ def compare(
     error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
     left = float(bad.sum() - whole.sum())
     return Comparison(
-        gain=float(0.5 * np.log(max(bad.sum(), 1e-12) / max(good.sum(), 1e-12))),
+        gain=float(0.5 * np.log(max(bad.sum(), SMALLEST) / max(good.sum(), SMALLEST))),
         z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > RULES.material] - price)),
         share=float(bad.sum() - good.sum()) / left if left > 0.0 else 0.0,  # noise explains all: nothing to remove
     )
@@ -122,13 +122,14 @@ def _price(numbers: int, readings: float) -> float:
 def _score(problem: Problem, squares: FloatArray, numbers: int) -> float:
     """Return the log of the probability of blocks (B_train, C) that were left out, less the price of the numbers."""
     count = _independent(problem)
-    size = np.maximum(squares.sum(0) / max(int(problem.blocks.fitted.sum()), 1), 1e-12)
+    size = np.maximum(squares.sum(0) / max(int(problem.blocks.fitted.sum()), 1), SMALLEST)
     return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
 
 
 def _independent(problem: Problem) -> float:
+    """Return how many readings count in a likelihood: one for each time in which a drive forgets."""
     readings = max(int(problem.blocks.fitted.sum()), 1)
-    return max(readings * min(INDEPENDENT / problem.replay.log.rate, 1.0), 2.0)
+    return max(readings * min(1.0 / (MEMORY * problem.replay.log.rate), 1.0), 2.0)
 
 
 def _rank_score(d: FloatArray) -> float:
@@ -295,7 +296,7 @@ def _candidate(problem: Problem, t: Trial, best: Trial | None = None) -> Candida
     if best is not None:
         why = "" if best is t else why or "another effect explains more"
     if best is not None and t.finished:  # what one linear step promises is no probability
-        odds = float(np.exp(np.clip(t.score(problem) - best.score(problem), -700.0, 700.0)))
+        odds = float(np.exp(min(t.score(problem) - best.score(problem), np.log(LARGEST))))
         apart = 0.0 if best is t else compare(problem, best.squares, t.squares, best.numbers - t.numbers).z
     return Candidate(
         name=t.name,
@@ -611,7 +612,7 @@ def _is_none(model: FittedModel, k: FreeParameter) -> bool:
     """Return whether a number is at the bound at which it is none."""
     none = float(neutral(*k.key, model.problem.machine)[max(k.joint, 0)])
     value = model.fitted.point.at(k)
-    return abs(value - none) < 1e-12 and min(abs(value - b) for b in k.bounds) < 1e-9
+    return value == none and value in k.bounds
 
 
 def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
