@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -43,6 +44,9 @@ from mimic.sysid.unexplained import (
     stopped_at,
     unexplained_residuals,
 )
+
+STEP_SHARE = 0.85
+"""Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
 
 OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
 """Their baseline parameters: motor constants scale all torques, so that masses must be known, and behind the gear of a
@@ -111,8 +115,11 @@ def calibrate(
     problem = problem.without(~np.isfinite(first).all(-1))
     nominal = errors_of(problem, first)
 
+    steps = itertools.count(1)
+
     def tick(text: str) -> None:
-        report(text, problem.replay.replays)
+        done = 1.0 - STEP_SHARE ** next(steps)
+        report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
 
     before = _baseline(problem, settings, tick)
     problem = before.problem

@@ -13,6 +13,7 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
+from mimic.sysid.log.noise import LOW
 from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
 SHORT, LEAST_BLOCKS = 9.5, 16
@@ -30,8 +31,8 @@ ODD = 5.0
 LEAST_ODD = 0.5e-3
 """[s]; what is less hardly matters."""
 
-SPIKE = 100.0
-"""Speed to a single reading and back from it, from which on no machine moved so [rad/s or m/s]."""
+FAR = 10.0
+"""A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,12 +119,24 @@ class Sums:
 
 
 def spikes(log: JointLog) -> BoolArray:
-    """Return the position readings (T, J) that are far above or below both neighbours: corrupt frames."""
-    t, q = log.t, np.where(np.isfinite(log.q), log.q, np.nan)
+    """Return the position readings (T, J) that are far off the line through their neighbours: corrupt frames.
+
+    Far is what neither the motion there nor the noise of the log comes near.
+    """
+    t, q = log.t[:, None], np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
-    up, down = np.diff(q[:-1], axis=0), -np.diff(q[1:], axis=0)
-    times = np.maximum(np.diff(t)[:-1], np.diff(t)[1:])[:, None]
-    found[1:-1] = (up * down > 0) & (np.minimum(np.abs(up), np.abs(down)) > SPIKE * times)
+    if len(q) < 5:
+        return found
+    slope = (q[3:-1] - q[1:-3]) / (t[3:-1] - t[1:-3])
+    before, off, after = (
+        np.abs(q[k : len(q) - 4 + k] - q[1:-3] - slope * (t[k : len(q) - 4 + k] - t[1:-3])) for k in (0, 2, 4)
+    )
+    for j, own in enumerate(off.T):
+        known = own[np.isfinite(own)]
+        steps = known[known > np.finfo(known.dtype).eps * np.nanmax(np.abs(q[:, j]), initial=0.0)]
+        if len(steps):  # the median is that of an encoder's steps, where the joint rests
+            usual = max(np.quantile(known, 1.0 - LOW), np.median(steps))
+            found[2:-2, j] = own > FAR * np.maximum(np.maximum(before[:, j], after[:, j]), usual)
     return found
 
 

@@ -271,6 +271,16 @@ def test_a_single_corrupt_reading_is_left_out_and_reported(log: JointLog) -> Non
     assert np.abs(facts.log.q).max() < 1.0
 
 
+def test_readings_that_drop_to_zero_are_left_out_wherever_the_joint_is(log: JointLog) -> None:
+    rng = np.random.default_rng(1)
+    lost = np.sort(rng.choice(np.arange(10, len(log.t) - 10, 5), 30, replace=False))
+    q = np.array(log.q)
+    q[lost, 1] = 0.0
+    left_out = ~valid_samples(check_log(replace(log, q=q), LIMITS).log)
+    assert set(np.flatnonzero(left_out)) <= set(lost)
+    assert np.abs(log.q[lost, 1][~left_out[lost]]).max(initial=0.0) < 0.02
+
+
 def test_fast_moves_are_no_corrupt_readings(log: JointLog) -> None:
     assert valid_samples(check_log(log, LIMITS).log).all()
 
