@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import signal
 
 from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.replay import SEGMENT, SHOOT, Replay, Targets
-from mimic.sysid.log.noise import speed
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
 from mimic.sysid.result import RULES
@@ -112,19 +112,21 @@ def stack(points: Sequence[Point], machine: MachineModel) -> dict[Key, FloatArra
 def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
     log, drives = replay.log, replay.machine.drives
+    t = log.t - log.t[0]
+    low_pass = signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos")
     pieces = [part.slice for part in replay.parts]
-    q, tau = log.q, log.tau
-    dq = np.concatenate([speed(log.t[rows], q[rows]) for rows in pieces])
-    ddq = np.concatenate([speed(log.t[rows], dq[rows]) for rows in pieces])
+    q = np.concatenate([signal.sosfiltfilt(low_pass, log.q[rows], axis=0) for rows in pieces])
+    dq = np.concatenate([np.gradient(q[rows], t[rows], axis=0) for rows in pieces])
+    ddq = np.concatenate([np.gradient(dq[rows], t[rows], axis=0) for rows in pieces])
+    tau = log.tau
     if tau is None:
         kp, kd = replay.row_gains
         tau = kp * ((q if log.q_des is None else log.q_des) - q) - kd * dq
         tau = tau + (0.0 if log.force is None else log.force)
     limit = np.asarray(drives.torque)
     rows = (q - q.mean(0), dq, ddq, np.clip(tau, -limit, limit))
-    least = np.finfo(np.float32).eps  # of a joint at rest
-    position, velocity, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), least) for r in rows)
-    return position, velocity, acceleration, torque
+    position, speed, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), 1e-9) for r in rows)
+    return position, speed, acceleration, torque
 
 
 FINE = 3

@@ -46,7 +46,7 @@ def test_a_chain_that_lacks_an_effect_does_not_bend_what_all_share(pair, log_of,
     errors = [abs(f.point.values["delay", "time"][0] - 0.011) for f in (first, again)]
     assert errors[1] < 0.5 * errors[0]
     left = [problem.mean_squares(f.residual, True)[1] for f in (first, again)]
-    assert left[0] > 10.0
+    assert left[0] > 5.0
     assert left[1] < 1.3
 
 
