@@ -23,7 +23,7 @@ from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
 from mimic.records import FloatArray, IntArray
-from mimic.sysid.log.noise import MEMORY, speed
+from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import VOLTAGE, Part, enabled, rows_of, single
 from mimic.sysid.log.timing import SendingTimes, at_rows
 
@@ -153,6 +153,10 @@ FEW = 400
 """Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
 
 
+AROUND = 0.01
+"""The velocity that a segment begins with is that between readings so long before and after [s]."""
+
+
 @contextmanager
 def _unheard() -> Iterator[None]:
     """Silence MuJoCo's warnings about diverging simulations: extreme parameters are tried on purpose.
@@ -218,7 +222,6 @@ class Replay:
         self.length = int((last - self._begin).max())
         self._rows = np.floor(steps).astype(int)
         self._part = steps - self._rows
-        self._speed = np.concatenate([speed(t[part.slice], log.q[part.slice]) for part in self.parts])
         self.counts = t - stretch_starts(t) >= lead_in
         """Readings that count: all but those of the settling at the beginning and after each gap (T,)."""
         asked = log.q_des if log.q_des is not None else log.q * 0.0
@@ -510,9 +513,14 @@ class Replay:
         )
 
     def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
-        at, t = begin * self.dt, self.log.t - self.log.t[0]
-        q, dq = (np.stack([np.interp(at, t, column) for column in x.T], -1) for x in (self.log.q, self._speed))
-        return q, dq
+        t = self.log.t - self.log.t[0]
+        at = begin * self.dt
+        q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
+        low, high = (np.array([getattr(part, end) for part in self.parts]) for end in ("begin", "end"))
+        part = np.tile(self._part_of, len(begin) // self.segments)
+        around = np.clip(at + np.array([[-AROUND], [AROUND]]), low[part], high[part])
+        before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
+        return q, (after - before) / (around[1] - around[0])[:, None]
 
     def _heat_at(self, p: Parameters) -> FloatArray | None:
         """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).
