@@ -14,26 +14,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.runners import OnPolicyRunner
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
-from mimic.train.mirror import with_mirrored
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
+from mimic.train.runner import QuietLogger, Ranks, Report, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import compare_contracts, take_over
 
 log = logging.getLogger(__name__)
 
-
-GAMMA, LAM, CLIP = 0.99, 0.95, 0.2
-"""Discount of a control step, of an advantage besides, and limit on the ratio of probabilities: PPO's usual ones."""
-
-FIRST_STD = 1.0
-"""Spread of the actions of a policy that has learned nothing."""
 
 REACHING_SHARE = 0.4
 """Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
@@ -43,15 +37,9 @@ SAVE_EVERY = 100
 
 
 def runner_config(settings: LearnSettings) -> dict[str, Any]:
-    """Return the settings in the form rsl_rl takes."""
-    model = {
-        "class_name": "MLPModel",
-        "hidden_dims": list(settings.hidden),
-        "activation": "elu",
-        "obs_normalization": True,
-    }
-    spread = {"init_std": FIRST_STD, "std_type": "log", "std_range": list(settings.std_range)}
-    mirrored = {"data_augmentation_func": with_mirrored, "use_mirror_loss": True, "mirror_loss_coeff": settings.mirror}
+    """Return the settings in the form rsl_rl takes, whose defaults hold for what is not named."""
+    model = {"class_name": "MLPModel", "hidden_dims": list(settings.hidden), "obs_normalization": True}
+    spread = {"std_type": "log", "std_range": list(settings.std_range)}
     return {
         "num_steps_per_env": settings.steps,
         "save_interval": SAVE_EVERY,
@@ -63,17 +51,11 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "class_name": "mimic.train.captured:CapturedPPO",
             "num_learning_epochs": settings.epochs,
             "num_mini_batches": settings.minibatches,
-            "clip_param": CLIP,
-            "gamma": GAMMA,
-            "lam": LAM,
-            "value_loss_coef": 1.0,
             "entropy_coef": settings.entropy,
             "learning_rate": settings.learning_rate,
-            "schedule": "adaptive",
             "desired_kl": settings.desired_kl,
-            "max_grad_norm": 1.0,
             "use_clipped_value_loss": False,
-            "symmetry_cfg": mirrored if settings.mirror else None,
+            "mirror_coef": settings.mirror,
             "reaching_coef": settings.reaching,
         },
     }
@@ -131,7 +113,7 @@ def train(
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
     env = kind(description, mdp, device, learn.seed + 1000 * ranks.rank)
     with contextlib.redirect_stdout(io.StringIO()):
-        runner = Runner(env, runner_config(learn), str(folder), device)
+        runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = QuietLogger
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 import torch
-from tensordict import TensorDict
 
 from mimic.policy.contract import AVERAGED, FRAME_SIZE, TERMS
 
@@ -68,15 +66,3 @@ def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     names = tuple(name for name, _ in TERMS) * (observations.shape[1] // FRAME_SIZE)
     order, signs = _image(observations.device, names)
     return observations[:, order] * signs
-
-
-def with_mirrored(env: Any, obs: TensorDict | None, actions: torch.Tensor | None) -> tuple[Any, Any]:
-    """Return observations and actions followed by their mirror images, in the form rsl_rl asks for."""
-    del env
-    both_obs = both_actions = None
-    if obs is not None:
-        seen = torch.cat([obs["policy"], mirrored_observations(obs["policy"])])
-        both_obs = TensorDict({"policy": seen}, batch_size=[len(seen)])
-    if actions is not None:
-        both_actions = torch.cat([actions, mirrored_actions(actions)])
-    return both_obs, both_actions

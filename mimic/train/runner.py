@@ -1,9 +1,7 @@
-"""The runner and the logger of rsl_rl for one process or several (torchrun), and what all processes agree on."""
+"""The logger of rsl_rl for one process or several (torchrun), and what all processes agree on."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 import os
 import time
@@ -12,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
 from mimic.errors import ConfigError, MimicError
@@ -51,11 +48,9 @@ class Ranks:
             ConfigError: If it is not there.
         """
         device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
-        if not device.startswith("cuda"):
-            return device
-        if not torch.cuda.is_available():
+        if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-        if self.count == 1:
+        if self.count == 1 or not device.startswith("cuda"):
             return device
         if self.local >= torch.cuda.device_count():
             raise ConfigError(
@@ -64,20 +59,6 @@ class Ranks:
             )
         torch.cuda.set_device(self.local)
         return f"cuda:{self.local}"
-
-
-class Runner(OnPolicyRunner):
-    """rsl_rl's runner, with processes on CPUs too."""
-
-    def _configure_multi_gpu(self) -> None:
-        ranks = Ranks.of_environment()
-        if ranks.count == 1 or str(self.device).startswith("cuda"):
-            super()._configure_multi_gpu()
-            return
-        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = ranks.count, ranks.local, ranks.rank
-        self.is_distributed = True
-        self.cfg["multi_gpu"] = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.count}
-        torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
 
 
 class QuietLogger(Logger):
@@ -144,19 +125,11 @@ class QuietLogger(Logger):
     def _write(self, it: int, elapsed: float, figures: dict[str, Any]) -> None:
         rewards, lengths, count = self._ended.tolist()
         self._ended.zero_()
-        if count:
-            self.rewbuffer.clear()
-            self.lenbuffer.clear()
-            self.rewbuffer.append(rewards / count)
-            self.lenbuffer.append(lengths / count)
-        row: dict[str, float] = {}
+        self.tot_timesteps += self.cfg["num_steps_per_env"] * self.num_envs * self.gpu_world_size
+        row = {f"loss/{name}": value for name, value in figures["loss_dict"].items()}
         for extras in self.ep_extras:  # one wait for the device instead of one a figure
             row |= dict(zip(extras, torch.stack([v.float() for v in extras.values()]).tolist(), strict=True))
-        for name, value in row.items():
-            self.writer.add_scalar(name, value, it)  # type: ignore[union-attr]
         self.ep_extras.clear()
-        with contextlib.redirect_stdout(io.StringIO()):
-            super().log(it=it, **figures)
         row |= {
             "reward": rewards / count if count else math.nan,
             "episode": lengths / count if count else math.nan,
@@ -167,5 +140,7 @@ class QuietLogger(Logger):
             "steps": self.tot_timesteps,
             "elapsed_s": elapsed,
         }
+        for name, value in row.items():
+            self.writer.add_scalar(name, value, it)  # type: ignore[union-attr]
         if self._report is not None:
             self._report(it, row)

@@ -13,16 +13,30 @@ from mimic.errors import ConfigError
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
+from rsl_rl.runners import OnPolicyRunner  # noqa: E402
+
 from mimic.robot.description import load_description  # noqa: E402
+from mimic.train import learn  # noqa: E402
 from mimic.train.learn import runner_config  # noqa: E402
-from mimic.train.runner import Ranks, Runner  # noqa: E402
+from mimic.train.runner import Ranks  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 together = pytest.mark.skipif(
     not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="PyTorch without gloo"
 )
 MDP = MdpSettings(worlds=2, history=2)
-LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, reaching=0.0)
+LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, reaching=0.0, mirror=0.0)
+
+
+class RunnerOnCpus(OnPolicyRunner):
+    """rsl_rl's runner, which has several processes on GPUs only."""
+
+    def _configure_multi_gpu(self) -> None:
+        ranks = Ranks.of_environment()
+        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = ranks.count, ranks.local, ranks.rank
+        self.is_distributed = True
+        self.cfg["multi_gpu"] = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.count}
+        torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
 
 
 def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
@@ -31,8 +45,8 @@ def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
     config = runner_config(LEARN)
     if plain:
         config["algorithm"]["class_name"] = "PPO"
-        del config["algorithm"]["reaching_coef"]
-    runner = Runner(env, config, None, "cpu")
+        del config["algorithm"]["reaching_coef"], config["algorithm"]["mirror_coef"]
+    runner = RunnerOnCpus(env, config, None, "cpu")
     if runner.is_distributed:
         runner.alg.broadcast_parameters()
     noise = torch.Generator().manual_seed(seed)
@@ -65,6 +79,7 @@ def process(folder: str, *ports: str) -> int:
         torch.save(learned(env, 1 + rank, plain), f"{folder}/{rank}-{plain}.pt")
         torch.distributed.destroy_process_group()
     os.environ |= torchrun
+    learn.OnPolicyRunner = RunnerOnCpus  # type: ignore[misc]
     words = ["worlds=2", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
     return main(["train", f"{folder}/out", "--set", *words])
 
