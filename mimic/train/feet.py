@@ -23,18 +23,14 @@ class Feet:
         self._thigh = legs[0].thigh
         self._toe_x, _, self._toe_z = (float(v) for v in legs[0].toe)
 
-    def motion(
-        self, quat_WB: torch.Tensor, v_WB: torch.Tensor, omega_B: torch.Tensor, q: torch.Tensor, dq: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def motion(self, qpos: torch.Tensor, qvel: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return horizontal toe velocities (N, 4, 2) [m/s] and turning of the lower legs about the vertical (N, 4).
 
         Args:
-            quat_WB: Orientation of the base (N, 4).
-            v_WB: Velocity of the base's origin, world axes (N, 3) [m/s].
-            omega_B: Angular velocity of the base, base axes (N, 3) [rad/s].
-            q: Joint positions (N, 12) [rad].
-            dq: Joint velocities (N, 12) [rad/s].
+            qpos: MuJoCo's positions (N, 19).
+            qvel: MuJoCo's velocities (N, 18).
         """
+        quat_WB, q, v_WB, omega_B, dq = qpos[:, 3:7], qpos[:, 7:], qvel[:, :3], qvel[:, 3:6], qvel[:, 6:]
         abad, hip, knee = (q[:, k::3] for k in range(3))
         d_abad, d_hip, d_knee = (dq[:, k::3] for k in range(3))
         bend, d_bend = hip + knee, d_hip + d_knee

@@ -39,7 +39,7 @@ from mimic.robot.model import TOES
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
 from mimic.train.feet import Feet, sliding
-from mimic.train.rewards import BEARS, REWARD_SCALE, Facts, grown, reward_terms
+from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, stepping
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
@@ -72,6 +72,21 @@ CAPTURE_REACH = 0.05
 
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
+
+MOST_HEAT = 1.0
+"""More than this sum of squared shares is not counted: standing up and catching a push cost less."""
+
+MOST_UNREST = 6.0
+"""More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
+
+MOST_DRIFT = 0.3
+"""More than this drift is not counted [m]: a step that catches a push costs less."""
+
+BEARS = 0.2
+"""A foot is planted that bears this share of the robot's weight."""
+
+MOST_SHUFFLE = 0.3
+"""A hind toe that moves faster than this on the ground costs no more [m/s]."""
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
 
@@ -168,7 +183,8 @@ class StandTrackEnv(VecEnv, Chance):
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
-        self._weights = torch.tensor(list(self._weights_at(0.0).values()), device=device)
+        weights = self._weights_at(0.0)
+        self._rewarded, self._weights = list(weights), torch.tensor(list(weights.values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
@@ -272,6 +288,14 @@ class StandTrackEnv(VecEnv, Chance):
         cosine, sine = torch.cos(self._heading), torch.sin(self._heading)
         return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
 
+    def _follow(self) -> None:
+        """Bring up to date how each robot has moved, and where it came to rest."""
+        w = self.worlds
+        self._mean_velocity.add_((self._velocity() - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
+        self._load.copy_(w.load())
+        self._settled = self.moves.settled & self._tracking() & (self._rank < self._rest_share)
+        self._anchor.copy_(torch.where(self._settled[:, None], self._anchor, w.qpos[:, :2]))
+
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
 
@@ -284,14 +308,16 @@ class StandTrackEnv(VecEnv, Chance):
         self._measure()
         self._command()
         low = w.lowest()
+        self._follow()
         terms, failed, figures = self._evaluate(finite, low)
-        reward = REWARD_SCALE * (torch.stack(list(terms.values())) * self._weights[:, None]).sum(0)
+        earned = torch.stack([terms[name] for name in self._rewarded])
+        reward = REWARD_SCALE * (earned * self._weights[:, None]).sum(0)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
         self._done.copy_(failed | self._time_out | ~finite)
         self._dq_before.copy_(w.qvel[:, 6:])
         self._q_before.copy_(w.qpos[:, 7:])
-        self._remember(terms, figures, finite)
+        self._remember(earned, figures, finite)
         self._push()
         self._reset(self._done)
         self._observe(self._done, low)
@@ -337,121 +363,140 @@ class StandTrackEnv(VecEnv, Chance):
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        """Return the reward terms in the order of the weights, which worlds failed (N,), and figures for the log."""
-        facts = self._facts(finite, low)
-        return reward_terms(facts, self.settings.swing_height, self.description), facts.fallen, self._figures(facts)
-
-    def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
-        w = self.worlds
-        up, step = self._up, self.episode_length_buf
-        toes = w.site_xpos[:, self._toe_sites]
-        hind = w.site_xpos[:, self._toe_sites[2:]]
-        self._toes_at_start.copy_(torch.where((step == 1)[:, None, None], hind, self._toes_at_start))
-        rising_up = ~self._upright_start & (step <= GRACE_STEPS)
-        shift = (hind - self._toes_at_start).norm(dim=-1).mean(-1) * rising_up
-        motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
-        slip = sliding(toes[..., 2], *motion, below=SLIP_HEIGHT)
-        rising = torch.clamp(step * self.contract.dt / RISE_SECONDS, max=1.0)
-        height, velocity = w.qpos[:, 2], self._velocity()
-        self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
-        error = self.moves.heading - self._heading
-        error = torch.arctan2(torch.sin(error), torch.cos(error))
+        """Return the reward terms, which worlds failed (N,), and figures for the log."""
+        w, d, numbers = self.worlds, self.disturbances, self.description.training
         tracking = self._tracking()
-        self._load.copy_(w.load())
-        rests = self._rank < self._rest_share
-        settled = self.moves.settled & tracking & rests
-        self._anchor.copy_(torch.where(settled[:, None], self._anchor, w.qpos[:, :2]))
+        height, hind = w.qpos[:, 2], w.site_xpos[:, self._toe_sites[2:]]
+        rising = torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
+        rising = torch.where(self._upright_start, torch.ones_like(rising), rising)
+        standing = torch.clamp((height - numbers.height_low) / numbers.height_span, 0, 1)
+        standing = standing * torch.clamp(self._up, 0, 1) * rising
+        ended, met = self._terminations(low, hind, tracking)
+        ended, tracking = finite & ended, tracking.float()
+        toppling = self._toppling(hind) & ~w.quiet  # quiet ones are hardly pushed
+        settled = self._settled.float()
+        asked = (self._gait * (1 - settled))[:, None]  # or a robot turns away, so that its clock starts
+        # by the command, or a robot that turns away a little would be asked to step, and need not rest
+        resting = torch.maximum(1 - self._gait, settled) * rising.ge(1) * ~toppling
+
+        clearance, contact, hind_speed, slip = self._feet_now(low)
+        both_planted = (self._load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
+        # a step that catches a fall is no fault
+        standing_still = torch.maximum(both_planted, toppling[:, None].float())
+        steps = stepping(self._phase(), clearance, contact, self.settings.swing_height)
+        steps = asked * steps + (1 - asked) * standing_still
+        sway = self._mean_velocity - self.moves.wanted
+        # the wide bell is felt while the robot does not walk at all
+        speed = bells(sway.square().sum(-1), (0.2, 0.15), (0.2, 0.02), (0.25, 0.004))
+        speed = speed + bells((self._velocity() - self.moves.wanted).square().sum(-1), (0.35, 0.05))
+        turn = heading_error(self._quat_WB, self.moves.heading, torch)
+        turning = 0.15 * (1 + torch.cos(turn)) + bells(turn.square(), (0.35, 0.5)) + bells(turn.square(), (0.35, 0.03))
+        off = self._toes - self.goals.now
+        square = off.square().sum((-1, -2))
+        # without the widest bell toes that are 20 cm off never came nearer
+        reaching = bells(square, (0.2, 0.2), (0.4, 0.04), (0.4, 0.01))
+        drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
+        efforts, change = self._efforts(), (self._last_action - self._before_last)[:, 6:]
+        overload = torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
+        terms = efforts | {
+            "alive": torch.ones_like(height),
+            **rising_terms(height, self._up, rising, self.description),
+            "velocity": speed * standing,
+            "heading": turning * standing,
+            "toes": reaching * standing * tracking,
+            # while the robot steps too, a policy that reaches within a centimetre would rather not walk
+            "toes_fine": bells(square, (1.0, 0.001)) * standing * tracking * (1 - asked[:, 0]),
+            "gait": steps.mean(-1) * standing,
+            "drift": drift.clamp(max=MOST_DRIFT) * tracking,
+            "slip": slip,
+            "foot_shift": self._foot_shift(hind),
+            "terminations": met,
+            "flight": (clearance.amin(-1) > 0.01).float(),
+            "low": (low[:, self._near_ground] < 0.03).float().sum(-1),
+            "unrest": change.square().sum(-1).clamp(max=MOST_UNREST) * resting,
+            "shuffle": (hind_speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting,
+            "heat": efforts["torque"].clamp(max=MOST_HEAT),
+            "overload": overload.square().sum(-1),
+            "fall": ended.float(),
+        }
+        quiet = (w.quiet | (self.settings.quiet_share == 0.0)) * tracking
+        still, asked_speed, fallen = quiet * (self._gait == 0), self.moves.velocity[:, 0], terms["fall"]
+        reached = (self._mean_velocity[:, 0] * asked_speed * tracking).sum()
+        figures = {
+            "still/planted": mean(self._load.amin(-1) > BEARS, still),
+            "still/action_change": mean(change.square().mean(-1), still).sqrt(),
+            "still/torque_squares": mean(efforts["torque"], still),
+            "still/shuffle": mean((hind_speed * contact).mean(-1), still),
+            "walk/speed_share": reached / (asked_speed.square() * tracking).sum().clamp(min=1e-3),
+            "walk/lift": mean(clearance.amax(-1), tracking * (self._gait == 1)),
+            "quiet/drift": mean(drift, still),
+            "quiet/falls": mean(fallen, quiet),
+            "led/falls": mean(fallen, d.held.float()),
+            "led/behind": mean(d.behind, d.held.float()),
+            "track/toe_error_cm": 100 * mean(off.norm(dim=-1).mean(-1), tracking),
+            "track/mean_velocity_error": mean(sway.norm(dim=-1), tracking),
+            "track/heading_error": mean(turn.abs(), tracking),
+            "track/falls": mean(fallen, tracking),
+            "track/termination_share": self._termination_share.mean(),
+            "all/ends": fallen.mean(),
+        }
+        return terms, ended, figures
+
+    def _terminations(
+        self, low: torch.Tensor, hind: torch.Tensor, tracking: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return where an episode ends in a fall or by one of the paper's terminations, and how many of them hold."""
+        q, step, numbers = self.worlds.qpos[:, 7:], self.episode_length_buf, self.description.training
         grounded = low[:, self._grounding].amin(-1) < 0.002
-        fallen = tracking & (grounded | (height < self.description.training.height_fallen) | (up < 0.3))
-        q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
+        fallen = tracking & (grounded | (self.worlds.qpos[:, 2] < numbers.height_fallen) | (self._up < 0.3))
         near = ((q < self._near_min) | (q > self._near_max)).any(-1) & (step > 3)
-        early = rising_up & (step > 3)
-        high = early & (hind[..., 2].amax(-1) > self.description.training.early_toe_height)
-        jump = early & ((q - self._q_before).abs().amax(-1) > self.description.training.early_joint_step)
+        early = self._early() & (step > 3)
+        high = early & (hind[..., 2].amax(-1) > numbers.early_toe_height)
+        jump = early & ((q - self._q_before).abs().amax(-1) > numbers.early_joint_step)
         touch = ~self._upright_start & (step > GRACE_STEPS) & ~tracking & grounded
-        broken = near | high | jump | touch
-        fallen = finite & (fallen | (broken & (self._rand() < self._termination_share)))
+        met = torch.stack([near, high, jump, touch]).float().sum(0)
+        return fallen | ((met > 0) & (self._rand() < self._termination_share)), met
+
+    def _early(self) -> torch.Tensor:
+        return ~self._upright_start & (self.episode_length_buf <= GRACE_STEPS)
+
+    def _foot_shift(self, hind: torch.Tensor) -> torch.Tensor:
+        """Return the mean way of the hind toes (N, 2, 3) from where they began, while standing up (N,) [m]."""
+        first = (self.episode_length_buf == 1)[:, None, None]
+        self._toes_at_start.copy_(torch.where(first, hind, self._toes_at_start))
+        return (hind - self._toes_at_start).norm(dim=-1).mean(-1) * self._early()
+
+    def _feet_now(self, low: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return height [m], contact (1 or 0) and speed [m/s] of the hind toes (N, 2), and the paper's slip (N,)."""
+        w, clearance = self.worlds, low[:, self._hind_toes]
+        velocity, turning = self._feet.motion(w.qpos, w.qvel)
+        slip = sliding(w.site_xpos[:, self._toe_sites, 2], velocity, turning, below=SLIP_HEIGHT)
+        return clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip
+
+    def _efforts(self) -> dict[str, torch.Tensor]:
+        """Return the reward terms of motion and torque, which all tasks have."""
+        w, q, dq = self.worlds, self.worlds.qpos[:, 7:], self.worlds.qvel[:, 6:]
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = (dq - self._dq_before) / self.contract.dt
-        ddq = torch.where((step > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
-        toppling = self._toppled = self._toppling(hind)
-        return Facts(
-            height=height,
-            up=up,
-            velocity_error=velocity - self.moves.wanted,
-            mean_velocity_error=self._mean_velocity - self.moves.wanted,
-            drift=w.qpos[:, :2] - self._anchor,
-            gait=self._gait,
-            toppling=toppling & ~w.quiet,
-            settled=settled,
-            heading_error=error,
-            rising=torch.where(self._upright_start, torch.ones_like(height), rising),
-            toe_error=self._toes - self.goals.now,
-            tracking=tracking.float(),
-            contact=low[:, self._hind_toes] < 0.003,
-            load=self._load,
-            clearance=low[:, self._hind_toes],
-            slip=slip,
-            hind_speed=motion[0][:, 2:].norm(dim=-1),
-            foot_shift=shift,
-            terminations_met=near.float() + high.float() + jump.float() + touch.float(),
-            phase=self._phase(),
-            low=(low[:, self._near_ground] < 0.03).float().sum(-1),
-            action_change=self._last_action - self._before_last,
-            torque=w.motor_torque / self._peak,
-            overload=torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak,
-            dq=dq.clamp(-50, 50),
-            ddq=ddq,
-            limit_excess=excess,
-            fallen=fallen,
-        )
+        ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
+        dq = dq.clamp(-50, 50)
+        return {
+            "action_rate": (self._last_action - self._before_last).square().sum(-1),
+            "torque": (w.motor_torque / self._peak).square().sum(-1),
+            "joint_velocity": dq.square().sum(-1),
+            "joint_speed": torch.clamp(dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
+            "joint_acceleration": ddq.square().sum(-1),
+            "limits": excess.sum(-1),
+        }
 
     def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
         """Return where the capture point lies before, behind or beside both hind toes (N,); toes (N, 2, 3) [m]."""
         w = self.worlds
         fall = torch.sqrt(w.com[:, 2].clamp(min=0.05) / abs(float(w.mj_model.opt.gravity[2])))
         capture = w.com[:, :2] + w.qvel[:, :2] * fall[:, None]
-        away = capture - hind[..., :2].mean(1)
-        ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
-        across = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-        half = 0.5 * ((hind[:, 0, :2] - hind[:, 1, :2]) * across).sum(-1).abs()
-        return ((away * ahead).sum(-1).abs() > CAPTURE_REACH) | ((away * across).sum(-1).abs() > half)
-
-    def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
-        d, tracking, rises = self.disturbances, f.tracking, 1 - f.tracking
-        quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float() * tracking
-        still, asked, steps = quiet * (f.gait == 0), self.moves.velocity[:, 0], tracking * (f.gait == 1)
-        held, fallen = d.held.float(), f.fallen.float()
-        reached = (self._mean_velocity[:, 0] * asked * tracking).sum()
-        return {
-            "still/planted": mean(f.load.amin(-1) > BEARS, still),
-            "still/action_change": mean(f.action_change[:, 6:].square().mean(-1), still).sqrt(),
-            "still/torque_squares": mean(f.torque.square().sum(-1), still),
-            "still/shuffle": mean((f.hind_speed * f.contact).mean(-1), still),
-            "still/toppling": mean(self._toppled, still),
-            "walk/speed_share": reached / (asked.square() * tracking).sum().clamp(min=1e-3),
-            "walk/lift": mean(f.clearance.amax(-1), steps),
-            "quiet/velocity_error": mean(f.velocity_error.norm(dim=-1), quiet),
-            "quiet/drift": mean(f.drift.norm(dim=-1), still),
-            "quiet/falls": mean(fallen, quiet),
-            "led/falls": mean(fallen, held),
-            "led/behind": mean(d.behind, held),
-            "track/up": mean(f.up, tracking),
-            "track/height": mean(f.height, tracking),
-            "track/toe_error_cm": 100 * mean(f.toe_error.norm(dim=-1).mean(-1), tracking),
-            "track/mean_velocity_error": mean(f.mean_velocity_error.norm(dim=-1), tracking),
-            "track/velocity_error": mean(f.velocity_error.norm(dim=-1), tracking),
-            "track/drift": mean(f.drift.norm(dim=-1), tracking),
-            "track/heading_error": mean(f.heading_error.abs(), tracking),
-            "track/falls": mean(fallen, tracking),
-            "track/slip": mean(f.slip, tracking),
-            "track/terminations": mean(f.terminations_met, tracking),
-            "all/ends": fallen.mean(),
-            "rise/slip": mean(f.slip, rises),
-            "rise/terminations": mean(f.terminations_met, rises),
-            "track/termination_share": self._termination_share.mean(),
-            "track/knee_torque": mean(f.torque[:, 8::3].abs().mean(-1), tracking),
-        }
+        ahead, aside = self._in_heading_frame(capture - hind[..., :2].mean(1)).abs().unbind(-1)
+        apart = self._in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2])[:, 1].abs()
+        return (ahead > CAPTURE_REACH) | (aside > 0.5 * apart)
 
     def _show_reaching(self) -> None:
         q, excess = leg_joints(self.goals.now, self.description, torch)
@@ -465,13 +510,11 @@ class StandTrackEnv(VecEnv, Chance):
         """Return the gait phase (N,) at the first step [rad]."""
         return self._uniform(-math.pi, math.pi)
 
-    def _remember(self, terms: dict[str, torch.Tensor], figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
+    def _remember(self, earned: torch.Tensor, figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
         # stacked, since on a GPU a launch costs more than the numbers
-        means = torch.stack([value.float() for value in terms.values()]).mean(-1)
-        others = torch.stack([*figures.values(), 1 - finite.float().mean()])
-        values = torch.cat([means, others])
+        values = torch.cat([earned.mean(-1), torch.stack([*figures.values(), 1 - finite.float().mean()])])
         if not self._log:
-            names = [*(f"reward/{name}" for name in terms), *figures, "track/non_finite"]
+            names = [*(f"reward/{name}" for name in self._rewarded), *figures, "track/non_finite"]
             self._log_values = values.clone()
             self._log = dict(zip(names, self._log_values.unbind(), strict=True))
         self._log_values.copy_(values)

@@ -129,7 +129,7 @@ def test_toe_motion_is_that_of_the_kinematics(description):
     for i, leg in enumerate(LEGS):
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, model.site(f"{leg}_toe").id, expected[i], 0)
     qpos, qvel = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (data.qpos, data.qvel))
-    motion = Feet(description, "cpu").motion(qpos[:, 3:7], qvel[:, :3], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
+    motion = Feet(description, "cpu").motion(qpos, qvel)
     assert np.allclose(motion[0][0].numpy(), expected[:, 3:5], atol=1e-5)
     assert np.allclose(motion[1][0].numpy(), expected[:, 2], atol=1e-5)
 

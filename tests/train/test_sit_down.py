@@ -82,10 +82,10 @@ def test_a_robot_that_drops_pays_for_it(description, monkeypatch):
     assert torch.stack(rewards).amin(0).max() < -10.0 * REWARD_SCALE
 
 
-def test_there_is_a_weight_for_each_term_in_its_order(env):
+def test_there_is_a_weight_for_each_term(env):
     env.step(torch.zeros(SIT.worlds, 12))
     terms, _, _ = env._evaluate(torch.ones(SIT.worlds, dtype=torch.bool), env.worlds.lowest())
-    assert list(terms) == list(WEIGHTS)
+    assert set(terms) == set(WEIGHTS)
 
 
 def test_states_that_are_not_there_are_reported():
