@@ -120,7 +120,6 @@ class SitDownEnv(StandTrackEnv):
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        self._rand()
         w, dt = self.worlds, self.contract.dt
         _, contact, hind_speed, _ = self._feet_now(low)
         progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
