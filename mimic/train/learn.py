@@ -100,8 +100,7 @@ def train(
     """
     ranks = Ranks.of_environment()
     device = ranks.device(learn.device)
-    if mdp.task == "sit_down" and learn.mirror:
-        log.info("sitting down is trained without the mirror loss: its clock tells the time, which has no mirror image")
+    if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)

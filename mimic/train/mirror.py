@@ -6,8 +6,8 @@ and right legs change places, and the gait clock is half a cycle away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
+from itertools import chain
 
 import torch
 
@@ -34,35 +34,26 @@ MIRRORED = {
 """For each term of a frame: which of its numbers comes where, and with which sign."""
 
 
-def _together(names: Sequence[str]) -> tuple[list[int], list[float]]:
+@cache
+def _image(device: torch.device, *names: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the same for terms that stand one after another."""
     order: list[int] = []
     signs: list[float] = []
-    for name in names:
+    for name in chain.from_iterable(AVERAGED if name == "slow_mean" else (name,) for name in names):
         places, sign = MIRRORED[name]
-        begin = len(order)
-        order += [begin + i for i in places]
+        order += [len(order) + i for i in places]
         signs += sign
-    return order, signs
-
-
-MIRRORED["slow_mean"] = _together(AVERAGED)
-
-
-@cache
-def _image(device: torch.device, names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-    order, signs = _together(names)
     return torch.tensor(order, device=device), torch.tensor(signs, device=device)
 
 
 def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
     """Return actions (N, 12) in the mirror."""
-    order, signs = _image(actions.device, ("last_action",))
+    order, signs = _image(actions.device, "last_action")
     return actions[:, order] * signs
 
 
 def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
-    names = tuple(name for name, _ in TERMS) * (observations.shape[1] // FRAME_SIZE)
-    order, signs = _image(observations.device, names)
+    names = [name for name, _ in TERMS] * (observations.shape[1] // FRAME_SIZE)
+    order, signs = _image(observations.device, *names)
     return observations[:, order] * signs
