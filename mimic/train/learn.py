@@ -24,7 +24,7 @@ from mimic.train.onnx_file import export_network
 from mimic.train.runner import QuietLogger, Ranks, Report, TimeIsUp, TrainingDiverged
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
-from mimic.train.warm_start import compare_contracts, take_over
+from mimic.train.warm_start import take_over
 
 log = logging.getLogger(__name__)
 
@@ -132,11 +132,9 @@ def train(
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and resume.suffix == ".onnx":
-        if compare_contracts(resume, contract):
-            env.resume_at(
-                math.ceil(max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps))
-            )
-        take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
+        if take_over(runner.alg.actor, resume, contract, learn.resume_std):
+            steps = max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps)
+            env.resume_at(math.ceil(steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
         log.info("go on from the policy %s; only the critic learns in the first %d updates", resume, critic_alone)

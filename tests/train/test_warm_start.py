@@ -88,7 +88,7 @@ def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
 
 
 def test_a_policy_whose_actions_mean_something_else_is_refused(policy, tmp_path):
-    with pytest.raises(ConfigError, match=r"policy\.onnx has action_scale \[0\.5, .*; the settings have \[0\.25, "):
+    with pytest.raises(ConfigError, match=r"policy\.onnx has action_scale \(0\.5, .*; the settings have \(0\.25, "):
         train(tmp_path, dataclasses.replace(MDP, action_scale=0.25), LEARN, resume=policy)
 
 
