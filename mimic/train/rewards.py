@@ -25,6 +25,10 @@ SWING_SHARE = 0.7
 """Share of half a gait cycle in which a foot swings; in the rest both stand."""
 
 
+FASTEST = 4.0
+"""More than this squared speed of one toe is not counted [m^2/s^2]."""
+
+
 def rising_terms(
     height: torch.Tensor, up: torch.Tensor, rising: torch.Tensor, description: RobotDescription
 ) -> dict[str, torch.Tensor]:
@@ -64,6 +68,19 @@ def stepping(phase: torch.Tensor, clearance: torch.Tensor, planted: torch.Tensor
     lifted = torch.clamp(clearance / wanted.clamp(min=0.01), 0, 1) * torch.exp(-too_high.square())
     lifted = (0.15 + 0.85 * lifted) * (1 - planted)  # leaving the ground pays by itself, or no foot is ever lifted
     return torch.where(swing > 0, lifted, planted)
+
+
+def sliding(height: torch.Tensor, velocity: torch.Tensor, turning: torch.Tensor, below: float) -> torch.Tensor:
+    """Return the paper's slip (N,): squared speed and turning over pi of each toe whose centre is low.
+
+    Args:
+        height: Of the toes' centres above the ground (N, 4) [m].
+        velocity: Horizontal (N, 4, 2) [m/s].
+        turning: Of the lower legs about the vertical (N, 4) [rad/s].
+        below: Height under which a toe counts [m]; paper: 0.03.
+    """
+    square = velocity.square().sum(-1) + (turning / math.pi).square()
+    return (square.clamp(max=FASTEST) * (height < below)).sum(-1)
 
 
 def bells(square: torch.Tensor, *shapes: tuple[float, float]) -> torch.Tensor:

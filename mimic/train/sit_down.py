@@ -133,7 +133,7 @@ class SitDownEnv(StandTrackEnv):
         later = self.episode_length_buf > 1
         acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
         acceleration = torch.where(later, acceleration, torch.zeros_like(acceleration))
-        front = w.site_xpos[:, self._toe_sites[:2]]
+        front = w.toes[:, :2]
         front_speed = ((front - self._front_before) / dt)[..., :2].norm(dim=-1)
         down = front[..., 2] < self.description.toe_radius + NEAR
         front_slip = torch.where(down & later[:, None], front_speed, torch.zeros_like(front_speed))

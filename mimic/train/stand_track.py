@@ -35,11 +35,9 @@ from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN, leg_joints
 from mimic.robot.leg_kinematics import front_toes
-from mimic.robot.model import TOES
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
-from mimic.train.feet import Feet, sliding
-from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, stepping
+from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, sliding, stepping
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
 from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
@@ -118,7 +116,6 @@ class StandTrackEnv(VecEnv, Chance):
         self.goals = GoalSchedule(description, self.contract, settings, device, seed)
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
-        self._feet = Feet(description, device)
         self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
         self._constants()
         self._buffers()
@@ -150,7 +147,6 @@ class StandTrackEnv(VecEnv, Chance):
         )
         self._near_ground = torch.cat([w.columns("toe", "knee", legs=front), w.columns("knee", legs=hind)])
         self._hind_toes = w.columns("toe", legs=hind)
-        self._toe_sites = torch.tensor([w.mj_model.site(name).id for name in TOES], device=self.device)
         knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
         self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
         self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
@@ -258,7 +254,7 @@ class StandTrackEnv(VecEnv, Chance):
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
-        toes = w.site_xpos[:, self._toe_sites[:2]]
+        toes = w.toes[:, :2]
         self.disturbances.advance(self.episode_length_buf, toes, self._heading)
         force = self.disturbances.pull
         lever = toes - w.xipos[:, self._front_knees]
@@ -366,7 +362,7 @@ class StandTrackEnv(VecEnv, Chance):
         """Return the reward terms, which worlds failed (N,), and figures for the log."""
         w, d, numbers = self.worlds, self.disturbances, self.description.training
         tracking = self._tracking()
-        height, hind = w.qpos[:, 2], w.site_xpos[:, self._toe_sites[2:]]
+        height, hind = w.qpos[:, 2], w.toes[:, 2:]
         rising = torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
         rising = torch.where(self._upright_start, torch.ones_like(rising), rising)
         standing = torch.clamp((height - numbers.height_low) / numbers.height_span, 0, 1)
@@ -469,8 +465,8 @@ class StandTrackEnv(VecEnv, Chance):
     def _feet_now(self, low: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return height [m], contact (1 or 0) and speed [m/s] of the hind toes (N, 2), and the paper's slip (N,)."""
         w, clearance = self.worlds, low[:, self._hind_toes]
-        velocity, turning = self._feet.motion(w.qpos, w.qvel)
-        slip = sliding(w.site_xpos[:, self._toe_sites, 2], velocity, turning, below=SLIP_HEIGHT)
+        velocity, turning = w.toe_motion()
+        slip = sliding(w.toes[..., 2], velocity, turning, below=SLIP_HEIGHT)
         return clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip
 
     def _efforts(self) -> dict[str, torch.Tensor]:

@@ -30,7 +30,7 @@ from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_mod
 from mimic.dynamics.servo import Servo, read_standing
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import BASE, FLOOR
+from mimic.robot.model import BASE, FLOOR, TOES
 from mimic.train.motors import WorldMotors
 from mimic.train.tensors import quat_rotate
 
@@ -131,6 +131,7 @@ class Worlds:
             self.ctrl = wp.to_torch(self.data.ctrl)
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
+            self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
             feet = np.zeros((2, model.ngeom), dtype=np.float32)
             for side, leg in enumerate(LEGS[2:]):
@@ -144,6 +145,8 @@ class Worlds:
             """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl: list[Any] = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
+        self._toe_sites = torch.tensor([model.site(name).id for name in TOES], device=device)
+        self._toe_bodies = torch.tensor([model.site(name).bodyid.item() for name in TOES], device=device)
         ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
         self._shapes = [model.geom(g).name for g in ids]
         self._geoms = torch.tensor(ids, device=device)
@@ -151,7 +154,7 @@ class Worlds:
         self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=device)
         self._whole = ReplayedWarp(self._run, device)
         self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-        self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
+        self._seen = ReplayedWarp(self._see, device)
         self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
 
     def _randomise(
@@ -280,6 +283,17 @@ class Worlds:
         drop = torch.where(self._kinds == CAPSULE, capsule, drop)
         return self.geom_xpos[:, self._geoms, 2] - drop
 
+    @property
+    def toes(self) -> torch.Tensor:
+        """Positions of the toes in the order of LEGS, world axes (N, 4, 3) [m]."""
+        return self.site_xpos[:, self._toe_sites]
+
+    def toe_motion(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return horizontal toe velocities (N, 4, 2) [m/s] and turning of the lower legs about the vertical (N, 4)."""
+        turning, velocity = torch.nan_to_num(self._cvel[:, self._toe_bodies]).split(3, -1)
+        velocity = velocity + torch.linalg.cross(turning, self.toes - self.com[:, None])
+        return velocity[..., :2], turning[..., 2]
+
     def load(self) -> torch.Tensor:
         """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
         count, geom, world, row, force = self._contacts
@@ -296,7 +310,12 @@ class Worlds:
             if self._friction_speed:
                 self._rub()
             mjw.step(self.model, self.data)
-        mjw.kinematics(self.model, self.data)
+        self._see()
+
+    def _see(self) -> None:
+        """Bring what is seen of the bodies to the positions and velocities after the last physics step."""
+        for update in (mjw.kinematics, mjw.com_pos, mjw.com_vel):
+            update(self.model, self.data)
 
     def _rub(self) -> None:
         """Set the damping of all joints so that it holds their dry friction."""
@@ -316,7 +335,7 @@ class Worlds:
             drive()
             self._physics()
         self._between[-1]()
-        self._kinematics()
+        self._seen()
 
     def _drive(self, substep: int) -> None:
         """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
