@@ -144,38 +144,27 @@ class WorldMotors:
         """Return whether the command of this control step arrives (N, 1)."""
         return torch.rand_like(self._lost) >= self._lost
 
-    def send(self, target: torch.Tensor) -> None:
-        """Take the command of a control step (N, 12), which acts after its delay."""
+    def send(self, target: torch.Tensor, drawn: torch.Tensor) -> None:
+        """Take the command of a control step (N, 12), which acts after its delay; see `delay` for ``drawn``."""
         for row in (self._targets, self._late):
             for age in reversed(range(1, len(row))):
                 row[age].copy_(row[age - 1])
         self._targets[0].copy_(target)
         self._late[0].copy_(self._spread * torch.rand_like(self._spread))
+        for shift, late in zip(self._shifts, self._late, strict=True):
+            shift.copy_(torch.clip(self.delay(drawn) + late, 0.0, None))
 
     def delay(self, drawn: torch.Tensor) -> torch.Tensor:
         """Return the physics steps from a command to its effect (N, 12), where drawn ones are (N, 1)."""
         return self._shift if self._delayed else self._shift + drawn
 
-    def targets(self, drawn: torch.Tensor) -> list[torch.Tensor]:
-        """Return the target in effect in each physics step of the control step (N, 12), in order."""
-        usual = self.delay(drawn)
-        for shift, late in zip(self._shifts, self._late, strict=True):
-            shift.copy_(torch.clip(usual + late, 0.0, None))
-        return [target_in_effect(self._shares(k), self._sent(k)) for k in range(self._d.decimation)]
-
-    def _shares(self, substep: int) -> list[torch.Tensor]:
-        return shares_in_effect(substep, self._d.decimation, self._shifts, torch)
-
-    def _sent(self, substep: int) -> list[torch.Tensor]:
-        return moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
-
     # ------------------------------------------------------------------ physics
 
-    def drive(self, q: torch.Tensor, dq: torch.Tensor, target: torch.Tensor, substep: int) -> None:
+    def drive(self, q: torch.Tensor, dq: torch.Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
-        shares, targets = self._shares(substep), self._sent(substep)
-        off = target - target_in_effect(shares, targets)  # where commands were not sent but written
-        parts = [(share, sent + off) for share, sent in zip(shares, targets, strict=True)]
+        shares = shares_in_effect(substep, self._d.decimation, self._shifts, torch)
+        targets = moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
+        target, parts = target_in_effect(shares, targets), list(zip(shares, targets, strict=True))
         inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep, parts=parts)
         self._servo.write(inputs)
         self.tau.copy_(inputs.tau)

@@ -14,7 +14,7 @@ from mimic.policy.contract import PolicyContract
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
-from mimic.train.tensors import Chance, put
+from mimic.train.tensors import Chance, in_heading_frame, put
 
 POOL = 20_000
 """Reachable goal pairs drawn once for a training."""
@@ -157,13 +157,9 @@ class MoveSchedule(Chance):
         """
         s = LEADING
         self._felt.add_((pull - self._felt) * (self._dt / (s.smoothing + self._dt)) * led[:, None])
-        cosine, sine = torch.cos(heading), torch.sin(heading)
-        forward = cosine * self._felt[:, 0] + sine * self._felt[:, 1]
-        left = cosine * self._felt[:, 1] - sine * self._felt[:, 0]
-        speed, rate, share = answer_to_pull(forward, left, s, torch)
-        led_now = torch.stack([speed, torch.zeros_like(speed)], -1)
-        put(self.velocity, led, led_now)
-        sideways = share * (cosine * hand[:, 1] - sine * hand[:, 0])
+        speed, rate, share = answer_to_pull(*in_heading_frame(self._felt, heading).unbind(-1), s, torch)
+        put(self.velocity, led, torch.stack([speed, torch.zeros_like(speed)], -1))
+        sideways = share * in_heading_frame(hand, heading)[:, 1]
         self.wanted.copy_(torch.where(led[:, None], torch.stack([speed, sideways], -1), self.velocity))
         put(self._rate, led, rate)
         ahead = torch.arctan2(torch.sin(self.heading - heading), torch.cos(self.heading - heading))

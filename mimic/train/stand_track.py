@@ -40,7 +40,7 @@ from mimic.train.disturbances import Disturbances
 from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, sliding, stepping
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
+from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
 from mimic.train.worlds import Worlds
 
 CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
@@ -236,8 +236,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._pull()
         if motors is not None:
             motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
-            motors.send(newest)
-            self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
+            motors.send(newest, self._delay)
             return
         n = self.worlds.decimation
         for k in range(n):
@@ -277,12 +276,7 @@ class StandTrackEnv(VecEnv, Chance):
 
     def _velocity(self) -> torch.Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
-        return self._in_heading_frame(self.worlds.qvel[:, :2])
-
-    def _in_heading_frame(self, v: torch.Tensor) -> torch.Tensor:
-        """Return horizontal vectors (N, 2) forward and left."""
-        cosine, sine = torch.cos(self._heading), torch.sin(self._heading)
-        return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
+        return in_heading_frame(self.worlds.qvel[:, :2], self._heading)
 
     def _follow(self) -> None:
         """Bring up to date how each robot has moved, and where it came to rest."""
@@ -490,8 +484,8 @@ class StandTrackEnv(VecEnv, Chance):
         w = self.worlds
         fall = torch.sqrt(w.com[:, 2].clamp(min=0.05) / abs(float(w.mj_model.opt.gravity[2])))
         capture = w.com[:, :2] + w.qvel[:, :2] * fall[:, None]
-        ahead, aside = self._in_heading_frame(capture - hind[..., :2].mean(1)).abs().unbind(-1)
-        apart = self._in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2])[:, 1].abs()
+        ahead, aside = in_heading_frame(capture - hind[..., :2].mean(1), self._heading).abs().unbind(-1)
+        apart = in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2], self._heading)[:, 1].abs()
         return (ahead > CAPTURE_REACH) | (aside > 0.5 * apart)
 
     def _show_reaching(self) -> None:
@@ -589,7 +583,7 @@ class StandTrackEnv(VecEnv, Chance):
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
-            self._in_heading_frame(w.qpos[:, :2] - self._anchor) * 3,
+            in_heading_frame(w.qpos[:, :2] - self._anchor, self._heading) * 3,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,

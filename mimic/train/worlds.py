@@ -128,7 +128,6 @@ class Worlds:
             self.site_xpos = wp.to_torch(self.data.site_xpos)
             self.geom_xpos = wp.to_torch(self.data.geom_xpos)
             self.geom_xmat = wp.to_torch(self.data.geom_xmat)
-            self.ctrl = wp.to_torch(self.data.ctrl)
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
             self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
@@ -152,10 +151,13 @@ class Worlds:
         self._geoms = torch.tensor(ids, device=device)
         self._kinds = torch.tensor([int(model.geom_type[g]) for g in ids], device=device)
         self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=device)
-        self._whole = ReplayedWarp(self._run, device)
-        self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-        self._seen = ReplayedWarp(self._see, device)
-        self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
+        self._parts: list[Replayed | ReplayedWarp] = [ReplayedWarp(self._run, device)]
+        """What a control step is made of; with effects the law and the physics take turns."""
+        if self.motors is not None:
+            physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
+            drives = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
+            between = [part for drive in drives[:-1] for part in (drive, physics)]
+            self._parts = [*between, drives[-1], ReplayedWarp(self.see, device)]
 
     def _randomise(
         self, description: RobotDescription, settings: MdpSettings, n: int, seed: int, names: Sequence[str]
@@ -186,23 +188,19 @@ class Worlds:
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
             ratio = math.exp(other.uniform(*np.log(d.friction_ratio)))
             grounds.append((v.restitution, other.uniform(*d.contact_time), ratio))
-            angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
-            slopes.append(
-                [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
-            )
+            angle, half = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope)) / 2
+            slopes.append([np.cos(half), np.sin(half) * np.cos(angle), np.sin(half) * np.sin(angle), 0.0])
             for name in names:
                 rows[name].append(np.array(getattr(varied, name)))
-            features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
-            features[-1] += [*(10 * v.com), 0.5 * v.dry_friction.mean()]
-            features[-1] += [10 * payload * (side == k) for k in range(2)]
+            kp, kd, rubs = v.kp.mean() - 1, v.kd.mean() - 1, 0.5 * v.dry_friction.mean()
+            carried = [10 * payload * (side == k) for k in range(2)]
+            features.append(
+                [v.ground_friction - 1.5, v.restitution, v.base_mass, kp, kd, *(10 * v.com), rubs, *carried]
+            )
         index = np.arange(n) % count
-        for name in names:
-            target = getattr(self.model, name)
-            values = np.stack(rows[name])[index]
-            if target.shape[0] != n:
-                raise RuntimeError(f"{name} has {target.shape[0]} rows, expected {n}")
-            tensor = wp.to_torch(target)
-            tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
+        for name, values in rows.items():
+            tensor = wp.to_torch(getattr(self.model, name))
+            tensor.copy_(torch.as_tensor(np.stack(values)[index], dtype=tensor.dtype).reshape(tensor.shape))
         if self.motors is not None:
             self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
         self.quiet = torch.as_tensor(index < quiet, device=self.device)
@@ -310,9 +308,9 @@ class Worlds:
             if self._friction_speed:
                 self._rub()
             mjw.step(self.model, self.data)
-        self._see()
+        self.see()
 
-    def _see(self) -> None:
+    def see(self) -> None:
         """Bring what is seen of the bodies to the positions and velocities after the last physics step."""
         for update in (mjw.kinematics, mjw.com_pos, mjw.com_vel):
             update(self.model, self.data)
@@ -324,18 +322,12 @@ class Worlds:
         wp.launch(_smooth_friction, dim=d.qvel.shape, inputs=inputs, outputs=[m.dof_damping])
 
     def step(self) -> None:
-        """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad].
+        """Advance all worlds by a control step.
 
-        With effects the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's.
+        The commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad], with effects in the motors.
         """
-        if self.motors is None:
-            self._whole()
-            return
-        for drive in self._between[:-1]:
-            drive()
-            self._physics()
-        self._between[-1]()
-        self._seen()
+        for part in self._parts:
+            part()
 
     def _drive(self, substep: int) -> None:
         """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
@@ -344,4 +336,4 @@ class Worlds:
         if substep > 0:
             self.motors.settle(dq)
         if substep < self.decimation:
-            self.motors.drive(q, dq, self.substep_ctrl[substep], substep)
+            self.motors.drive(q, dq, substep)

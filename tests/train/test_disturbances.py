@@ -131,7 +131,7 @@ def test_toe_motion_is_that_of_mujoco(description):
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, model.site(f"{leg}_toe").id, expected[i], 0)
     for there, here in ((worlds.qpos, data.qpos), (worlds.qvel, data.qvel)):
         there.copy_(torch.as_tensor(here, dtype=torch.float32)[None])
-    worlds._seen()
+    worlds.see()
     velocity, turning = worlds.toe_motion()
     assert np.allclose(velocity[0].numpy(), expected[:, 3:5], atol=1e-5)
     assert np.allclose(turning[0].numpy(), expected[:, 2], atol=1e-5)
