@@ -227,7 +227,7 @@ class LearnSettings:
     std_range: tuple[float, float] = (0.03, 1.2)
     """Smallest and largest spread of the actions [units of action]."""
     resume_std: float = 0.0
-    """Spread of the actions, at least, with which a checkpoint is taken up; 0 leaves it as it is."""
+    """Spread of the actions with which a training goes on from a policy (.onnx); 0 is 0.2."""
     critic_updates: int = 250
     """Updates in which only the critic learns, where a training goes on from a policy (.onnx), which has none. After 40
     to 60 the toe error rose by up to 0.9 cm at first, after 250 by 0.2 (lab/results/senses.md)."""

@@ -141,9 +141,6 @@ def train(
     elif resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
-        if learn.resume_std:
-            with torch.no_grad():
-                runner.alg.actor.distribution.log_std_param.clamp_(min=math.log(learn.resume_std))  # type: ignore
         log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     try:
         runner.learn(learn.updates)

@@ -101,10 +101,10 @@ class SitDownEnv(StandTrackEnv):
         self._velocity_before, self._front_before = self._zeros(3), self._zeros(2, 3)
         self._clearance_before = self._zeros(len(self._landing))
 
-    def _weights_at(self, ramp: float) -> dict[str, float]:
+    def _weights_now(self) -> dict[str, float]:
         return grown(WEIGHTS, self._calls)
 
-    def _set_difficulty(self, ramp: float) -> None:
+    def _set_difficulty(self) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
     def _first_phase(self, start: Start) -> torch.Tensor:
@@ -131,12 +131,11 @@ class SitDownEnv(StandTrackEnv):
         velocity = w.qvel[:, :3]
         speed, turning = velocity.norm(dim=-1), w.qvel[:, 3:6].norm(dim=-1)
         later = self.episode_length_buf > 1
-        acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
-        acceleration = torch.where(later, acceleration, torch.zeros_like(acceleration))
+        acceleration = torch.where(later, (velocity - self._velocity_before).norm(dim=-1) / dt, 0.0)
         front = w.toes[:, :2]
         front_speed = ((front - self._front_before) / dt)[..., :2].norm(dim=-1)
         down = front[..., 2] < self.description.toe_radius + NEAR
-        front_slip = torch.where(down & later[:, None], front_speed, torch.zeros_like(front_speed))
+        front_slip = torch.where(down & later[:, None], front_speed, 0.0)
         clearance = low[:, self._landing]
         landed = (clearance < NEAR) & (self._clearance_before > NEAR) & later[:, None]
         landing = (((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed).square().sum(-1)

@@ -155,8 +155,6 @@ class StandTrackEnv(VecEnv, Chance):
             half[c.columns(name)] = width
         self._noise_half = self._tensor(half)
         self._averaged = torch.as_tensor(c.columns(*AVERAGED), device=self.device)
-        steps = self.settings.randomisation.delay
-        self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
 
     def _buffers(self) -> None:
         n, device, zeros = self.num_envs, self.device, self._zeros
@@ -179,16 +177,14 @@ class StandTrackEnv(VecEnv, Chance):
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
-        weights = self._weights_at(0.0)
+        weights = self._weights_now()
         self._rewarded, self._weights = list(weights), torch.tensor(list(weights.values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
-        self._calls = 240 * (steps // 240)
-        self._ramp = min(
-            max((self._calls - self.settings.curriculum_latest) / self.settings.curriculum_steps, 0.0), 1.0
-        )
+        self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
+        self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
 
     # ------------------------------------------------------------------ the interface of rsl_rl
 
@@ -205,10 +201,8 @@ class StandTrackEnv(VecEnv, Chance):
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
-            ramp = self._ramp_share()
-            self._weights.copy_(torch.tensor(list(self._weights_at(ramp).values())))
-            self._termination_share.fill_(ramp**2)
-            self._set_difficulty(ramp)
+            self._set_difficulty()
+            self._weights.copy_(torch.tensor(list(self._weights_now().values())))
         self._before()
         self.worlds.step()
         self._after()
@@ -238,11 +232,9 @@ class StandTrackEnv(VecEnv, Chance):
             motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
             motors.send(newest, self._delay)
             return
-        n = self.worlds.decimation
+        ages, n = (newest, before, before_that, torch.where, [oldest]), self.worlds.decimation
         for k in range(n):
-            ages = newest, before, before_that, torch.where, [oldest]
-            ctrl = command_in_effect(k, n, self._delay, *ages, interpolate=True)
-            self.worlds.substep_ctrl[k].copy_(ctrl)
+            self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
 
     def _delay_seen(self) -> torch.Tensor:
         """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
@@ -253,11 +245,9 @@ class StandTrackEnv(VecEnv, Chance):
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
-        toes = w.toes[:, :2]
+        toes, force = w.toes[:, :2], self.disturbances.pull
         self.disturbances.advance(self.episode_length_buf, toes, self._heading)
-        force = self.disturbances.pull
-        lever = toes - w.xipos[:, self._front_knees]
-        moment = torch.linalg.cross(lever, force)
+        moment = torch.linalg.cross(toes - w.xipos[:, self._front_knees], force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
 
     def _measure(self) -> None:
@@ -314,11 +304,10 @@ class StandTrackEnv(VecEnv, Chance):
 
     # ------------------------------------------------------------------ the task: what sitting down does in its own way
 
-    def _weights_at(self, ramp: float) -> dict[str, float]:
-        """Return the weight of each reward term by now; ``ramp`` of what makes the task hard is there, 0 to 1."""
-        s = self.settings
-        finished = self._passed(s.finish_steps)
-        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * ramp)
+    def _weights_now(self) -> dict[str, float]:
+        """Return the weight of each reward term by now."""
+        s, finished = self.settings, self._passed(self.settings.finish_steps)
+        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * self._ramp)
         factors |= dict.fromkeys(RESTING_TERMS, self._passed(s.rest_steps))
         for name, factor in asdict(s.finish).items():
             factors[name] = factors.get(name, 1.0) * (1 + (factor - 1) * finished)
@@ -329,21 +318,19 @@ class StandTrackEnv(VecEnv, Chance):
         begin, end = steps
         return min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
 
-    def _ramp_share(self) -> float:
-        ends = float(self._log["all/ends"]) if "all/ends" in self._log else 1.0  # waits for the device
-        if self._calls and (ends < self.settings.curriculum_ends or self._calls > self.settings.curriculum_latest):
-            self._ramp = min(self._ramp + 240 / self.settings.curriculum_steps, 1.0)
-        return self._ramp
-
-    def _set_difficulty(self, ramp: float) -> None:
-        """Set what grows as the robot learns to stand, for the share of the ramp that is done."""
-        s = self.settings
-        rests = self._passed(s.rest_steps)
+    def _set_difficulty(self) -> None:
+        """Set what grows as the robot learns to stand, and how far it has grown: ``_ramp``, 0 to 1."""
+        s, rests = self.settings, self._passed(self.settings.rest_steps)
+        ends = float(self._log["all/ends"]) if self._log else 1.0  # waits for the device
+        if self._calls and (ends < s.curriculum_ends or self._calls > s.curriculum_latest):
+            self._ramp = min(self._ramp + 240 / s.curriculum_steps, 1.0)
+        self._termination_share.fill_(self._ramp**2)
         share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * rests
         self.worlds.set_share(share)
         self.disturbances.set_share(share)
         self._rest_share.fill_(rests)
-        self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
+        grown_by = (s.upright_share - s.upright_share_at_first) * self._ramp
+        self._starts.upright_share.fill_(s.upright_share_at_first + grown_by)
 
     def _command(self) -> None:
         first = (self.episode_length_buf == STAND_UP_STEPS + 1) & ~self._upright_start
@@ -491,10 +478,9 @@ class StandTrackEnv(VecEnv, Chance):
     def _show_reaching(self) -> None:
         q, excess = leg_joints(self.goals.now, self.description, torch)
         actions = (q - self._default_q[:6].view(2, 3)) / self.settings.action_scale
-        counts = (excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None]
-        counts = counts[..., None].expand_as(actions)
-        self._reaching[:, 0].copy_(torch.where(counts, actions, torch.zeros_like(actions)))
-        self._reaching[:, 1].copy_(counts)
+        counts = ((excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None])[..., None]
+        self._reaching[:, 0].copy_(torch.where(counts, actions, 0.0))
+        self._reaching[:, 1].copy_(counts.expand_as(actions))
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
@@ -534,11 +520,11 @@ class StandTrackEnv(VecEnv, Chance):
         self._measure()
         for command in self._commands:
             put(command, mask, start.command)
-        old = w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
-        for buffer in old:
+        past = self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
+        for buffer in (w.warmstart, *past):
             put(buffer, mask, 0.0)
         put(self._noise, mask, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
-        low, high = self._delay_range
+        low, high = (round(delay / self.description.timestep) for delay in self.settings.randomisation.delay)
         put(self._delay, mask, torch.randint_like(self._delay, low, high + 1))
         if w.motors is not None:
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
