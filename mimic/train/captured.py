@@ -66,8 +66,7 @@ class CapturedPPO(PPO):
             p.grad = self._flat[begin : begin + p.numel()].view_as(p)
             begin += p.numel()
         self._size = storage.num_envs * storage.num_transitions_per_env // self.num_mini_batches
-        self._seen: TensorDict | None = None
-        self._last: TensorDict | None = None
+        self._seen: TensorDict | None = None  # stays where it is
         self._batch: dict[str, torch.Tensor] = {}
         self._act = Replayed(self._infer, self.device)
         self._returns = Replayed(self._all_returns, self.device)
@@ -98,7 +97,7 @@ class CapturedPPO(PPO):
 
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions and keep what the update needs."""
-        self._seen = _kept(self._seen, obs)
+        self._seen = obs.clone() if self._seen is None else self._seen.copy_(obs)
         t = self.transition
         t.actions, t.values, t.actions_log_prob, t.distribution_params = self._act()
         t.observations = obs
@@ -112,11 +111,12 @@ class CapturedPPO(PPO):
 
     def compute_returns(self, obs: TensorDict) -> None:
         """Compute return and advantage targets."""
-        self._last = _kept(self._last, obs)
+        assert self._seen is not None
+        self._seen.copy_(obs)
         self._returns()
 
     def _all_returns(self) -> None:
-        super().compute_returns(self._last)  # type: ignore[arg-type]
+        super().compute_returns(self._seen)  # type: ignore[arg-type]
 
     # ------------------------------------------------------------------ update
 
@@ -240,12 +240,3 @@ class CapturedPPO(PPO):
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate
         return iteration
-
-
-def _kept(buffer: TensorDict | None, new: TensorDict) -> TensorDict:
-    """Return ``new`` in tensors that stay where they are."""
-    if buffer is None:
-        return new.clone()
-    for name, tensor in new.items():
-        buffer[name].copy_(tensor)
-    return buffer

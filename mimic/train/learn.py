@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import logging
 import math
 import time
 from dataclasses import replace
@@ -21,13 +20,10 @@ from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Ranks, Report, TimeIsUp, TrainingDiverged
+from mimic.train.runner import QuietLogger, Report, TimeIsUp, TrainingDiverged, own_device, rank
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import take_over
-
-log = logging.getLogger(__name__)
-
 
 REACHING_SHARE = 0.4
 """Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
@@ -98,19 +94,18 @@ def train(
         TrainingDiverged: If a loss is not finite.
         ConfigError: If the device is not there.
     """
-    ranks = Ranks.of_environment()
-    device = ranks.device(learn.device)
+    device, first = own_device(learn.device), rank() == 0
     if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
-    if ranks.rank == 0:
+    if first:
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / "settings.json") as part:
             part.write_text(settings_text(mdp, learn), encoding="utf-8")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
-    env = kind(description, mdp, device, learn.seed + 1000 * ranks.rank)
+    env = kind(description, mdp, device, learn.seed + 1000 * rank())
     with contextlib.redirect_stdout(io.StringIO()):
         runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = QuietLogger
@@ -137,22 +132,20 @@ def train(
             env.resume_at(math.ceil(steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
-        log.info("go on from the policy %s; only the critic learns in the first %d updates", resume, critic_alone)
     elif resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
-        log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
     try:
         runner.learn(learn.updates)
     except TimeIsUp:
-        log.info("stopped after %.1f min", learn.minutes)
+        pass
     except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
         if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):
             raise
         raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
-    if ranks.rank == 0:
+    if first:
         runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
         policy = runner.alg.get_policy().as_onnx(verbose=False)
         export_network(policy, contract, description, folder / "policy.onnx")

@@ -13,10 +13,7 @@ import torch
 
 from mimic.policy.contract import AVERAGED, FRAME_SIZE, TERMS
 
-LEG_SIGNS = (-1.0, 1.0, 1.0)
-"""Of abad, hip and knee in the mirror."""
-
-_JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [*LEG_SIGNS] * 4)
+_JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [-1.0, 1.0, 1.0] * 4)  # abad, hip, knee
 _AXIS = ([0, 1, 2], [1.0, -1.0, 1.0])
 _TURN = ([0, 1, 2], [-1.0, 1.0, -1.0])
 MIRRORED = {

@@ -6,7 +6,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -26,39 +25,30 @@ class TimeIsUp(Exception):
     """The time is over."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ranks:
-    """Which of the processes of a training this is; the first one writes."""
+def rank() -> int:
+    """Return which process of a training (torchrun) this is; the first one, 0, writes."""
+    return int(os.environ.get("RANK", 0))
 
-    rank: int
-    local: int
-    """Among those of this machine, which is the number of its GPU."""
-    count: int
 
-    @classmethod
-    def of_environment(cls) -> Ranks:
-        """Return what torchrun says; without it, one process."""
-        rank, local, count = (int(os.environ.get(k, d)) for k, d in (("RANK", 0), ("LOCAL_RANK", 0), ("WORLD_SIZE", 1)))
-        return cls(rank=rank, local=local, count=count)
+def own_device(wanted: str) -> str:
+    """Return the device of this process; each of several has the GPU of its number on this machine.
 
-    def device(self, wanted: str) -> str:
-        """Return the device of this process.
-
-        Raises:
-            ConfigError: If it is not there.
-        """
-        device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-        if self.count == 1 or not device.startswith("cuda"):
-            return device
-        if self.local >= torch.cuda.device_count():
-            raise ConfigError(
-                f"process {self.local} of this machine has no GPU of its own, there are {torch.cuda.device_count()}; "
-                "start as many processes as there are GPUs"
-            )
-        torch.cuda.set_device(self.local)
-        return f"cuda:{self.local}"
+    Raises:
+        ConfigError: If it is not there.
+    """
+    device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+    if os.environ.get("WORLD_SIZE", "1") == "1" or not device.startswith("cuda"):
+        return device
+    local = int(os.environ["LOCAL_RANK"])
+    if local >= torch.cuda.device_count():
+        raise ConfigError(
+            f"process {local} of this machine has no GPU of its own, there are {torch.cuda.device_count()}; "
+            "start as many processes as there are GPUs"
+        )
+    torch.cuda.set_device(local)
+    return f"cuda:{local}"
 
 
 class QuietLogger(Logger):

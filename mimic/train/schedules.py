@@ -157,7 +157,8 @@ class MoveSchedule(Chance):
         """
         s = LEADING
         self._felt.add_((pull - self._felt) * (self._dt / (s.smoothing + self._dt)) * led[:, None])
-        speed, rate, share = answer_to_pull(*in_heading_frame(self._felt, heading).unbind(-1), s, torch)
+        forward, left = in_heading_frame(self._felt, heading).unbind(-1)
+        speed, rate, share = answer_to_pull(forward, left, s, torch)
         put(self.velocity, led, torch.stack([speed, torch.zeros_like(speed)], -1))
         sideways = share * in_heading_frame(hand, heading)[:, 1]
         self.wanted.copy_(torch.where(led[:, None], torch.stack([speed, sideways], -1), self.velocity))

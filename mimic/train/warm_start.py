@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,25 +15,17 @@ from onnx import numpy_helper
 from mimic.errors import AssetError, ConfigError
 from mimic.policy.contract import AVERAGED, METADATA_KEY, PolicyContract
 
-log = logging.getLogger(__name__)
-
 SEEN = 10**9
 """Observations that count as seen by the normalisation taken over, so that new ones hardly move it."""
 
 NEW_SPREAD = {"gyro": 0.2, "joint_velocity": 0.1, "slow_mean": 0.2}
 """Spread of the terms of an observation that a policy lacked, for its normalisation."""
 
-SPREAD = 0.2
-"""Spread of the actions with which the training begins, where the settings give none."""
-
 MEANING = ("joints", "action_scale", "action_clip", "dt")
 """Fields of the contract without which the numbers of a network mean something else."""
 
-WAY_OF_PLAYING = ("robot", "default_q", "kp", "kd", "clock_hz", "clock_fade", "interpolate")
-"""Fields that a training can get used to."""
 
-
-def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float = 0.0) -> bool:
+def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -> bool:
     """Put the network of a policy into an actor of rsl_rl, which then acts as the policy does.
 
     The actor may see more frames than the policy, which come first in an observation, and more terms, which come last
@@ -43,8 +34,8 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float = 
     Args:
         actor: An MLPModel with normalised observations, changed in place.
         path: An ONNX policy as this package writes it.
-        contract: Of the training; how the policy was played otherwise is logged.
-        spread: Spread of the actions; 0 takes ``SPREAD``.
+        contract: Of the training.
+        spread: Spread of the actions.
 
     Returns:
         Whether the policy was on the same robot.
@@ -97,25 +88,23 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float = 
         for module, (weight, bias) in zip(linear, layers, strict=True):
             module.weight.copy_(torch.as_tensor(weight))
             module.bias.copy_(torch.as_tensor(bias))
-        actor.distribution.log_std_param.fill_(math.log(spread or SPREAD))
+        actor.distribution.log_std_param.fill_(math.log(spread))
     return known.robot == contract.robot
 
 
 def _compare(name: str, there: PolicyContract, here: PolicyContract) -> None:
-    """Log how a policy was played otherwise than it will be, and refuse one whose numbers mean something else."""
+    """Refuse a policy whose numbers mean something else."""
     if there.terms != here.terms[: len(there.terms)]:
         raise ConfigError(
             f"{name} has the terms {there.terms} in a frame; a training goes on from {here.terms} or its first"
         )
-    for field in (*MEANING, *WAY_OF_PLAYING):
+    for field in MEANING:
         old, new = getattr(there, field), getattr(here, field)
-        if old != new and field in MEANING:
+        if old != new:
             raise ConfigError(
                 f"{name} has {field} {old}; the settings have {new}, and the network would mean "
                 "something else; use the settings of its training"
             )
-        if old != new:
-            log.info("%s was trained with %s %s and goes on with %s", name, field, old, new)
 
 
 def _sizes(shapes: Sequence[tuple[int, ...]]) -> str:

@@ -95,7 +95,8 @@ class Worlds:
         self.device, self._description = device, description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
-        self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
+        n, count = settings.worlds, min(settings.worlds, VARIANTS)
+        self.motors = None if effects is None else WorldMotors(description, effects, n, device, count, seed)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
         model = load_model(description, visuals=False, servos=effects is not None)
         model.opt.timestep = description.timestep
@@ -107,7 +108,6 @@ class Worlds:
         if self._friction_speed:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
         self.mj_model = model
-        n = settings.worlds
         data = mujoco.MjData(model)
         data.qpos[:7] = 0.0, 0.0, description.pose_height["lie"], 1.0, 0.0, 0.0, 0.0
         data.qpos[7:] = data.ctrl[:] = description.poses["lie"]
@@ -119,7 +119,7 @@ class Worlds:
             self.model.opt.warn_overflow = 0
             contacts = CONTACTS + math.ceil(SPARE_CONTACTS / n)
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=ROWS)
-            self._randomise(description, settings, n, seed, fields)
+            self._randomise(description, settings, count, seed, fields)
             self._own_damping = wp.clone(self.model.dof_damping)
             self.qpos = wp.to_torch(self.data.qpos)
             self.qvel = wp.to_torch(self.data.qvel)
@@ -160,21 +160,16 @@ class Worlds:
             self._parts = [*between, drives[-1], ReplayedWarp(self.see, device)]
 
     def _randomise(
-        self, description: RobotDescription, settings: MdpSettings, n: int, seed: int, names: Sequence[str]
+        self, description: RobotDescription, settings: MdpSettings, count: int, seed: int, names: Sequence[str]
     ) -> None:
-        rng = np.random.default_rng([seed, 17])
-        other = np.random.default_rng([seed, 18])
-        d = settings.disturbances
+        n, d = settings.worlds, settings.disturbances
+        rng, other = (np.random.default_rng([seed, stream]) for stream in (17, 18))
         calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
-        quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
+        quiet = round(settings.quiet_share * count) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
-        count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
-        features, slopes, variations = [], [], []
-        grounds: list[tuple[float, float, float]] = []
-        if self.motors is not None:
-            self.motors.draw(count, np.random.default_rng([seed, 19]))
+        features, slopes, variations, grounds, ratios = [], [], [], [], []
         for i in range(count):
             d = calm if i < quiet else settings.disturbances
             ranges = QUIET_ROBOT if i < quiet else settings.randomisation
@@ -186,8 +181,8 @@ class Worlds:
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
-            ratio = math.exp(other.uniform(*np.log(d.friction_ratio)))
-            grounds.append((v.restitution, other.uniform(*d.contact_time), ratio))
+            ratios.append(math.exp(other.uniform(*np.log(d.friction_ratio))))
+            grounds.append((v.restitution, other.uniform(*d.contact_time)))
             angle, half = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope)) / 2
             slopes.append([np.cos(half), np.sin(half) * np.cos(angle), np.sin(half) * np.sin(angle), 0.0])
             for name in names:
@@ -208,7 +203,8 @@ class Worlds:
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
-        self._stiffer = torch.ones(n, device=self.device)
+        self._ratio = torch.tensor(ratios, device=self.device)[torch.as_tensor(index, device=self.device)]
+        self._stiffer = torch.ones_like(self._ratio)
         self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
         self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
@@ -226,17 +222,15 @@ class Worlds:
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
         usual = self._contact_time
-        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower, _ in self._grounds]
+        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
         solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
-        ratios = torch.tensor([ratio for *_, ratio in self._grounds], device=self.device)
-        self._stiffer.copy_((ratios ** (-0.5 * share))[self._ground_of])
+        self._stiffer.copy_(self._ratio ** (-0.5 * share))
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
             self.motors.set_share(share)
-        level = torch.zeros_like(self._own_slope)
-        level[:, 0] = 1.0
+        level = torch.tensor([1.0, 0.0, 0.0, 0.0], device=self.device)
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
