@@ -75,9 +75,8 @@ class QuietLogger(Logger):
         self.cur_reward_sum += rewards
         self.cur_episode_length += 1
         done = dones > 0
-        self._ended += torch.stack(
-            [(self.cur_reward_sum * done).sum(), (self.cur_episode_length * done).sum(), done.sum()]
-        )
+        sums = torch.stack([self.cur_reward_sum, self.cur_episode_length, torch.ones_like(self.cur_reward_sum)])
+        self._ended += (sums * done).sum(-1)
         self.cur_reward_sum *= ~done
         self.cur_episode_length *= ~done
 

@@ -46,9 +46,6 @@ FIRST_COMMAND = 1.04
 SETTLES = 2.0
 """A robot that is asked to stand has turned to its heading by this time [s]."""
 
-LEADING = LeadingSettings()
-"""How a robot that is led answers a pull."""
-
 
 class GoalSchedule(Chance):
     """Front-toe goals: neutral while standing up, then from goal to goal, some slow and straight, some fast."""
@@ -155,7 +152,7 @@ class MoveSchedule(Chance):
             hand: Velocity of the hand, world axes (N, 2) [m/s].
             heading: Heading of the robot (N,) [rad].
         """
-        s = LEADING
+        s = LeadingSettings()
         self._felt.add_((pull - self._felt) * (self._dt / (s.smoothing + self._dt)) * led[:, None])
         forward, left = in_heading_frame(self._felt, heading).unbind(-1)
         speed, rate, share = answer_to_pull(forward, left, s, torch)

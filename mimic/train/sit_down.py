@@ -174,7 +174,6 @@ class SitDownEnv(StandTrackEnv):
         figures = {
             "sit_down/lying": mean(lies.float(), there),
             "sit_down/pose_error": mean(pose_error.abs().mean(-1), there),
-            "sit_down/height_error": mean(height_error.abs(), 1 - there),
             "sit_down/failed": failed.float().mean() * self.max_episode_length,
         }
         return terms, failed, figures

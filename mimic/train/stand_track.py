@@ -375,9 +375,9 @@ class StandTrackEnv(VecEnv, Chance):
         drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
         efforts, change = self._efforts(), (self._last_action - self._before_last)[:, 6:]
         overload = torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
-        terms = efforts | {
+        terms = efforts | rising_terms(height, self._up, rising, self.description)
+        terms |= {
             "alive": torch.ones_like(height),
-            **rising_terms(height, self._up, rising, self.description),
             "velocity": speed * standing,
             "heading": turning * standing,
             "toes": reaching * standing * tracking,
@@ -396,13 +396,12 @@ class StandTrackEnv(VecEnv, Chance):
             "overload": overload.square().sum(-1),
             "fall": ended.float(),
         }
-        quiet = (w.quiet | (self.settings.quiet_share == 0.0)) * tracking
-        still, asked_speed, fallen = quiet * (self._gait == 0), self.moves.velocity[:, 0], terms["fall"]
+        quiet, asked_speed, fallen = w.quiet * tracking, self.moves.velocity[:, 0], terms["fall"]
+        still = quiet * (self._gait == 0)
         reached = (self._mean_velocity[:, 0] * asked_speed * tracking).sum()
         figures = {
             "still/planted": mean(self._load.amin(-1) > BEARS, still),
             "still/action_change": mean(change.square().mean(-1), still).sqrt(),
-            "still/torque_squares": mean(efforts["torque"], still),
             "still/shuffle": mean((hind_speed * contact).mean(-1), still),
             "walk/speed_share": reached / (asked_speed.square() * tracking).sum().clamp(min=1e-3),
             "walk/lift": mean(clearance.amax(-1), tracking * (self._gait == 1)),
@@ -414,7 +413,7 @@ class StandTrackEnv(VecEnv, Chance):
             "track/mean_velocity_error": mean(sway.norm(dim=-1), tracking),
             "track/heading_error": mean(turn.abs(), tracking),
             "track/falls": mean(fallen, tracking),
-            "track/termination_share": self._termination_share.mean(),
+            "track/termination_share": self._termination_share[0],
             "all/ends": fallen.mean(),
         }
         return terms, ended, figures

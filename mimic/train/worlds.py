@@ -114,8 +114,7 @@ class Worlds:
         mujoco.mj_forward(model, data)
         with wp.ScopedDevice(device):
             fields = RANDOMISED if self.motors is None else (*RANDOMISED, *DRIVEN)
-            sizes = {name: n for name in fields}
-            self.model = mjw.put_model(model, batch_sizes=sizes)
+            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(fields, n))
             self.model.opt.warn_overflow = 0
             contacts = CONTACTS + math.ceil(SPARE_CONTACTS / n)
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=ROWS)
@@ -197,20 +196,30 @@ class Worlds:
             tensor = wp.to_torch(getattr(self.model, name))
             tensor.copy_(torch.as_tensor(np.stack(values)[index], dtype=tensor.dtype).reshape(tensor.shape))
         if self.motors is not None:
-            self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
+            m, d = self.model, self.data
+            servo = Servo(
+                ctrl=wp.to_torch(d.ctrl),
+                applied=wp.to_torch(d.qfrc_applied)[:, 6:],
+                gain=wp.to_torch(m.actuator_gainprm),
+                bias=wp.to_torch(m.actuator_biasprm),
+                limits=wp.to_torch(m.actuator_forcerange),
+                friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
+                needed=wp.to_torch(d.qfrc_bias)[:, 6:],
+            )
+            self.motors.fit(variations, index, servo, settings.randomisation.delay[1])
         self.quiet = torch.as_tensor(index < quiet, device=self.device)
         """True for the worlds of MdpSettings.quiet_share (N,)."""
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
-        self._ratio = torch.tensor(ratios, device=self.device)[torch.as_tensor(index, device=self.device)]
+        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
+        self._ratio = torch.tensor(ratios, device=self.device)[self._ground_of]
         self._stiffer = torch.ones_like(self._ratio)
         self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
         self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
-        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
-        self._usual_gains = usual.reshape(1, *self._gains.shape[1:]).expand_as(self._gains)
+        self._usual_gains = usual.expand_as(self._gains)
         self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
         self._own_slope = torch.as_tensor(np.array(slopes, dtype=np.float32)[index], device=self.device)
         self.slope_quat = self._own_slope.clone()
@@ -221,9 +230,9 @@ class Worlds:
 
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
-        usual = self._contact_time
-        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower in self._grounds]
-        solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
+        time = self._contact_time
+        grounds = [bouncing((1 + share * (slower - 1)) * time, share * bounce) for bounce, slower in self._grounds]
+        solref = torch.tensor(grounds, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
         self._stiffer.copy_(self._ratio ** (-0.5 * share))
         if self.motors is None:
@@ -234,18 +243,6 @@ class Worlds:
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
-
-    def _servo(self) -> Servo:
-        m, d = self.model, self.data
-        return Servo(
-            ctrl=wp.to_torch(d.ctrl),
-            applied=wp.to_torch(d.qfrc_applied)[:, 6:],
-            gain=wp.to_torch(m.actuator_gainprm),
-            bias=wp.to_torch(m.actuator_biasprm),
-            limits=wp.to_torch(m.actuator_forcerange),
-            friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
-            needed=wp.to_torch(d.qfrc_bias)[:, 6:],
-        )
 
     @property
     def motor_torque(self) -> torch.Tensor:
