@@ -51,9 +51,9 @@ class CapturedPPO(PPO):
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
         self._wanted_kl = torch.tensor(self.desired_kl, device=self.device)
         self._policy_share = torch.ones((), device=self.device)
-        self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
         self._shows_reaching = self.reaching_coef > 0
-        self._losses += ["reaching"] * self._shows_reaching
+        self._losses = ["value", "surrogate", "entropy"]
+        self._losses += ["symmetry"] * bool(self._mirror) + ["reaching"] * self._shows_reaching
         self._reaching_weight = torch.tensor(self.reaching_coef, device=self.device)
         self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}

@@ -20,7 +20,7 @@ from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Report, TimeIsUp, TrainingDiverged, own_device, rank
+from mimic.train.runner import QuietLogger, Report, TimeIsUp, own_device, rank
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import take_over
@@ -135,14 +135,8 @@ def train(
     elif resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
-    try:
+    with contextlib.suppress(TimeIsUp):
         runner.learn(learn.updates)
-    except TimeIsUp:
-        pass
-    except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
-        if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):
-            raise
-        raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
     if first:

@@ -236,12 +236,6 @@ class StandTrackEnv(VecEnv, Chance):
         for k in range(n):
             self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
 
-    def _delay_seen(self) -> torch.Tensor:
-        """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
-        motors = self.worlds.motors
-        steps = self._delay.float() if motors is None else motors.delay(self._delay).mean(-1, keepdim=True)
-        return steps * (self.description.timestep / 0.005)
-
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
@@ -565,6 +559,7 @@ class StandTrackEnv(VecEnv, Chance):
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
         self._policy_obs.copy_(self._history.reshape(n, -1))
         feet = low[:, self._hind_toes]
+        delay = self._delay.float() if w.motors is None else w.motors.delay(self._delay).mean(-1, keepdim=True)
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
@@ -573,7 +568,7 @@ class StandTrackEnv(VecEnv, Chance):
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
             self._up[:, None],
-            (self._delay_seen() - 3.5) * 0.3,
+            (delay * (self.description.timestep / 0.005) - 3.5) * 0.3,
             (feet < 0.003).float(),
             self._load,
             feet.clamp(max=0.2) * 10,
