@@ -13,11 +13,11 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.log.noise import LOW
-from mimic.sysid.log.timing import SendingTimes, joined, sending_times
+from mimic.sysid.log.noise import LOW, MEMORY
+from mimic.sysid.log.timing import ALIKE, SendingTimes, joined, sending_times
 
-SHORT, LEAST_BLOCKS = 9.5, 16
-"""A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
+LEAST_BLOCKS = 10
+"""A log of fewer seconds is cut into so many blocks; fewer could not say how sure anything is."""
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
@@ -27,9 +27,6 @@ RECEIVED = "t_receive."
 
 ODD = 5.0
 """An answer this many standard deviations from the usual time is of no known time, or of another row."""
-
-LEAST_ODD = 0.5e-3
-"""[s]; what is less hardly matters."""
 
 FAR = 10.0
 """A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
@@ -77,7 +74,7 @@ def make_blocks(
     """
     logs = logs or [slice(0, len(t))]
     total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
-    seconds = 1.0 if total > SHORT else total / LEAST_BLOCKS
+    seconds = min(total / LEAST_BLOCKS, 1.0)
     index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
     for rows in logs:
         since = t[rows] - t[rows][0]
@@ -125,8 +122,6 @@ def spikes(log: JointLog) -> BoolArray:
     """
     t, q = log.t[:, None], np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
-    if len(q) < 5:
-        return found
     slope = (q[3:-1] - q[1:-3]) / (t[3:-1] - t[1:-3])
     before, off, after = (
         np.abs(q[k : len(q) - 4 + k] - q[1:-3] - slope * (t[k : len(q) - 4 + k] - t[1:-3])) for k in (0, 2, 4)
@@ -164,7 +159,7 @@ def at_odd_times(log: JointLog, most: float) -> BoolArray:
         after = came - log.t
         away = np.abs(after - np.nanmedian(after))
         usual = median_abs_deviation(after, scale="normal", nan_policy="omit")
-        odd = np.fmax(odd, away / max(ODD * float(usual), LEAST_ODD))
+        odd = np.fmax(odd, away / max(ODD * float(usual), ALIKE))
     return np.asarray(odd > max(1.0, float(np.quantile(odd, 1.0 - most))))
 
 
@@ -188,9 +183,6 @@ def valid_samples(log: JointLog) -> BoolArray:
     """Return the rows (T,) whose readings are not masked."""
     return np.asarray(np.nan_to_num(log.extra.get(UNREAD, np.zeros(len(log.t)))) == 0)
 
-
-BETWEEN = 1.0
-"""Time between the logs of a pool [s]: a gap, so that it must be more than two readings are apart."""
 
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
@@ -267,7 +259,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
     if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
         logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
     parts, times, pieces = [], [], []
-    row, at = 0, 0.0
+    row, at, gap = 0, 0.0, MEMORY + 2 / min(log.rate for log in logs)
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
     for log, name, supply in zip(logs, names, volts, strict=True):
         machine = as_logged(model, log.metadata, by_force=log.q_des is None)
@@ -287,7 +279,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
         )
         times.append(sending_times(log))
         pieces.append(replace(log, t=t))
-        row, at = row + len(t), float(np.ceil((t[-1] + BETWEEN) / step) * step)
+        row, at = row + len(t), float(np.ceil((t[-1] + gap) / step) * step)
     if len(logs) == 1:
         return Pool(log=logs[0], parts=tuple(parts), step=step, sending=times[0])
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
