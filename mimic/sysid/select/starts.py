@@ -72,7 +72,7 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
 def best_order(q: FloatArray, r: FloatArray) -> float:
     """Return the order whose sine and cosine over positions (T,) explain most of a residual (T,)."""
     bounds = CATALOGUE["cogging"].parameter("order")
-    turns = 2 * np.pi / max(float(np.ptp(q)), 1e-9) if len(q) else np.inf
+    turns = 2 * np.pi / float(np.ptp(q)) if len(np.unique(q)) > 1 else np.inf
     low, high = max(FEWEST * turns, bounds.low), min(MOST * turns, bounds.high)
     orders = np.arange(low, high, turns / 12) if low < high else np.array([bounds.high])  # a twelfth of a peak's width
     waves = (np.stack([np.cos(k * q), np.sin(k * q), np.ones_like(q)], -1) for k in orders)
