@@ -114,9 +114,10 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
     log, drives = replay.log, replay.machine.drives
     t = log.t - log.t[0]
-    low_pass = signal.butter(2, min(2 / MEMORY, log.rate / np.pi), fs=log.rate, output="sos")
-    pieces = [part.slice for part in replay.parts]
-    q = np.concatenate([signal.sosfiltfilt(low_pass, log.q[rows], axis=0) for rows in pieces])
+    pieces, answers, q = [part.slice for part in replay.parts], 2 / MEMORY, log.q
+    if log.rate > 2 * answers:  # slower readings show no more than a drive answers
+        low_pass = signal.butter(2, answers, fs=log.rate, output="sos")
+        q = np.concatenate([signal.sosfiltfilt(low_pass, q[rows], axis=0) for rows in pieces])
     dq = np.concatenate([np.gradient(q[rows], t[rows], axis=0) for rows in pieces])
     ddq = np.concatenate([np.gradient(dq[rows], t[rows], axis=0) for rows in pieces])
     tau = log.tau

@@ -20,7 +20,7 @@ from mimic.sysid.log.noise import (
     rounding,
     speed,
 )
-from mimic.sysid.log.pool import at_odd_times, filled, followed, missing, spikes, valid_samples
+from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
 from mimic.sysid.result import RULES
 
@@ -289,7 +289,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         CalibrationError: If too little is left.
     """
     warnings: list[str] = []
-    if len(log.t) * MEMORY < SHORTEST:
+    if len(log.t) * BETWEEN < 2 * SHORTEST:
         raise CalibrationError(f"the log has {len(log.t)} rows; a calibration needs {SHORTEST:g} s of readings")
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
     if empty:
@@ -348,7 +348,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
         warnings.append(f"{len(twice)} rows have the same time as the row before; left out")
         log = log.part(np.delete(np.arange(len(log.t)), twice))
     distance = float(np.median(np.diff(log.t)))
-    if distance >= MEMORY:
+    if 2 * distance >= BETWEEN:
         raise CalibrationError(
             f"the log has a reading each {distance:g} s by its column t; seconds are expected, and 50 readings a second"
             " or more. If t is in milliseconds, divide it by 1000"

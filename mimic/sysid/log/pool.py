@@ -13,7 +13,7 @@ from mimic.dynamics.machine import MachineModel, as_logged
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.log.noise import LOW, MEMORY
+from mimic.sysid.log.noise import LOW
 from mimic.sysid.log.timing import ALIKE, SendingTimes, joined, sending_times
 
 LEAST_BLOCKS = 10
@@ -184,6 +184,9 @@ def valid_samples(log: JointLog) -> BoolArray:
     return np.asarray(np.nan_to_num(log.extra.get(UNREAD, np.zeros(len(log.t)))) == 0)
 
 
+BETWEEN = 1.0
+"""Time between the logs of a pool [s]: a gap, so that it must be more than two readings are apart."""
+
 ENABLED = "enabled"
 """Column, of all joints or with a joint's name after a point: 0 while the drive is switched off."""
 
@@ -259,7 +262,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
     if any(log.force is not None for log in logs):  # added to what the drive gives: none is a force of zero
         logs = [log if log.force is not None else replace(log, force=np.zeros(log.q.shape)) for log in logs]
     parts, times, pieces = [], [], []
-    row, at, gap = 0, 0.0, MEMORY + 2 / min(log.rate for log in logs)
+    row, at = 0, 0.0
     volts = [_number(log.metadata.get(VOLTAGE), VOLTAGE, name) for log, name in zip(logs, names, strict=True)]
     for log, name, supply in zip(logs, names, volts, strict=True):
         machine = as_logged(model, log.metadata, by_force=log.q_des is None)
@@ -279,7 +282,7 @@ def pool(logs: Sequence[JointLog], model: MachineModel, step: float, names: Sequ
         )
         times.append(sending_times(log))
         pieces.append(replace(log, t=t))
-        row, at = row + len(t), float(np.ceil((t[-1] + gap) / step) * step)
+        row, at = row + len(t), float(np.ceil((t[-1] + BETWEEN) / step) * step)
     if len(logs) == 1:
         return Pool(log=logs[0], parts=tuple(parts), step=step, sending=times[0])
     common = [n for n in CHANNELS if all(getattr(log, n) is not None for log in logs)]
