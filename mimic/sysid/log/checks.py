@@ -12,6 +12,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
+    FOLLOWS,
     MEMORY,
     Following,
     following,
@@ -23,9 +24,6 @@ from mimic.sysid.log.noise import (
 from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
 from mimic.sysid.result import RULES
-
-FOLLOWS = 0.9
-"""Correlation of a joint with a target that it certainly follows."""
 
 STRANGER = float(np.sqrt(RULES.most))
 """With one that it follows badly: the target does not explain most of its squares."""

@@ -23,6 +23,9 @@ LEAST_LEVELS = 6
 SMOOTH = 0.03
 """Time over which signals are averaged where their noise would hide what they do [s]."""
 
+FOLLOWS = 0.9
+"""Correlation of a joint with a target that it certainly follows, and share of the best of what is as good."""
+
 MEMORY = 0.1
 """Time in which a drive answers its target, and forgets where it was [s]."""
 
@@ -105,7 +108,7 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
         curve = np.fft.irfft(fx[:, i] * fy[:, j].conj(), size)[shifts]
         curve = curve / (len(clock) * spread_x[i] * spread_y[j]) / (1.0 - np.abs(shifts) / len(clock))
         up, down = int(curve.argmax()), int(curve.argmin())
-        k = down if -curve[down] > curve[up] + 0.1 else up  # a sine is its own opposite half a period later
+        k = down if -curve[down] * FOLLOWS > curve[up] else up  # a sine is its own opposite half a period later
         shift = int(shifts[k])
         late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
         rows = min(len(late), len(early))

@@ -16,8 +16,8 @@ from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.noise import LOW
 from mimic.sysid.log.timing import ALIKE, SendingTimes, joined, sending_times
 
-LEAST_BLOCKS = 10
-"""A log of fewer seconds is cut into so many blocks; fewer could not say how sure anything is."""
+SHORT, LEAST_BLOCKS = 9.5, 16
+"""A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
 
 UNREAD = "unread"
 """Column of such rows: 1 where nothing is compared with the reading, which is interpolated."""
@@ -74,7 +74,7 @@ def make_blocks(
     """
     logs = logs or [slice(0, len(t))]
     total = float(sum(t[rows][-1] - t[rows][0] for rows in logs))
-    seconds = min(total / LEAST_BLOCKS, 1.0)
+    seconds = 1.0 if total > SHORT else total / LEAST_BLOCKS
     index, held_out, switched, count = np.zeros(len(t), dtype=int), [], [], 0
     for rows in logs:
         since = t[rows] - t[rows][0]

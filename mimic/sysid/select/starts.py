@@ -52,9 +52,7 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
         grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
         return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
     if name == "cogging":
-        calm = np.abs(motion.dq) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
-        left = [_left(incumbent, j) for j in range(len(machine.joints))]
-        best = [best_order(motion.q[use, j], left[j][use]) for j, use in enumerate(calm.T)]
+        best = [best_order(motion.q[:, j], _left(incumbent, j)) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
     joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
     axes = [
