@@ -199,5 +199,5 @@ def _solved(normal: Sequence[tuple[FloatArray, FloatArray]], weights: FloatArray
         beside = -near[:most, :most] @ row
         variance[j] = 1.0 / upper[-1, j] ** 2 - row @ beside
         near = np.block([[variance[j : j + 1, None], beside[None]], [beside[:, None], near[:most, :most]]])
-    variance = np.minimum(variance, RULES.most)  # the prior stays where it says more than the log
+    variance = np.minimum(variance, 1.0 - np.sqrt(np.finfo(np.float32).eps))  # responses are in single precision
     return value / (1.0 - variance), np.sqrt(variance / (1.0 - variance))
