@@ -30,9 +30,6 @@ from mimic.sysid.log.timing import SendingTimes, at_rows
 LONGEST_STEP = 0.0025
 """[s]"""
 
-UNSEEN = 0.05
-"""Readings further apart than this [s] and than twice the usual: targets may have come and gone between them."""
-
 
 def on_steps(times: Any) -> Any:
     """Return times in steps, whole where single precision does not tell."""
@@ -75,9 +72,12 @@ class Prediction:
 
 
 def stretch_starts(t: FloatArray) -> FloatArray:
-    """Return the start of the gap-free stretch that each reading (T,) is in [s]."""
+    """Return the start of the gap-free stretch that each reading (T,) is in [s].
+
+    In a gap of half of what a drive takes to answer, and of twice the usual, targets may have come and gone.
+    """
     between = np.diff(t)
-    gap = between > max(UNSEEN, 2 * float(np.median(between)))
+    gap = between > max(MEMORY / 2, 2 * float(np.median(between)))
     return np.maximum.accumulate(np.where(np.concatenate([[True], gap]), t, -np.inf))
 
 

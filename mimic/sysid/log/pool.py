@@ -14,7 +14,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.noise import LOW
-from mimic.sysid.log.timing import SendingTimes, joined, sending_times
+from mimic.sysid.log.timing import ALIKE, SendingTimes, joined, sending_times
 
 SHORT, LEAST_BLOCKS = 9.5, 16
 """A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
@@ -27,9 +27,6 @@ RECEIVED = "t_receive."
 
 ODD = 5.0
 """An answer this many standard deviations from the usual time is of no known time, or of another row."""
-
-LEAST_ODD = 0.5e-3
-"""[s]; what is less hardly matters."""
 
 FAR = 10.0
 """A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
@@ -125,8 +122,6 @@ def spikes(log: JointLog) -> BoolArray:
     """
     t, q = log.t[:, None], np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
-    if len(q) < 5:
-        return found
     slope = (q[3:-1] - q[1:-3]) / (t[3:-1] - t[1:-3])
     before, off, after = (
         np.abs(q[k : len(q) - 4 + k] - q[1:-3] - slope * (t[k : len(q) - 4 + k] - t[1:-3])) for k in (0, 2, 4)
@@ -164,7 +159,7 @@ def at_odd_times(log: JointLog, most: float) -> BoolArray:
         after = came - log.t
         away = np.abs(after - np.nanmedian(after))
         usual = median_abs_deviation(after, scale="normal", nan_policy="omit")
-        odd = np.fmax(odd, away / max(ODD * float(usual), LEAST_ODD))
+        odd = np.fmax(odd, away / max(ODD * float(usual), ALIKE))
     return np.asarray(odd > max(1.0, float(np.quantile(odd, 1.0 - most))))
 
 
