@@ -32,7 +32,7 @@ class MachineModel:
     """A compiled machine and what calibration needs to know of it. Joint arrays are (J,)."""
 
     model: mujoco.MjModel
-    """One position servo for each joint, in the order of ``joints``; no contacts, no limits but the joints'."""
+    """One motor for each joint, in the order of ``joints``; no contacts, no limits but the joints'."""
     joints: tuple[str, ...]
     drives: Drives
     chain: IntArray
