@@ -50,8 +50,8 @@ RANDOMISED = (
 )
 """Model fields that differ from world to world."""
 
-DRIVEN = ("dof_armature", "actuator_biasprm", "actuator_forcerange")
-"""… and more of them, where a law drives the joints."""
+DRIVEN = ("dof_armature",)
+"""… and what else, where a law drives the joints."""
 
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
@@ -97,7 +97,7 @@ class Worlds:
         effects = read_standing(Path(settings.effects)) if settings.effects else None
         self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
-        model = load_model(description, visuals=False, servos=effects is not None)
+        model = load_model(description, visuals=False, driven=effects is not None)
         model.opt.timestep = description.timestep
         if self.motors is not None:
             model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
@@ -163,7 +163,7 @@ class Worlds:
         calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
         quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
         driven = self.motors is not None
-        nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
+        nominal, varied = (load_model(description, visuals=False, driven=driven) for _ in range(2))
         count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
         features, slopes, variations = [], [], []
@@ -245,9 +245,7 @@ class Worlds:
         return Servo(
             ctrl=wp.to_torch(d.ctrl),
             applied=wp.to_torch(d.qfrc_applied)[:, 6:],
-            gain=wp.to_torch(m.actuator_gainprm),
-            bias=wp.to_torch(m.actuator_biasprm),
-            limits=wp.to_torch(m.actuator_forcerange),
+            inertia=wp.to_torch(m.dof_armature)[:, 6:],
             friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
             needed=wp.to_torch(d.qfrc_bias)[:, 6:],
         )
