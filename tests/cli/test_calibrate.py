@@ -154,7 +154,7 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "hidden.toml"], "cannot be read as Parquet"),
         (["calibrate", "log.csv", "--model", "missing.xml"], "there is no model missing.xml"),
         (["calibrate", "log.csv"], "the model has joint 'FL_abad'"),
-        (["calibrate", "log.csv", "--model", "robot.xml"], "has 3 rows; a calibration needs 5 s"),
+        (["calibrate", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["calibrate"], "no log is given"),
         (["calibrate", "log.csv", "--held-out", "log.csv"], "log.csv is given twice"),
         (
@@ -172,7 +172,7 @@ def test_a_log_of_something_else_ends_with_2_and_no_effects(here: Path) -> None:
         (["calibrate", "log.csv", "--baseline", "friction"], "effect 'friction' is not in the catalogue"),
         (["calibrate", "log.csv", "--threads", "-1"], "threads is -1"),
         (["log", "replay", "missing.csv"], "missing.csv does not exist"),
-        (["log", "replay", "log.csv", "--model", "robot.xml"], "has 3 rows; a calibration needs 5 s"),
+        (["log", "replay", "log.csv", "--model", "robot.xml"], "lasts 0.01 s"),
         (["log", "replay", "log.csv", "--effects", "a.toml", "--effects", "a.toml"], "names a file twice"),
         (["log", "replay", "log.csv", "--effects", "none.toml"], "none.toml cannot be read"),
         (["log", "replay", "log.csv", "--threads", "-1"], "threads is -1"),

@@ -122,6 +122,8 @@ def spikes(log: JointLog) -> BoolArray:
     """
     t, q = log.t[:, None], np.where(np.isfinite(log.q), log.q, np.nan)
     found = np.zeros(q.shape, dtype=bool)
+    if len(q) < 5:
+        return found
     slope = (q[3:-1] - q[1:-3]) / (t[3:-1] - t[1:-3])
     before, off, after = (
         np.abs(q[k : len(q) - 4 + k] - q[1:-3] - slope * (t[k : len(q) - 4 + k] - t[1:-3])) for k in (0, 2, 4)
