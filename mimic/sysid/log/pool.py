@@ -14,7 +14,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.log.noise import LOW
-from mimic.sysid.log.timing import ALIKE, SendingTimes, joined, sending_times
+from mimic.sysid.log.timing import SendingTimes, joined, sending_times
 
 SHORT, LEAST_BLOCKS = 9.5, 16
 """A log up to so long [s] is cut into so many blocks; fewer could not say how sure anything is."""
@@ -27,6 +27,9 @@ RECEIVED = "t_receive."
 
 ODD = 5.0
 """An answer this many standard deviations from the usual time is of no known time, or of another row."""
+
+LEAST_ODD = 0.5e-3
+"""[s]; what is less hardly matters."""
 
 FAR = 10.0
 """A reading is corrupt that is so many times as far off the line through its neighbours as theirs are."""
@@ -161,7 +164,7 @@ def at_odd_times(log: JointLog, most: float) -> BoolArray:
         after = came - log.t
         away = np.abs(after - np.nanmedian(after))
         usual = median_abs_deviation(after, scale="normal", nan_policy="omit")
-        odd = np.fmax(odd, away / max(ODD * float(usual), ALIKE))
+        odd = np.fmax(odd, away / max(ODD * float(usual), LEAST_ODD))
     return np.asarray(odd > max(1.0, float(np.quantile(odd, 1.0 - most))))
 
 
