@@ -164,9 +164,9 @@ def change(truth: Truth, other: Truth) -> list[float]:
 
 
 def changes(built: Built, truth: Truth) -> dict[str, list[float]]:
-    """Return how far the positions are apart without each of the hidden effects."""
+    """Return how far the positions are apart without each of the effects that are looked for."""
     found = {}
-    for name in built.where:
+    for name in built.where.keys() & {e.name for e in built.machine.hidden}:
         rest = EffectSet(tuple(e for e in built.machine.hidden if e.name != name))
         found[name] = change(truth, simulate(replace(built.machine, hidden=rest), built.motion, built.seed))
     return found
@@ -191,7 +191,7 @@ def run_scenario(scenario: Scenario, calibrate: Calibrate = calibrate_log) -> di
             bare = replace(built.machine, hidden=type(built.machine.hidden)(), aliens=())
             plain_truth = simulate(bare, built.motion, built.seed)
             record["change"] = change(truth, plain_truth)
-            record["changes"] = changes(built, truth) if len(scenario.names) > 1 else {}
+            record["changes"] = changes(built, truth) if len(built.machine.hidden) > 1 else {}
         read = truth
         if scenario.clock != "grid":
             fine = simulate(built.machine, built.motion, built.seed, rate_hz=FINE_RATE)

@@ -1,10 +1,11 @@
 """What a drive does in one physics step: the laws of the catalogue, the same code in NumPy and in PyTorch.
 
-A step of the physics is given a position servo ``force = kp (ctrl - q) - kd v + bias`` for each joint, which MuJoCo
-integrates with an implicit ``kd``, limits of that force, dry friction and a torque from outside. `Law` computes
-these seven from position, velocity and target. Damping acts on the mean of the velocities at both ends of a step
-(Crank and Nicolson), lags on its mean over the step, so that steps of 2.5 ms come within 0.2 mrad of steps of 0.25 ms;
-the rotor behind a gear is implicit in both of its velocities. All is stable at any step.
+A step of the physics is given the torque of each joint, the inertia of its drive, dry friction and a torque from
+outside. `Law` computes these from position, velocity and target. A torque that falls by ``kd`` with the velocity is
+implicit in it as an inertia of ``kd dt``, of which dry friction and contacts know as well. Damping acts on the mean of
+the velocities at both ends of a step (Crank and Nicolson), lags on its mean over the step, so that steps of 2.5 ms come
+within 0.2 mrad of steps of 0.25 ms; the rotor behind a gear and its contact with the link are implicit in both of their
+velocities. All is stable at any step.
 
 Arrays are (N, J): N simulations, J joints; parameters of the whole machine are (N, 1).
 
@@ -33,9 +34,6 @@ LEAST_SUPPLY = 0.1
 NEWTON, EXACT = 10, 1e-9
 """Most steps towards the share of the supply that is left, and by how much it may be off; in single precision by a few
 roundings, below which steps would leave the root again."""
-
-UNLIMITED = 1e6
-"""Stands for no limit on a torque [N m]."""
 
 NOTICED = 1e-5
 """Torque by which the mean of what two targets in a step ask for must be limited otherwise than each of them [N m]."""
@@ -86,19 +84,14 @@ OF_DRIVES = {
 class StepInputs:
     """What the physics gets for one step (N, J)."""
 
-    ctrl: Any
-    kp: Any
-    kd: Any
-    bias: Any
-    """Added to the servo's force [N m]."""
-    low: Any
-    """Least force of the servo [N m]."""
-    high: Any
-    """Greatest force of the servo [N m]."""
+    torque: Any
+    """Of the drive on the link at the start of the step [N m]."""
+    inertia: Any
+    """Of the drive as the link feels it, with what makes the torque implicit [kg m^2]."""
     friction: Any
     """Dry friction of the joint [N m]."""
     applied: Any
-    """Torque on the joint from outside the servo [N m]."""
+    """Torque on the joint from outside the drive [N m]."""
     tau: Any
     """Torque of the motor at the start of the step, limits included [N m]."""
 
@@ -149,7 +142,10 @@ class Law:
         self._most: Any = None
         self._supply: Any = 1.0
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
-        self.rotor = self._rotor_constants() if has & {"backlash", "compliance"} else None
+        self.rotor: Any = self._rotor_constants() if has & {"backlash", "compliance"} else None
+        self._inertia = self._zero + self.get("armature", "inertia")
+        if self.rotor is not None:
+            self._inertia = xp.where(self.rotor["there"], self._zero, self._inertia)
         state = ["velocity", "velocity_before"] if "velocity_lag" in has else []
         if "torque_lag" in has:
             state += ["torque", "torque_open", "torque_kd", "velocity_before"]
@@ -367,11 +363,14 @@ class Law:
         friction, bent = self._friction(q, dq, load, tau)
         applied = self._outside(q, dq) - bent
         bias, kd = bias - kd * omega / 2, kd / 2  # Crank and Nicolson: the mean of both ends of the step
+        free = kp * (ctrl - theta) + bias
+        asked = free - kd * omega
+        torque = xp.minimum(xp.maximum(asked, low), high)
+        kept = xp.where(torque == asked, kd, self._zero)
         if self.rotor is not None:
-            kp, kd, bias, low, high = self._through_gear(q, dq, ctrl, kp, kd, bias, low, high, tau)
-        return StepInputs(
-            ctrl=ctrl, kp=kp, kd=kd, bias=bias, low=low, high=high, friction=friction, applied=applied, tau=tau
-        )
+            torque, kept = self._through_gear(q, dq, free, kd, low, high, torque, kept)
+        inertia = self._inertia + self.dt * kept
+        return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
 
     def _one_by_one(
         self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
@@ -484,33 +483,42 @@ class Law:
         return applied
 
     def _through_gear(
-        self, q: Any, dq: Any, ctrl: Any, kp: Any, kd: Any, bias: Any, low: Any, high: Any, tau: Any
-    ) -> tuple[Any, Any, Any, Any, Any]:
-        """Return the servo of the link when a rotor and its transmission stand between motor and link.
+        self, q: Any, dq: Any, free: Any, kd: Any, low: Any, high: Any, torque: Any, kept: Any
+    ) -> tuple[Any, Any]:
+        """Return torque and damping of the link when a rotor and its transmission stand between motor and link.
 
         Rotor: J (w' - w) / dt = tau(w') - c(w', v'), with the torque of the transmission
-        c = k x + K (w' - v') where it is engaged, K = k dt + d, and x the twist beyond the gap; primes mark the end of
-        the step. Solved for w' = open + slope v', so that c enters the link as a bias and a damping.
+        c = k x + K (w' - v') where it touches, K = k dt + d, and x the twist beyond the gap; primes mark the end of
+        the step. It touches where the rotor would end beyond the gap if it did not. Solved for w' = open + slope v', so
+        that c enters the link as a torque and a damping.
         """
-        xp, r, s, dt = self.xp, self.rotor, self.states, self.dt
-        assert r is not None
+        xp, r, s = self.xp, self.rotor, self.states
         twist = s["theta"] - q
-        beyond = twist - xp.minimum(xp.maximum(twist, -r["half"]), r["half"])
-        engaged = xp.where((xp.abs(twist) > r["half"]) | (r["half"] <= 0), r["coupling"], 0.0 * r["coupling"])
-        free = kp * (ctrl - s["theta"]) + bias
-        limited = (tau <= low) | (tau >= high)
-        drive, damping = xp.where(limited, tau, free), xp.where(limited, 0.0 * kd, kd)
-        spring = r["stiffness"] * beyond
-        mass = r["inertia"] + dt * (damping + engaged)
-        opened = (r["inertia"] * s["omega"] + dt * (drive - spring)) / mass
-        slope = dt * engaged / mass
-        there = r["there"]
-        s["omega_open"] = xp.where(there, opened, 0.0 * opened)
-        s["omega_slope"] = xp.where(there, slope, 1.0 + 0.0 * slope)
-        return (
-            xp.where(there, 0.0 * kp, kp),
-            xp.where(there, engaged * (1 - slope), kd),
-            xp.where(there, spring + engaged * opened, bias),
-            xp.where(there, 0.0 * low - UNLIMITED, low),
-            xp.where(there, 0.0 * high + UNLIMITED, high),
-        )
+        alone, _ = self._rotor_speed(free, kd, low, high, dq, self._zero, self._zero)
+        over = twist + self.dt * (alone - dq)
+        edge = xp.minimum(xp.maximum(over, -r["half"]), r["half"])
+        touching = (over != edge) | (r["half"] <= 0)
+        spring = xp.where(touching, r["stiffness"] * (twist - edge), self._zero)
+        engaged = xp.where(touching, r["coupling"], self._zero)
+        opened, slope = self._rotor_speed(free, kd, low, high, dq, spring, engaged)
+        there, damping = r["there"], engaged * (1 - slope)
+        s["omega_open"] = xp.where(there, opened, self._zero)
+        s["omega_slope"] = xp.where(there, slope, self._zero + 1.0)
+        given = spring + engaged * opened - damping * dq
+        return xp.where(there, given, torque), xp.where(there, damping, kept)
+
+    def _rotor_speed(
+        self, free: Any, kd: Any, low: Any, high: Any, dq: Any, spring: Any, engaged: Any
+    ) -> tuple[Any, Any]:
+        """Return what the speed of the rotor at the end of a step is beside a share of the link's, and that share.
+
+        The motor is at a limit where its torque at the end of the step would be beyond, were the link as fast as now.
+        """
+        xp, dt, inertia, omega = self.xp, self.dt, self.rotor["inertia"], self.states["omega"]
+        mass = inertia + dt * (kd + engaged)
+        asked = free - kd * (inertia * omega + dt * (free - spring + engaged * dq)) / mass
+        drive = xp.minimum(xp.maximum(asked, low), high)
+        limited = drive != asked
+        mass = xp.where(limited, inertia + dt * engaged, mass)
+        opened = (inertia * omega + dt * (xp.where(limited, drive, free) - spring)) / mass
+        return opened, dt * engaged / mass

@@ -1,4 +1,4 @@
-"""A machine with its base held: any MJCF, or the robot hung up, as joints with position servos that a law drives."""
+"""A machine with its base held: any MJCF, or the robot hung up, as joints with motors that a law drives."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mimic.dynamics.law import UNLIMITED, Drives
+from mimic.dynamics.law import Drives
 from mimic.errors import AssetError, ConfigError
 from mimic.records import FloatArray, IntArray
 from mimic.robot.description import RobotDescription
@@ -19,6 +19,9 @@ from mimic.robot.model import read_model, remove_free_joint
 
 GRAVITY = 9.81
 """[m/s^2]"""
+
+UNLIMITED = 1e6
+"""Stands for no limit on a torque [N m]."""
 
 SOLREF_STEPS = 2.0
 """Time constant of dry friction, in physics steps: MuJoCo's least. Longer ones let a joint creep that should stick."""
@@ -29,7 +32,7 @@ class MachineModel:
     """A compiled machine and what calibration needs to know of it. Joint arrays are (J,)."""
 
     model: mujoco.MjModel
-    """One position servo for each joint, in the order of ``joints``; no contacts, no limits but the joints'."""
+    """One motor for each joint, in the order of ``joints``; no contacts, no limits but the joints'."""
     joints: tuple[str, ...]
     drives: Drives
     chain: IntArray
@@ -227,7 +230,7 @@ def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
     names = [joint.name for joint in spec.joints]
     if len(set(names)) < len(names) or "" in names:
         raise AssetError("every joint of the model needs a name of its own")
-    add_servos(spec, names)
+    add_motors(spec, names)
     for body in spec.bodies:
         body.simple = 0  # effects move its centre of mass
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -260,15 +263,12 @@ def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
     )
 
 
-def add_servos(spec: Any, joints: Sequence[str]) -> None:
-    """Replace the actuators of a model by one position servo for each joint, whose numbers a law writes."""
+def add_motors(spec: Any, joints: Sequence[str]) -> None:
+    """Replace the actuators of a model by one motor for each joint, whose torque a law gives."""
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for name in joints:
-        servo = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
-        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        servo.forcelimited, servo.ctrllimited = True, False
-        servo.forcerange = [-UNLIMITED, UNLIMITED]
+        spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
 
 
 def _chains(model: mujoco.MjModel, body: IntArray) -> tuple[IntArray, IntArray]:

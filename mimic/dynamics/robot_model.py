@@ -2,7 +2,7 @@
 
 The actuator law is MuJoCo's own ``dcmotor`` in the MJCF: tau = kp (q_des - q) - kd dq, through a motor whose voltage
 limit gives the torque-speed line, clipped at the peak torque. MuJoCo on a CPU and MuJoCo Warp on a GPU both run it,
-and both integrate it implicitly. With calibrated effects a bare servo at each joint takes its place, which
+and both integrate it implicitly. With calibrated effects a bare motor at each joint takes its place, which
 `mimic.dynamics.law` drives.
 
 A command takes effect after a delay that varies from robot to robot. It is applied on the way to the motors
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mimic.config.play import DESCRIBED_REBOUND, Randomisation
-from mimic.dynamics.machine import add_servos
+from mimic.dynamics.machine import add_motors
 from mimic.records import JOINTS, LEGS, FloatArray
 from mimic.robot.description import RobotDescription
 from mimic.robot.model import BASE, FLOOR, is_visual, read_model
@@ -36,7 +36,7 @@ def load_model(
     floor: bool = True,
     visuals: bool = True,
     payloads: Mapping[str, float] | None = None,
-    servos: bool = False,
+    driven: bool = False,
 ) -> mujoco.MjModel:
     """Compile the robot.
 
@@ -45,7 +45,7 @@ def load_model(
         floor: Put it on a floor.
         visuals: Keep the shapes that are only looked at.
         payloads: Mass [kg] that the toe of a leg carries, as a ball of the toe's size.
-        servos: Instead of the motors put a bare position servo at each joint, for a law that drives it.
+        driven: Instead of the servos put a bare motor at each joint, for a law that drives it.
     """
     spec = read_model(description, floor=floor)
     for actuator in spec.actuators:
@@ -55,8 +55,8 @@ def load_model(
         for geom in list(spec.geoms):
             if is_visual(geom):
                 spec.delete(geom)
-    if servos:
-        add_servos(spec, JOINTS)
+    if driven:
+        add_motors(spec, JOINTS)
     for leg, mass in (payloads or {}).items():
         inertia = 0.4 * mass * description.toe_radius**2
         load = spec.body(f"{leg}_knee").add_body(pos=description.leg.toe, explicitinertial=True)

@@ -1,4 +1,4 @@
-"""How the law of the drives enters the physics: one affine position servo for each joint, and what is written once.
+"""How the law of the drives enters the physics: one bare motor for each joint, and what is written once.
 
 The same for a batch of hung machines (calibration), the simulated robot, and training worlds: an `EffectSet`
 becomes parameters (`parameters_of`), these become a `mimic.dynamics.law.Law`, whose inputs a
@@ -18,23 +18,17 @@ from mujoco.batch import Batch
 
 from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.effect_set import EffectSet, read_effects
-from mimic.dynamics.law import OF_DRIVES, Law, Parameters
+from mimic.dynamics.law import OF_DRIVES, Law, Parameters, StepInputs
 from mimic.dynamics.machine import Inertias, MachineModel, changed_inertias, inertias, tilted_gravity
 from mimic.errors import ConfigError
 from mimic.records import FloatArray
 
 
 class Servo:
-    """The fields that a law writes at every step: arrays of NumPy or tensors, written in place.
+    """The fields that a law writes at every step: arrays of NumPy or tensors (N, J), written in place."""
 
-    For N simulations of J joints: ctrl, applied and friction (N, J), gain and bias (N, J, at least 3), range (N, J, 2).
-    """
-
-    def __init__(
-        self, *, ctrl: Any, applied: Any, gain: Any, bias: Any, limits: Any, friction: Any, needed: Any = 0.0
-    ) -> None:
-        self._ctrl, self._applied, self._friction = ctrl, applied, friction
-        self._gain, self._bias, self._range = gain, bias, limits
+    def __init__(self, *, ctrl: Any, applied: Any, inertia: Any, friction: Any, needed: Any = 0.0) -> None:
+        self._ctrl, self._applied, self._inertia, self._friction = ctrl, applied, inertia, friction
         self.needed = needed
         """Torque that the links need against gravity and for their motion at this speed (N, J): only read [N m]."""
 
@@ -44,22 +38,15 @@ class Servo:
         return cls(
             ctrl=batch.bind("ctrl"),
             applied=batch.bind("qfrc_applied"),
-            gain=batch.expand("actuator_gainprm"),
-            bias=batch.expand("actuator_biasprm"),
-            limits=batch.expand("actuator_forcerange"),
+            inertia=batch.expand("dof_armature"),
             friction=batch.expand("dof_frictionloss"),
             needed=batch.bind("qfrc_bias"),
         )
 
-    def write(self, inputs: Any) -> None:
+    def write(self, inputs: StepInputs) -> None:
         """Hand over the inputs of the next step."""
-        self._ctrl[:] = inputs.ctrl
-        self._gain[:, :, 0] = inputs.kp
-        self._bias[:, :, 0] = inputs.bias
-        self._bias[:, :, 1] = -inputs.kp
-        self._bias[:, :, 2] = -inputs.kd
-        self._range[:, :, 0] = inputs.low
-        self._range[:, :, 1] = inputs.high
+        self._ctrl[:] = inputs.torque
+        self._inertia[:] = inputs.inertia
         self._friction[:] = inputs.friction
         self._applied[:] = inputs.applied
 

@@ -66,7 +66,7 @@ class EmulatedBody:
         )
         delays = [np.broadcast_to(p.pop(key, none)[0], 12) for key in (("delay", "time"), ("joint_delay", "time"))]
         self._delay = delays[0] + delays[1]
-        self.model = machine.model if suspended else load_model(d, visuals=visuals, servos=True)
+        self.model = machine.model if suspended else load_model(d, visuals=visuals, driven=True)
         model = self.model
         model.opt.timestep = timestep
         model.dof_solref[-12:] = [SOLREF_STEPS * timestep, 1.0]
@@ -84,9 +84,7 @@ class EmulatedBody:
         self._servo = Servo(
             ctrl=self.data.ctrl[None],
             applied=self._applied,
-            gain=model.actuator_gainprm[None],
-            bias=model.actuator_biasprm[None],
-            limits=model.actuator_forcerange[None],
+            inertia=model.dof_armature[None, -12:],
             friction=model.dof_frictionloss[None, -12:],
             needed=self.data.qfrc_bias[None, -12:],
         )

@@ -62,9 +62,7 @@ class LawMotors:
         self._servo = Servo(
             ctrl=data.ctrl[None],
             applied=self._applied,
-            gain=model.actuator_gainprm[None],
-            bias=model.actuator_biasprm[None],
-            limits=model.actuator_forcerange[None],
+            inertia=model.dof_armature[None, 6:],
             friction=model.dof_frictionloss[None, 6:],
             needed=data.qfrc_bias[None, 6:],
         )
@@ -95,7 +93,7 @@ class LawMotors:
         self._law.set_gains(command.kp * self._kp, command.kd * self._kd)
 
     def drive(self, substep: int, data: mujoco.MjData) -> FloatArray:
-        """Set the servos for the next physics step; return the torque on the joints beyond theirs (12,) [N m]."""
+        """Set the motors for the next physics step; return the torque on the joints beyond theirs (12,) [N m]."""
         decimation, targets = self._d.decimation, self._targets
         shares = shares_in_effect(substep, decimation, self._shifts, np)
         if self._moving:

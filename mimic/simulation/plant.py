@@ -99,7 +99,7 @@ class SimulatedPlant:
         self._description = description if solver is None else with_timestep(description, solver.timestep)
         self._disturbance = disturbance
         self._motors = None if effects is None else LawMotors(self._description, effects)
-        kind = {"visuals": False, "payloads": payloads(disturbance), "servos": effects is not None}
+        kind = {"visuals": False, "payloads": payloads(disturbance), "driven": effects is not None}
         self._nominal, self.model = load_model(description, **kind), load_model(description, **kind)
         if solver is not None:
             option = self.model.opt

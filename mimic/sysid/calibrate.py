@@ -45,9 +45,6 @@ from mimic.sysid.unexplained import (
     unexplained_residuals,
 )
 
-STEP_SHARE = 0.85
-"""Of the work that is left when a step begins, what is left after it: nobody knows how many effects will be found."""
-
 OF_VOLTAGE_DRIVES = ("coulomb", "viscous", "delay", "motor", "armature")
 """Their baseline parameters: motor constants scale all torques, so that masses must be known, and behind the gear of a
 hobby servo the rotor is most of the inertia."""
@@ -118,7 +115,8 @@ def calibrate(
     steps = itertools.count(1)
 
     def tick(text: str) -> None:
-        done = 1.0 - STEP_SHARE ** next(steps)
+        step = next(steps)  # nobody knows how many effects will be found
+        done = step / (step + max(settings.most_effects, 1))
         report(f"{text} (about {100 * done:.0f} % done)", problem.replay.replays)
 
     before = _baseline(problem, settings, tick)

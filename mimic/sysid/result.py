@@ -35,7 +35,8 @@ class Thresholds:
     """Share of what is left of a joint that its encoder must round off to be called coarse (suite)."""
     most: float = 0.5
     """Share that is most of something: of the spread of positions (with more error, log and model have nothing to do
-    with each other), and of what is left (what single events explain)."""
+    with each other), of what is left (what single events explain), and of readings: if their mean unit vector is as
+    long, wound round a circle of the length of a step, they are multiples of it."""
     predictable: float = 0.1
     """Share of what is left that state or time must predict on blocks left out to be what it depends on (suite)."""
     explained: float = 1.2

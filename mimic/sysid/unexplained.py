@@ -16,12 +16,9 @@ from mimic.dynamics.machine import MachineModel
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.fit.least_squares import SMALLEST
 from mimic.sysid.fit.problem import FreeParameter
-from mimic.sysid.log.noise import smooth
+from mimic.sysid.log.noise import LOW, MEMORY, smooth
 from mimic.sysid.result import RULES, Errors, Stage, UnexplainedResidual
 from mimic.sysid.select.starts import PredictedMotion
-
-BURST_TIME = 0.1
-"""Share of the time in which most of the squares are single events."""
 
 FEATURES = 160
 """Random Fourier features of the regression on the state."""
@@ -129,9 +126,9 @@ def _steady(r: FloatArray, t: FloatArray, blocks: IntArray, near_hz: float) -> f
 
 def _bursts(r: FloatArray, dt: float) -> bool:
     """Return whether most of what noise does not explain of r (T,), in noise floors, is in a few fifths of a second."""
-    rows = max(int(0.2 / dt), 1)
+    rows = max(int(2 * MEMORY / dt), 1)
     squares = (r[: len(r) // rows * rows] ** 2).reshape(-1, rows).mean(1) - 1.0
-    top = np.sort(squares)[::-1][: max(int(BURST_TIME * len(squares)), 1)]
+    top = np.sort(squares)[::-1][: max(int(LOW * len(squares)), 1)]
     return bool(top.sum() > RULES.most * np.maximum(squares, 0.0).sum() and squares.sum() > 0)
 
 

@@ -50,8 +50,8 @@ RANDOMISED = (
 )
 """Model fields that differ from world to world."""
 
-DRIVEN = ("dof_armature", "actuator_biasprm", "actuator_forcerange")
-"""… and more of them, where a law drives the joints."""
+DRIVEN = ("dof_armature",)
+"""… and what else, where a law drives the joints."""
 
 _KINDS = mujoco.mjtGeom
 BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), int(_KINDS.mjGEOM_CAPSULE)
@@ -98,7 +98,7 @@ class Worlds:
         n, count = settings.worlds, min(settings.worlds, VARIANTS)
         self.motors = None if effects is None else WorldMotors(description, effects, n, device, count, seed)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
-        model = load_model(description, visuals=False, servos=effects is not None)
+        model = load_model(description, visuals=False, driven=effects is not None)
         model.opt.timestep = description.timestep
         if self.motors is not None:
             model.dof_solref[6:] = [SOLREF_STEPS * description.timestep, 1.0]
@@ -166,7 +166,7 @@ class Worlds:
         calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
         quiet = round(settings.quiet_share * count) if settings.task == "stand_track" else 0
         driven = self.motors is not None
-        nominal, varied = (load_model(description, visuals=False, servos=driven) for _ in range(2))
+        nominal, varied = (load_model(description, visuals=False, driven=driven) for _ in range(2))
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
         features, slopes, variations, grounds, ratios = [], [], [], [], []
         for i in range(count):
@@ -200,9 +200,7 @@ class Worlds:
             servo = Servo(
                 ctrl=wp.to_torch(d.ctrl),
                 applied=wp.to_torch(d.qfrc_applied)[:, 6:],
-                gain=wp.to_torch(m.actuator_gainprm),
-                bias=wp.to_torch(m.actuator_biasprm),
-                limits=wp.to_torch(m.actuator_forcerange),
+                inertia=wp.to_torch(m.dof_armature)[:, 6:],
                 friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
                 needed=wp.to_torch(d.qfrc_bias)[:, 6:],
             )

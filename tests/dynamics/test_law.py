@@ -64,9 +64,7 @@ class Bench:
         self._servo = Servo(
             ctrl=d.ctrl[None],
             applied=d.qfrc_applied[None],
-            gain=model.actuator_gainprm[None],
-            bias=model.actuator_biasprm[None],
-            limits=model.actuator_forcerange[None],
+            inertia=model.dof_armature[None],
             friction=model.dof_frictionloss[None],
             needed=d.qfrc_bias[None],
         )
@@ -211,13 +209,12 @@ def test_a_step_shared_by_two_targets_is_limited_in_each_part_of_it(bench, low, 
     mean = np.full((1, 2), 0.7 * low + 0.3 * high)
     inputs = made.law.step(zero, zero, mean, 0.0, parts=parts)
     wanted = 0.7 * np.clip(30 * low, -12, 12) + 0.3 * np.clip(30 * high, -12, 12)
-    given_ = np.clip(inputs.kp * inputs.ctrl + inputs.bias, inputs.low, inputs.high)
     assert inputs.tau == pytest.approx(np.full((1, 2), wanted))
-    assert given_ == pytest.approx(inputs.tau)
+    assert inputs.torque == pytest.approx(inputs.tau)
     alone = made.law.step(zero, zero, mean, 0.0)
     if max(abs(low), abs(high)) <= 0.4:
-        assert np.array_equal(inputs.kp, alone.kp)
-        assert np.array_equal(inputs.ctrl, alone.ctrl)
+        assert np.array_equal(inputs.torque, alone.torque)
+        assert np.array_equal(inputs.inertia, alone.inertia)
     elif low < 0.4:
         assert np.abs(inputs.tau - alone.tau).max() > 0.1
 
@@ -528,7 +525,7 @@ def test_numpy_and_pytorch_are_the_same_law(bench):
     for k in range(200):
         q, dq, target, after = rng.normal(size=(4, 1, 2)) * np.array([0.3, 5.0, 0.5, 5.0])[:, None, None]
         one, two = law.step(q, dq, target, k * law.dt), other.step(tensor(q), tensor(dq), tensor(target), k * law.dt)
-        for name in ("ctrl", "kp", "kd", "bias", "low", "high", "friction", "applied", "tau"):
+        for name in ("torque", "inertia", "friction", "applied", "tau"):
             mine, yours = getattr(one, name), getattr(two, name).numpy()
             assert np.abs(mine - yours).max() <= 1e-12 * max(1.0, np.abs(mine).max())
         law.settle(after)

@@ -133,17 +133,20 @@ def test_declared_friction_wins_and_gain_factors_multiply(description):
     plant.step(command(plant.description, state.q))
     assert plant.model.dof_frictionloss[6:] == pytest.approx(0.2)
     assert plant.model.dof_damping[6:] == pytest.approx(0.11)
-    assert plant.model.actuator_gainprm[:, 0] == pytest.approx(description.kp * plant.variation.kp)
+    damping = (plant.model.dof_armature[6:] - description.armature) / plant.description.timestep
+    assert damping == pytest.approx(0.5 * description.kd * plant.variation.kd)
     drawn = SimulatedPlant(description, effects=EffectSet(), ranges=Randomisation(), seed=4)
     drawn.step(command(plant.description, drawn.start().q))
     assert drawn.model.dof_frictionloss[6:] == pytest.approx(0.05 * drawn.variation.dry_friction)
 
 
 def test_a_command_with_other_gains_is_obeyed(description):
-    plant = SimulatedPlant(description, effects=EffectSet((joints("gains", kp=0.5, kd=1.0),)))
-    state = plant.start()
-    plant.step(command(description, state.q, gain=0.1))
-    assert plant.model.actuator_gainprm[:, 0] == pytest.approx(0.05 * description.kp)
+    moved = []
+    for factor, gain in ((0.5, 0.4), (0.2, 1.0), (0.5, 1.0)):
+        plant = SimulatedPlant(description, effects=EffectSet((joints("gains", kp=factor, kd=1.0),)))
+        moved.append(plant.step(command(description, plant.start().q + 0.1, gain=gain)).state.q)
+    assert moved[0] == pytest.approx(moved[1], abs=1e-9)
+    assert np.abs(moved[0] - moved[2]).max() > 1e-3
 
 
 def test_a_payload_is_in_every_robot_that_is_drawn(description):

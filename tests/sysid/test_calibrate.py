@@ -134,7 +134,7 @@ def test_the_error_falls_to_the_noise_floor_on_blocks_that_were_not_used(arm: Ma
     ids=lambda e: e.name,
 )
 def test_a_hidden_effect_is_named_with_its_numbers(arm: MachineModel, hidden: EffectValues) -> None:
-    result = calibrate(log_of(arm, hidden), arm, CalibrateSettings(effects=TRIED))  # in steps as users have them
+    result = calibrate(log_of(arm, hidden), arm, settings(effects=TRIED))
     assert added(result) == [hidden.name] or hidden.name in [*added(result)[:1], *result.stages[-1].alternatives]
     found = next(e for e in result.effects if e.name == hidden.name)
     assert set(hidden.joints) <= set(found.joints)

@@ -24,7 +24,7 @@ DRIVE = (
         chain_shared=True,
         signature="as friction and mass together; without measured torque kd stays 1: viscous friction acts alike",
         experiment="two logs with gains that differ by a known factor",
-        enters="actuator_gainprm, actuator_biasprm",
+        enters="torque of the motor",
         source="Li et al. 2024, Table II",
     ),
     Effect(
@@ -37,7 +37,7 @@ DRIVE = (
         ),
         signature="as gains and viscous friction together; more torque at a higher supply",
         experiment="logs with two register gains, and steps that reach full duty",
-        enters="actuator_gainprm, actuator_biasprm, actuator_forcerange at every step",
+        enters="torque of the motor at every step",
         source="DC motor; the drives of hobby servos, as in Duclos et al., bam, 2025",
     ),
     Effect(
@@ -54,7 +54,7 @@ DRIVE = (
         structural=True,
         signature="only where torque and speed are both high",
         experiment="large steps and fast sines",
-        enters="actuator_forcerange at every step; dcmotor saturation in MJCF",
+        enters="limits of the torque at every step; dcmotor saturation in MJCF",
         source="CyberGear manual, torque-speed chart",
     ),
     Effect(
@@ -66,7 +66,7 @@ DRIVE = (
         structural=True,
         signature="as a torque limit, at the same times in all joints",
         experiment="all joints fast at once",
-        enters="actuator_forcerange at every step",
+        enters="limits of the torque at every step",
         source="resistance of supply and wiring, V = V0 - R I",
     ),
     Effect(
@@ -77,7 +77,7 @@ DRIVE = (
         chain_shared=True,
         signature="in proportion to torque; the same motion as other masses and friction",
         experiment="a known mass, or measured torque",
-        enters="actuator_gainprm, actuator_biasprm",
+        enters="torque of the motor",
         source="DC motor, tau = Kt i",
     ),
     Effect(
@@ -87,7 +87,7 @@ DRIVE = (
         parameters=(Parameter("rate", "1/(100 s)", low=-0.9, high=2.0, step=0.02, spread=20),),
         signature="grows with time, whatever the load",
         experiment="the same motion at start and end",
-        enters="actuator_gainprm, actuator_biasprm at every step",
+        enters="torque of the motor at every step",
         source="DC motor, tau = Kt i",
     ),
     Effect(
@@ -110,7 +110,7 @@ DRIVE = (
         ),
         signature="slow growth after work, recovery after rest",
         experiment="the same motion before and after hard work, and after a pause",
-        enters="actuator_gainprm, actuator_biasprm at every step; dcmotor thermal in MJCF",
+        enters="torque of the motor at every step; dcmotor thermal in MJCF",
         source="magnets lose flux with temperature; MuJoCo documentation, dcmotor",
     ),
     Effect(
@@ -120,7 +120,7 @@ DRIVE = (
         parameters=(Parameter("time", "s", low=0.0, high=0.05, step=0.0005, spread=40, starts=(4.0, 16.0, 30.0)),),
         signature="phase lag that grows with frequency, not with the target",
         experiment="chirp and steps",
-        enters="actuator bias at every step; dcmotor inductance in MJCF",
+        enters="torque of the motor at every step; dcmotor inductance in MJCF",
         source="first-order current loop",
     ),
     Effect(
@@ -130,7 +130,7 @@ DRIVE = (
         parameters=(Parameter("time", "s", low=0.0, high=0.05, step=0.0005, spread=40, starts=(4.0, 16.0)),),
         signature="less damping, ringing after steps",
         experiment="steps with a high Kd",
-        enters="actuator bias at every step",
+        enters="torque of the motor at every step",
         source="first-order low-pass in the drive",
     ),
 )

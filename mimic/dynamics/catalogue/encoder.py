@@ -30,7 +30,7 @@ ENCODER = (
         parameters=(Parameter("angle", "rad", low=0.0, high=0.1, step=0.001, fixed=True),),
         signature="steps of equal size in the reading",
         experiment="slow ramps",
-        enters="reading and actuator bias at every step",
+        enters="reading and torque of the motor at every step",
         source="resolution of the encoder",
     ),
     Effect(
@@ -43,7 +43,7 @@ ENCODER = (
         ),
         signature="an offset that turns with the joint; small motions show an offset and a scale",
         experiment="static poses over the whole range",
-        enters="reading and actuator bias at every step",
+        enters="reading and torque of the motor at every step",
         source="a magnet or disc beside the axis",
     ),
 )

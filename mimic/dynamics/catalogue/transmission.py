@@ -17,7 +17,7 @@ TRANSMISSION = (
         structural=True,
         signature="dwell at each reversal of torque",
         experiment="small reversals around zero load, and the same preloaded by gravity",
-        enters="rotor state in the law, implicit in the actuator bias",
+        enters="rotor state in the law, implicit in the torque and inertia of the joint",
         source="Nordin and Gutman 2002",
     ),
     Effect(
@@ -32,7 +32,7 @@ TRANSMISSION = (
         structural=True,
         signature="a resonance; reads as delay without friction",
         experiment="chirp through the resonance, and a second log with a higher Kp",
-        enters="rotor state in the law, implicit in the actuator bias",
+        enters="rotor state in the law, implicit in the torque and inertia of the joint",
         source="Spong 1987",
     ),
 )

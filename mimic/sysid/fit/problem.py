@@ -20,6 +20,7 @@ from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
 from mimic.sysid.fit.replay import SEGMENT, SHOOT, Replay, Targets
+from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
 from mimic.sysid.result import RULES
@@ -113,9 +114,10 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     """Return the root mean squares of position (about its mean), speed, acceleration and torque of each joint (J,)."""
     log, drives = replay.log, replay.machine.drives
     t = log.t - log.t[0]
-    low_pass = signal.butter(2, min(20.0, 0.4 * log.rate), fs=log.rate, output="sos")
-    pieces = [part.slice for part in replay.parts]
-    q = np.concatenate([signal.sosfiltfilt(low_pass, log.q[rows], axis=0) for rows in pieces])
+    pieces, answers, q = [part.slice for part in replay.parts], 2 / MEMORY, log.q
+    if log.rate > 2 * answers:  # slower readings show no more than a drive answers
+        low_pass = signal.butter(2, answers, fs=log.rate, output="sos")
+        q = np.concatenate([signal.sosfiltfilt(low_pass, q[rows], axis=0) for rows in pieces])
     dq = np.concatenate([np.gradient(q[rows], t[rows], axis=0) for rows in pieces])
     ddq = np.concatenate([np.gradient(dq[rows], t[rows], axis=0) for rows in pieces])
     tau = log.tau
@@ -125,7 +127,8 @@ def scales(replay: Replay) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
         tau = tau + (0.0 if log.force is None else log.force)
     limit = np.asarray(drives.torque)
     rows = (q - q.mean(0), dq, ddq, np.clip(tau, -limit, limit))
-    position, speed, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), 1e-9) for r in rows)
+    least = np.finfo(np.float32).eps
+    position, speed, acceleration, torque = (np.maximum(np.sqrt(np.mean(r**2, axis=0)), least) for r in rows)
     return position, speed, acceleration, torque
 
 
@@ -135,8 +138,8 @@ FINE = 3
 EQUAL = 0.25
 """Chains of which less than four times as much is left, in squares, than of the best have the same weight."""
 
-WIDE, NARROW = 0.25, 0.0625
-"""Shares of a free parameter's step over which one-sided and central differences are taken."""
+WIDE = 0.25
+"""Share of a free parameter's step over which one-sided differences are taken; central ones over a third of that."""
 
 
 class Problem:
@@ -224,7 +227,7 @@ class Problem:
         They are central differences, where the bounds leave room. What one-sided ones are wrong by is small beside each
         derivative, but not beside their sum along a direction that the log hardly determines: it seems determined then.
         """
-        points, groups, sizes = self.difference_points(point, free_parameters, NARROW)
+        points, groups, sizes = self.difference_points(point, free_parameters, WIDE / FINE)
         if not points:
             return []
         low, high = (np.array([k.bounds[i] for k in free_parameters]) for i in (0, 1))

@@ -30,9 +30,6 @@ from mimic.sysid.log.timing import SendingTimes, at_rows
 LONGEST_STEP = 0.0025
 """[s]"""
 
-UNSEEN = 0.05
-"""Readings further apart than this [s] and than twice the usual: targets may have come and gone between them."""
-
 
 def on_steps(times: Any) -> Any:
     """Return times in steps, whole where single precision does not tell."""
@@ -75,9 +72,12 @@ class Prediction:
 
 
 def stretch_starts(t: FloatArray) -> FloatArray:
-    """Return the start of the gap-free stretch that each reading (T,) is in [s]."""
+    """Return the start of the gap-free stretch that each reading (T,) is in [s].
+
+    In a gap of half of what a drive takes to answer, and of twice the usual, targets may have come and gone.
+    """
     between = np.diff(t)
-    gap = between > max(UNSEEN, 2 * float(np.median(between)))
+    gap = between > max(MEMORY / 2, 2 * float(np.median(between)))
     return np.maximum.accumulate(np.where(np.concatenate([[True], gap]), t, -np.inf))
 
 
@@ -134,6 +134,10 @@ def acting(
     mean = older + first * (before - older) + last * (newer - older)
     return mean, [(first, before), (1.0 - first - last, older), (last, newer)]
 
+
+STIFFNESS = 0.999
+"""Impedance of dry friction. With 0.99 a light link that a gap parts from its rotor creeps at 8 mrad/s; in single
+precision, where robots play, more is not exact."""
 
 LEAD_IN = 0.8
 """Time that a segment runs before its readings count [s]."""
@@ -386,7 +390,7 @@ class Replay:
         model = self.machine.model
         model.opt.timestep = self.dt
         model.dof_solref[:] = [SOLREF_STEPS * self.dt, 1.0]
-        model.dof_solimp[:] = [0.99, 0.999, 0.001, 0.5, 2.0]
+        model.dof_solimp[:] = [STIFFNESS, STIFFNESS, 0.001, 0.5, 2.0]
         return model
 
     def _batch(self, size: int) -> Batch:

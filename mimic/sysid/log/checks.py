@@ -12,7 +12,7 @@ from mimic.errors import CalibrationError
 from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
-    LEAST_MOTION,
+    FOLLOWS,
     MEMORY,
     Following,
     following,
@@ -23,9 +23,10 @@ from mimic.sysid.log.noise import (
 )
 from mimic.sysid.log.pool import BETWEEN, at_odd_times, filled, followed, missing, spikes, valid_samples
 from mimic.sysid.log.timing import MOST_WRONG
+from mimic.sysid.result import RULES
 
-FOLLOWS, STRANGER = 0.9, 0.7
-"""Correlation of a joint with a target that it certainly follows, and no more than badly."""
+STRANGER = float(np.sqrt(RULES.most))
+"""With one that it follows badly: the target does not explain most of its squares."""
 
 
 def gaps(log: JointLog) -> Iterator[str]:
@@ -55,7 +56,7 @@ def units(log: JointLog) -> Iterator[str]:
     if log.q_des is None:
         return
     spread, wanted = log.q.std(axis=0), log.q_des.std(axis=0)
-    moves = (spread > LEAST_MOTION * noise_floor(log.q, log.rate)) & (wanted > 0)
+    moves = (spread > RULES.z * noise_floor(log.q, log.rate)) & (wanted > 0)
     ratio = np.divide(spread, wanted, out=np.ones(len(moves)), where=moves)
     for factor, what in ((180.0 / np.pi, "degrees against radians"), (1000.0, "thousandths against units")):
         for larger, of in (("q", ratio), ("q_des", 1.0 / ratio)):

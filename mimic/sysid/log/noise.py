@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import norm, truncnorm
+from scipy.stats import norm, truncnorm, uniform
 
 from mimic.records import BoolArray, FloatArray
-
-AGREEMENT = 0.5
-"""Mean of the unit vectors of the readings from which on they are multiples of a step."""
+from mimic.sysid.result import RULES
 
 FINEST_STEP = 2.5
 """Least step of a coarse encoder that is looked for, in noise floors.
@@ -19,23 +17,20 @@ FINEST_STEP = 2.5
 Rounding is a 3.5th of a step and in the floor too: where readings agree by a half, a step is 2.9 floors.
 """
 
-LEAST_MOTION = 4.0
-"""A joint that moves by no more than so many noise floors rests; readings of one that rests agree with each other."""
-
-MOST_BINS = 1 << 24
-"""Steps are not looked for in a motion over more bins, half a noise floor each: it turns a hundred times and more."""
-
 LEAST_LEVELS = 6
 """Fewest steps in the range of motion: few places of a slow joint agree by themselves."""
 
 SMOOTH = 0.03
 """Time over which signals are averaged where their noise would hide what they do [s]."""
 
+FOLLOWS = 0.9
+"""Correlation of a joint with a target that it certainly follows, and share of the best of what is as good."""
+
 MEMORY = 0.1
 """Time in which a drive answers its target, and forgets where it was [s]."""
 
 LOW = 0.1
-"""Quantile of the blocks of a log that its noise is taken from."""
+"""Share that is little of a log: of its blocks, those its noise is taken from; of its time, that of single events."""
 
 
 def rounding(x: FloatArray) -> FloatArray:
@@ -71,7 +66,7 @@ def noise_floor(x: FloatArray, rate: float, known: BoolArray | None = None) -> F
     low = np.nan_to_num([np.nanquantile(c, LOW) if np.isfinite(c).any() else 0.0 for c in live.T])
     shrunk = 1.0 + norm.ppf(LOW) * np.sqrt(2.0 * (alike @ alike) / rows)
     white = np.sqrt(low / power / shrunk)
-    return np.maximum(white, [resolution(c) / np.sqrt(12.0) for c in (x if known is None else x[known]).T])
+    return np.maximum(white, [resolution(c) * uniform.std() for c in (x if known is None else x[known]).T])
 
 
 def _variance(x: FloatArray) -> FloatArray:
@@ -113,7 +108,7 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
         curve = np.fft.irfft(fx[:, i] * fy[:, j].conj(), size)[shifts]
         curve = curve / (len(clock) * spread_x[i] * spread_y[j]) / (1.0 - np.abs(shifts) / len(clock))
         up, down = int(curve.argmax()), int(curve.argmin())
-        k = down if -curve[down] > curve[up] + 0.1 else up  # a sine is its own opposite half a period later
+        k = down if -curve[down] * FOLLOWS > curve[up] else up  # a sine is its own opposite half a period later
         shift = int(shifts[k])
         late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
         rows = min(len(late), len(early))
@@ -158,8 +153,8 @@ def coarse_steps(q: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArr
     """
     found = [_step_of(column, float(floor)) for column, floor in zip(q.T, noise, strict=True)]
     step, agreement = (np.array(row) for row in zip(*found, strict=True))
-    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, AGREEMENT, 1.0)))  # of a wrapped normal
-    return step, np.maximum(noise, np.hypot(step / np.sqrt(12.0), beside))
+    beside = step / (2.0 * np.pi) * np.sqrt(-2.0 * np.log(np.clip(agreement, RULES.most, 1.0)))  # of a wrapped normal
+    return step, np.maximum(noise, np.hypot(step * uniform.std(), beside))
 
 
 def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
@@ -168,7 +163,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     Readings that are multiples of a step agree in phase when they are wound round a circle of that length.
     """
     there = np.zeros(len(q), dtype=bool)
-    there[1:-1] = np.abs(q[2:] - q[:-2]) > LEAST_MOTION * noise
+    there[1:-1] = np.abs(q[2:] - q[:-2]) > RULES.z * np.sqrt(2) * noise  # readings of one that rests agree
     q = q - q.mean()
     moving = q[there]
     if not there.any() or np.ptp(moving) <= LEAST_LEVELS * FINEST_STEP * noise:
@@ -176,7 +171,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     least, most, spacing = LEAST_LEVELS / np.ptp(moving), 1.0 / (FINEST_STEP * noise), 1.0 / (6.0 * np.ptp(q))
     width = noise / 2  # of a bin: readings in it agree in phase by more than 0.9
     bins = 1.0 / (spacing * width)
-    if bins > MOST_BINS:
+    if bins * np.finfo(np.float32).eps > 1:  # it turns a hundred times, and single precision does not hold it
         return 0.0, 1.0
     counts = np.bincount(((q - q.min()) / width).astype(int))
     size = int(2 ** np.ceil(np.log2(max(bins, len(counts)))))
@@ -187,7 +182,7 @@ def _step_of(q: FloatArray, noise: float) -> tuple[float, float]:
     near = best + np.linspace(-1, 1, 41) * spacing
     agree = [_agreement(q, f) for f in near]
     found = float(near[int(np.argmax(agree))])
-    sure = max(agree) >= AGREEMENT and _agreement(moving, found) >= AGREEMENT
+    sure = min(max(agree), _agreement(moving, found)) >= RULES.most
     return (1.0 / found, max(agree)) if sure else (0.0, 1.0)
 
 

@@ -24,8 +24,8 @@ SENT, AT_ROW = "sent", "row"
 SENT_COLUMN = "t_send."
 """Begins the name of the column with the time at which a joint's command was sent."""
 
-LEAST_TARGETS = 20
-"""Fewest targets of which a rate is looked for."""
+LEAST_TARGETS = 25
+"""Fewest targets that show a rate; over so many a clock drifts less than it jitters."""
 
 MOST_WRONG = 0.2
 """Share that may be wrong of a whole that counts: of rows, or of targets that miss their bracket on a steady clock."""
@@ -148,7 +148,7 @@ def _periods(low: FloatArray, high: FloatArray) -> FloatArray | None:
     if not len(rates):
         return None
     together = np.abs(sum(np.exp(2j * np.pi * rates * at) for at in first))
-    good = np.flatnonzero(together >= 0.9 * together.max())
+    good = np.flatnonzero(together >= (1.0 - MOST_WRONG) * together.max())
     rate = rates[good[0] : good[0] + 10][int(np.argmax(together[good[0] : good[0] + 10]))]
     slope, start, known = 1.0 / rate, middle[0], len(first)
     while True:

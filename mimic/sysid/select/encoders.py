@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import uniform
 
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.baseline import errors_of
@@ -17,7 +18,7 @@ def coarse_encoders(model: FittedModel) -> BoolArray:
     problem = model.problem
     count = problem.joints
     left = np.sqrt(problem.mean_squares(model.fitted.residual, False)[:count]) * problem.noise[:count]
-    return problem.encoder_steps / np.sqrt(12.0) > RULES.rounding * left
+    return problem.encoder_steps * uniform.std() > RULES.rounding * left
 
 
 def as_read(model: FittedModel, has: BoolArray) -> FloatArray:

@@ -20,17 +20,15 @@ from scipy.stats import binomtest
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.fit.least_squares import Fit, fit
 from mimic.sysid.fit.problem import Point, Problem
-from mimic.sysid.fit.replay import Targets
+from mimic.sysid.fit.replay import SHOOT, Targets
+from mimic.sysid.log.timing import LEAST_TARGETS
 from mimic.sysid.result import RULES
 
 CERTAIN = 0.25
 """Standard deviation of a lateness, in periods, up to which it says something of its own."""
-FORGOTTEN = 0.5
-"""Time after which a joint under a servo no longer knows that a target was late [s]."""
 MOST_OFFSETS = 40
-"""Most targets within that time: faster ones are not told from each other, and each takes a replay."""
-SLOW = 25
-"""Targets over which lateness is averaged: what changes more slowly is no jitter."""
+"""Most targets within ``SHOOT``, after which a joint under a servo no longer knows that one was late: faster ones are
+not told from each other, and each takes a replay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ def _lost(value: FloatArray, deviation: FloatArray, gaps: FloatArray) -> tuple[f
     """
     known = deviation < CERTAIN
     usual = float(np.median(value[known])) if known.any() else 0.0
-    gone = (value - usual > 0.5) & known
+    gone = (np.round(value - usual) > 0) & known
     if not gone.any():
         return 0.0, (0.0, 0.0), np.zeros(len(gone))
     interval = binomtest(int(gone.sum()), int(known.sum())).proportion_ci(method="wilson")
@@ -69,11 +67,12 @@ def _jittered(
 ) -> tuple[float, tuple[float, float], FloatArray]:
     """Return the width of uniform jitter, and the lateness to be expected of each target (K,)."""
     known = deviation < CERTAIN
-    if known.sum() < SLOW:
+    if known.sum() < LEAST_TARGETS:
         return 0.0, (0.0, 0.0), np.zeros(len(value))
     usual = float(np.mean(value[known]))
     value = np.where(known, value - usual, 0.0)
-    squared = (value - uniform_filter1d(value, SLOW))[known] ** 2 * SLOW / (SLOW - 1) - deviation[known] ** 2
+    drift = uniform_filter1d(value, LEAST_TARGETS)  # what changes slowly is no jitter
+    squared = (value - drift)[known] ** 2 / (1 - 1 / LEAST_TARGETS) - deviation[known] ** 2
     weight = 1.0 / (deviation[known] ** 2 + 0.05**2) ** 2
     variance = max(float(np.sum(weight * squared) / weight.sum()), 0.0)
     error = 1.96 * np.sqrt(np.sum((weight * (squared - variance)) ** 2)) / weight.sum()
@@ -151,7 +150,7 @@ def fit_lateness(
 def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:
     """Return after how many periods each target acts (K,): one that is always lost gives way to the next."""
     wait = np.zeros(len(lost))
-    for k in reversed(np.flatnonzero(lost > 0.5)):
+    for k in reversed(np.flatnonzero(np.round(lost) > 0)):
         wait[k] = np.round(lost[k])
         if wait[k] >= gaps[k] and k + 1 < len(lost):
             wait[k] += wait[k + 1]
@@ -161,7 +160,7 @@ def _until_next(lost: FloatArray, gaps: FloatArray) -> FloatArray:
 def _responses(problem: Problem, fitted: Fit, near: bool) -> FloatArray | None:
     """Return what a period of lateness (or a quarter more, times four) of every n-th target changes (n, T, C)."""
     replay, period, share = problem.replay, problem.replay.sending.period, 0.25 if near else 1.0
-    offsets = int(np.ceil(FORGOTTEN / period))
+    offsets = int(np.ceil(SHOOT / period))
     if not 0 < offsets <= MOST_OFFSETS < len(replay.sent):
         return None
     own = replay.late if near and replay.late is not None else np.zeros(len(replay.sent))
@@ -200,5 +199,5 @@ def _solved(normal: Sequence[tuple[FloatArray, FloatArray]], weights: FloatArray
         beside = -near[:most, :most] @ row
         variance[j] = 1.0 / upper[-1, j] ** 2 - row @ beside
         near = np.block([[variance[j : j + 1, None], beside[None]], [beside[:, None], near[:most, :most]]])
-    variance = np.minimum(variance, 0.999)
+    variance = np.minimum(variance, 1.0 - np.sqrt(np.finfo(np.float32).eps))  # responses are in single precision
     return value / (1.0 - variance), np.sqrt(variance / (1.0 - variance))

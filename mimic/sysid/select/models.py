@@ -105,11 +105,11 @@ def compare(
     each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
     whole = noise[:, 0] * int(use.sum())
     d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole)) - price
-    error = d.std(ddof=1) / np.sqrt(len(d)) if len(d) > 1 else np.inf
+    error = max(d.std(ddof=1) / np.sqrt(len(d)), np.finfo(float).eps) if len(d) > 1 else np.inf
     left = float(bad.sum() - whole.sum())
     return Comparison(
         gain=float(0.5 * np.log(max(bad.sum(), SMALLEST) / max(good.sum(), SMALLEST))),
-        z=max(float(d.mean() / max(error, 1e-9)), _rank_score(each[np.abs(each) > RULES.material] - price)),
+        z=max(float(d.mean() / error), _rank_score(each[np.abs(each) > RULES.material] - price)),
         share=float(bad.sum() - good.sum()) / left if left > 0.0 else 0.0,  # noise explains all: nothing to remove
     )
 
@@ -133,9 +133,9 @@ def _independent(problem: Problem) -> float:
 
 
 def _rank_score(d: FloatArray) -> float:
-    """Return the normal score of the signed-rank test that d is positive; 0 with fewer than 6 values."""
+    """Return the normal score of the signed-rank test that d is positive; 0 without values."""
     n = len(d)
-    if n < 6:
+    if not n:
         return 0.0
     ranks = np.argsort(np.argsort(np.abs(d))) + 1.0
     return float((ranks[d > 0].sum() - n * (n + 1) / 4) / np.sqrt(n * (n + 1) * (2 * n + 1) / 24))
@@ -450,7 +450,7 @@ class Selection:
                 done.append(replace(t, finished=False, why=why, fitted=replace(t.fitted, columns=())))
         if near is model:
             return done
-        longer = model.squares / np.maximum(near.squares, 1e-9)  # what is left in long segments, as those of trials
+        longer = model.squares / np.maximum(near.squares, SMALLEST)  # what is left in long segments, as those of trials
         return [replace(t, squares=t.squares * longer, short=True) for t in done]
 
     def _trials(
@@ -479,7 +479,7 @@ class Selection:
                     mine, count = of == c, sum(chain[k.joint] == c for k in own)
                     price = _price(count, _independent(problem) * int(mine.sum()))
                     good, bad = ((x[:, mine] + noise).sum(0) for x in (squares, before))
-                    if count and 0.5 * np.log(bad / good).sum() > price:
+                    if count and np.log(bad / good).sum() > 2 * price:
                         joints[[k.joint for k in own if chain[k.joint] == c]] = True
                         numbers += count
                     else:

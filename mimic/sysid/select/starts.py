@@ -52,9 +52,7 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
         grid = [{"torque": a * peak, "speed": b * fast} for a, b in itertools.product(torque, speed)]
         return [_clipped(incumbent.point.with_effect(name, machine, g)) for g in grid]
     if name == "cogging":
-        calm = np.abs(motion.dq) < 200.0 / 60.0  # fast motion blurs ripple that the sampling cannot follow
-        left = [_left(incumbent, j) for j in range(len(machine.joints))]
-        best = [best_order(motion.q[use, j], left[j][use]) for j, use in enumerate(calm.T)]
+        best = [best_order(motion.q[:, j], _left(incumbent, j)) for j in range(len(machine.joints))]
         return [incumbent.point.with_effect(name, machine, {"order": np.array(best)})]
     joints = range(len(machine.joints)) if spec.scope == "joint" else [-1]
     axes = [
@@ -72,7 +70,7 @@ def starts_of(name: str, incumbent: Fit, problem: Problem, motion: PredictedMoti
 def best_order(q: FloatArray, r: FloatArray) -> float:
     """Return the order whose sine and cosine over positions (T,) explain most of a residual (T,)."""
     bounds = CATALOGUE["cogging"].parameter("order")
-    turns = 2 * np.pi / max(float(np.ptp(q)), 1e-9) if len(q) else np.inf
+    turns = 2 * np.pi / float(np.ptp(q)) if len(np.unique(q)) > 1 else np.inf
     low, high = max(FEWEST * turns, bounds.low), min(MOST * turns, bounds.high)
     orders = np.arange(low, high, turns / 12) if low < high else np.array([bounds.high])  # a twelfth of a peak's width
     waves = (np.stack([np.cos(k * q), np.sin(k * q), np.ones_like(q)], -1) for k in orders)
