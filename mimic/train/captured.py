@@ -19,7 +19,6 @@ from tensordict import TensorDict
 from torch import nn
 
 from mimic.dynamics.cuda_graphs import Replayed
-from mimic.errors import ConfigError
 from mimic.train.mirror import mirrored_actions, mirrored_observations
 
 RATE_RANGE = (1e-5, 1e-2)
@@ -36,28 +35,25 @@ class DeviceGaussian(GaussianDistribution):
 
 
 class CapturedPPO(PPO):
-    """rsl_rl's PPO for feed-forward Gaussian policies, replayed.
+    """rsl_rl's PPO for feed-forward Gaussian policies with the adaptive learning rate, replayed."""
 
-    Checkpoints are those of PPO, both ways.
-    """
-
-    def __init__(self, actor: Any, critic: Any, storage: Any, **settings: Any) -> None:
-        self.reaching_coef = settings.pop("reaching_coef", 0.0)
+    def __init__(
+        self, actor: Any, critic: Any, storage: Any, *, mirror_coef: float, reaching_coef: float, **settings: Any
+    ) -> None:
+        self._mirror = mirror_coef
+        self.reaching_coef = reaching_coef
         """Weight of the loss that shows front legs how to reach; may change between updates, but not come from zero."""
         self.policy_share = 1.0
         """Share of the losses of the policy; 0 while only the critic learns."""
         super().__init__(actor, critic, storage, **settings)
-        if self.rnd or actor.is_recurrent or self.normalize_advantage_per_mini_batch:
-            raise ConfigError("captured PPO has no RND, recurrence or advantages per minibatch; use PPO")
-        self._mirror = self.symmetry.mirror_loss_coeff if self.symmetry else 0.0
         on_gpu = str(self.device).startswith("cuda")
         self._rate = torch.tensor(self.learning_rate, device=self.device)
         self._entropy_weight = torch.tensor(self.entropy_coef, device=self.device)
-        self._wanted_kl = torch.tensor(self.desired_kl or 0.0, device=self.device)
+        self._wanted_kl = torch.tensor(self.desired_kl, device=self.device)
         self._policy_share = torch.ones((), device=self.device)
-        self._losses = ["value", "surrogate", "entropy"] + ["symmetry"] * bool(self._mirror)
         self._shows_reaching = self.reaching_coef > 0
-        self._losses += ["reaching"] * self._shows_reaching
+        self._losses = ["value", "surrogate", "entropy"]
+        self._losses += ["symmetry"] * bool(self._mirror) + ["reaching"] * self._shows_reaching
         self._reaching_weight = torch.tensor(self.reaching_coef, device=self.device)
         self._sums = torch.zeros(len(self._losses), device=self.device)
         self._own = {"lr": self._rate, "capturable": on_gpu, "fused": on_gpu or None, "foreach": None}
@@ -70,13 +66,8 @@ class CapturedPPO(PPO):
             p.grad = self._flat[begin : begin + p.numel()].view_as(p)
             begin += p.numel()
         self._size = storage.num_envs * storage.num_transitions_per_env // self.num_mini_batches
-        self._seen: TensorDict | None = None
-        self._last: TensorDict | None = None
+        self._seen: TensorDict | None = None  # stays where it is
         self._batch: dict[str, torch.Tensor] = {}
-        self._forget()
-
-    def _forget(self) -> None:
-        """Drop the graphs; the next calls capture anew."""
         self._act = Replayed(self._infer, self.device)
         self._returns = Replayed(self._all_returns, self.device)
         if self.is_multi_gpu:  # gradients meet between two graphs
@@ -97,6 +88,7 @@ class CapturedPPO(PPO):
         """
         self.policy_share = 1.0
         self.learning_rate = RATE_RANGE[0]
+        self._rate.fill_(self.learning_rate)
         for parameter in self.actor.parameters():
             for moment in self.optimizer.state.get(parameter, {}).values():
                 moment.zero_()
@@ -105,7 +97,7 @@ class CapturedPPO(PPO):
 
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions and keep what the update needs."""
-        self._seen = _kept(self._seen, obs)
+        self._seen = obs.clone() if self._seen is None else self._seen.copy_(obs)
         t = self.transition
         t.actions, t.values, t.actions_log_prob, t.distribution_params = self._act()
         t.observations = obs
@@ -119,11 +111,12 @@ class CapturedPPO(PPO):
 
     def compute_returns(self, obs: TensorDict) -> None:
         """Compute return and advantage targets."""
-        self._last = _kept(self._last, obs)
+        assert self._seen is not None
+        self._seen.copy_(obs)
         self._returns()
 
     def _all_returns(self) -> None:
-        super().compute_returns(self._last)  # type: ignore[arg-type]
+        super().compute_returns(self._seen)  # type: ignore[arg-type]
 
     # ------------------------------------------------------------------ update
 
@@ -131,7 +124,7 @@ class CapturedPPO(PPO):
         """Go over the storage in epochs and minibatches; return mean losses."""
         self._rate.fill_(self.learning_rate)
         self._entropy_weight.fill_(self.entropy_coef)
-        self._wanted_kl.fill_(self.desired_kl or 0.0)
+        self._wanted_kl.fill_(self.desired_kl)
         self._reaching_weight.fill_(self.reaching_coef)
         self._policy_share.fill_(self.policy_share)
         self._sums.zero_()
@@ -225,32 +218,20 @@ class CapturedPPO(PPO):
 
     def _apply(self) -> None:
         """Adapt the learning rate to the KL divergence and make a step."""
-        if self.desired_kl is not None and self.schedule == "adaptive":
-            kl, rate = self._flat[-1], self._rate
-            down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
-            up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
-            learns = self._policy_share > 0.0
-            rate = torch.where((kl < self._wanted_kl / 2.0) & (kl > 0.0) & learns, up, rate)
-            self._rate.copy_(torch.where(kl > self._wanted_kl * 2.0, down, rate))
+        kl, rate = self._flat[-1], self._rate
+        down = torch.clamp(rate / 1.5, min=RATE_RANGE[0])
+        up = torch.clamp(rate * 1.5, max=RATE_RANGE[1])
+        learns = self._policy_share > 0.0
+        rate = torch.where((kl < self._wanted_kl / 2.0) & (kl > 0.0) & learns, up, rate)
+        self._rate.copy_(torch.where(kl > self._wanted_kl * 2.0, down, rate))
         nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
         nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
         self.optimizer.step()
 
     # ------------------------------------------------------------------ checkpoints
 
-    def save(self) -> dict[str, Any]:
-        """Return a checkpoint that PPO reads too."""
-        saved = super().save()
-        optimizer = saved["optimizer_state_dict"]
-        plain = {"lr": self.learning_rate, "capturable": False, "fused": None}
-        saved["optimizer_state_dict"] = {
-            "state": {k: {**v, "step": v["step"].cpu()} for k, v in optimizer["state"].items()},
-            "param_groups": [{**group, **plain} for group in optimizer["param_groups"]],
-        }
-        return saved
-
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, Any] | None, strict: bool) -> bool:
-        """Take over a checkpoint of PPO or of this class."""
+        """Take over a checkpoint of PPO or of this class, of a CPU or a GPU, before the first step."""
         optimizer = loaded_dict["optimizer_state_dict"]
         here = {k: v for k, v in self._own.items() if k != "lr"}
         groups = [{**group, **here, "lr": float(group["lr"])} for group in optimizer["param_groups"]]
@@ -258,14 +239,4 @@ class CapturedPPO(PPO):
         iteration = super().load(loaded, load_cfg, strict)
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate
-        self._forget()
         return iteration
-
-
-def _kept(buffer: TensorDict | None, new: TensorDict) -> TensorDict:
-    """Return ``new`` in tensors that stay where they are."""
-    if buffer is None:
-        return new.clone()
-    for name, tensor in new.items():
-        buffer[name].copy_(tensor)
-    return buffer

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import logging
 import math
 import time
 from dataclasses import replace
@@ -14,26 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.runners import OnPolicyRunner
 
 from mimic.config.training import LearnSettings, MdpSettings
 from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
-from mimic.train.mirror import with_mirrored
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Ranks, Report, Runner, TimeIsUp, TrainingDiverged
+from mimic.train.runner import QuietLogger, Report, TimeIsUp, own_device, rank
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
-from mimic.train.warm_start import compare_contracts, take_over
-
-log = logging.getLogger(__name__)
-
-
-GAMMA, LAM, CLIP = 0.99, 0.95, 0.2
-"""Discount of a control step, of an advantage besides, and limit on the ratio of probabilities: PPO's usual ones."""
-
-FIRST_STD = 1.0
-"""Spread of the actions of a policy that has learned nothing."""
+from mimic.train.warm_start import take_over
 
 REACHING_SHARE = 0.4
 """Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
@@ -43,15 +33,9 @@ SAVE_EVERY = 100
 
 
 def runner_config(settings: LearnSettings) -> dict[str, Any]:
-    """Return the settings in the form rsl_rl takes."""
-    model = {
-        "class_name": "MLPModel",
-        "hidden_dims": list(settings.hidden),
-        "activation": "elu",
-        "obs_normalization": True,
-    }
-    spread = {"init_std": FIRST_STD, "std_type": "log", "std_range": list(settings.std_range)}
-    mirrored = {"data_augmentation_func": with_mirrored, "use_mirror_loss": True, "mirror_loss_coeff": settings.mirror}
+    """Return the settings in the form rsl_rl takes, whose defaults hold for what is not named."""
+    model = {"class_name": "MLPModel", "hidden_dims": list(settings.hidden), "obs_normalization": True}
+    spread = {"std_type": "log", "std_range": list(settings.std_range)}
     return {
         "num_steps_per_env": settings.steps,
         "save_interval": SAVE_EVERY,
@@ -63,17 +47,11 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "class_name": "mimic.train.captured:CapturedPPO",
             "num_learning_epochs": settings.epochs,
             "num_mini_batches": settings.minibatches,
-            "clip_param": CLIP,
-            "gamma": GAMMA,
-            "lam": LAM,
-            "value_loss_coef": 1.0,
             "entropy_coef": settings.entropy,
             "learning_rate": settings.learning_rate,
-            "schedule": "adaptive",
             "desired_kl": settings.desired_kl,
-            "max_grad_norm": 1.0,
             "use_clipped_value_loss": False,
-            "symmetry_cfg": mirrored if settings.mirror else None,
+            "mirror_coef": settings.mirror,
             "reaching_coef": settings.reaching,
         },
     }
@@ -116,22 +94,20 @@ def train(
         TrainingDiverged: If a loss is not finite.
         ConfigError: If the device is not there.
     """
-    ranks = Ranks.of_environment()
-    device = ranks.device(learn.device)
-    if mdp.task == "sit_down" and learn.mirror:
-        log.info("sitting down is trained without the mirror loss: its clock tells the time, which has no mirror image")
+    device, first = own_device(learn.device), rank() == 0
+    if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
-    if ranks.rank == 0:
+    if first:
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / "settings.json") as part:
             part.write_text(settings_text(mdp, learn), encoding="utf-8")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
-    env = kind(description, mdp, device, learn.seed + 1000 * ranks.rank)
+    env = kind(description, mdp, device, learn.seed + 1000 * rank())
     with contextlib.redirect_stdout(io.StringIO()):
-        runner = Runner(env, runner_config(learn), str(folder), device)
+        runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = QuietLogger
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
@@ -151,32 +127,19 @@ def train(
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and resume.suffix == ".onnx":
-        if compare_contracts(resume, contract):
-            env.resume_at(
-                math.ceil(max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps))
-            )
-        take_over(runner.alg.actor, resume, contract.terms, learn.resume_std)
+        if take_over(runner.alg.actor, resume, contract, learn.resume_std):
+            steps = max(mdp.curriculum_latest + mdp.curriculum_steps, *mdp.finish_steps, *mdp.rest_steps)
+            env.resume_at(math.ceil(steps))
         critic_alone = learn.critic_updates
         runner.alg.policy_share = float(critic_alone == 0)  # type: ignore[attr-defined]
-        log.info("go on from the policy %s; only the critic learns in the first %d updates", resume, critic_alone)
     elif resume is not None:
         runner.load(str(resume), map_location=device)
         env.resume_at(runner.current_learning_iteration * learn.steps)
-        if learn.resume_std:
-            with torch.no_grad():
-                runner.alg.actor.distribution.log_std_param.clamp_(min=math.log(learn.resume_std))  # type: ignore
-        log.info("resumed from %s at update %d", resume, runner.current_learning_iteration)
-    try:
+    with contextlib.suppress(TimeIsUp):
         runner.learn(learn.updates)
-    except TimeIsUp:
-        log.info("stopped after %.1f min", learn.minutes)
-    except (RuntimeError, ValueError) as reason:  # PyTorch refuses to draw actions with weights that are not finite
-        if all(bool(torch.isfinite(p).all()) for p in runner.alg.get_policy().parameters()):
-            raise
-        raise TrainingDiverged(f"the weights are not finite ({reason}); resume from the last checkpoint") from reason
     if torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
-    if ranks.rank == 0:
+    if first:
         runner.save(str(folder / "last.pt"), {"contract": contract.to_json()})
         policy = runner.alg.get_policy().as_onnx(verbose=False)
         export_network(policy, contract, description, folder / "policy.onnx")

@@ -6,19 +6,14 @@ and right legs change places, and the gait clock is half a cycle away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from itertools import chain
 
 import torch
-from tensordict import TensorDict
 
 from mimic.policy.contract import AVERAGED, FRAME_SIZE, TERMS
 
-LEG_SIGNS = (-1.0, 1.0, 1.0)
-"""Of abad, hip and knee in the mirror."""
-
-_JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [*LEG_SIGNS] * 4)
+_JOINTS = ([3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8], [-1.0, 1.0, 1.0] * 4)  # abad, hip, knee
 _AXIS = ([0, 1, 2], [1.0, -1.0, 1.0])
 _TURN = ([0, 1, 2], [-1.0, 1.0, -1.0])
 MIRRORED = {
@@ -36,47 +31,26 @@ MIRRORED = {
 """For each term of a frame: which of its numbers comes where, and with which sign."""
 
 
-def _together(names: Sequence[str]) -> tuple[list[int], list[float]]:
+@cache
+def _image(device: torch.device, *names: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the same for terms that stand one after another."""
     order: list[int] = []
     signs: list[float] = []
-    for name in names:
+    for name in chain.from_iterable(AVERAGED if name == "slow_mean" else (name,) for name in names):
         places, sign = MIRRORED[name]
-        begin = len(order)
-        order += [begin + i for i in places]
+        order += [len(order) + i for i in places]
         signs += sign
-    return order, signs
-
-
-MIRRORED["slow_mean"] = _together(AVERAGED)
-
-
-@cache
-def _image(device: torch.device, names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-    order, signs = _together(names)
     return torch.tensor(order, device=device), torch.tensor(signs, device=device)
 
 
 def mirrored_actions(actions: torch.Tensor) -> torch.Tensor:
     """Return actions (N, 12) in the mirror."""
-    order, signs = _image(actions.device, ("last_action",))
+    order, signs = _image(actions.device, "last_action")
     return actions[:, order] * signs
 
 
 def mirrored_observations(observations: torch.Tensor) -> torch.Tensor:
     """Return the policy's observations (N, observation_size) in the mirror."""
-    names = tuple(name for name, _ in TERMS) * (observations.shape[1] // FRAME_SIZE)
-    order, signs = _image(observations.device, names)
+    names = [name for name, _ in TERMS] * (observations.shape[1] // FRAME_SIZE)
+    order, signs = _image(observations.device, *names)
     return observations[:, order] * signs
-
-
-def with_mirrored(env: Any, obs: TensorDict | None, actions: torch.Tensor | None) -> tuple[Any, Any]:
-    """Return observations and actions followed by their mirror images, in the form rsl_rl asks for."""
-    del env
-    both_obs = both_actions = None
-    if obs is not None:
-        seen = torch.cat([obs["policy"], mirrored_observations(obs["policy"])])
-        both_obs = TensorDict({"policy": seen}, batch_size=[len(seen)])
-    if actions is not None:
-        both_actions = torch.cat([actions, mirrored_actions(actions)])
-    return both_obs, both_actions

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,7 +22,6 @@ from mimic.dynamics.servo import (
     Servo,
     moving_targets,
     parameters_of,
-    refuse_stand,
     shares_in_effect,
     static_model,
     target_in_effect,
@@ -31,6 +29,7 @@ from mimic.dynamics.servo import (
 )
 from mimic.records import FloatArray, IntArray
 from mimic.robot.description import RobotDescription
+from mimic.train.tensors import Chance, put
 
 MARGIN = 0.1
 """Where a value has no interval, worlds are drawn within this share of it."""
@@ -58,37 +57,37 @@ def drawn_parameters(
     return found
 
 
-class WorldMotors:
+class WorldMotors(Chance):
     """The drives of all worlds, from the command as it is sent to the force at the joint.
 
     What the effects declare, such as friction or the delay, replaces what training draws; gains are multiplied.
     """
 
-    def __init__(self, description: RobotDescription, effects: EffectSet, worlds: int, device: str) -> None:
-        """Take the effects.
+    def __init__(
+        self, description: RobotDescription, effects: EffectSet, worlds: int, device: str, robots: int, seed: int
+    ) -> None:
+        """Draw the robots.
 
         Args:
             description: The robot, at the physics step of the worlds.
             effects: What a calibration found.
             worlds: Their number.
             device: Where the tensors are.
+            robots: Number of different ones.
+            seed: Of their effects.
 
         Raises:
-            ConfigError: If an effect names an unknown joint, or is one of the stand of a hung robot.
+            ConfigError: If an effect names an unknown joint.
         """
-        refuse_stand(effects)
-        self._d, self._effects, self._n, self._device = description, effects, worlds, device
-        self._machine = hung_robot(description)
-        self.time = torch.zeros(worlds, 1, device=device)
+        super().__init__(worlds, device)
+        self._d, self._machine = description, hung_robot(description)
+        self._p = drawn_parameters(effects, self._machine, robots, np.random.default_rng([seed, 19]))
+        self.time = self._zeros(1)
         """Since the beginning of each world's episode, at the start of the control step (N, 1) [s]."""
-        self.tau = torch.zeros(worlds, 12, device=device)
+        self.tau = self._zeros(12)
         """Torque of each motor at the start of the last physics step (N, 12) [N m]."""
 
     # ------------------------------------------------------------------ set-up
-
-    def draw(self, count: int, rng: np.random.Generator) -> None:
-        """Draw the effects of ``count`` robots."""
-        self._p = drawn_parameters(self._effects, self._machine, count, rng)
 
     def write_static(self, model: mujoco.MjModel, i: int) -> None:
         """Write what the effects of robot i change once into its model."""
@@ -105,9 +104,7 @@ class WorldMotors:
         p = {key: self._tensor(value[index]) for key, value in self._p.items() if not CATALOGUE[key[0]].random}
         self._shift, self._spread = self._tensor(shift[index]), self._tensor(spread[index])
         self._lost = self._tensor(self._p.get(("lost_commands", "share"), np.zeros((count, 1)))[index])
-        self._targets = [torch.zeros_like(self.tau) for _ in range(kept)]
-        self._late = [torch.zeros_like(self.time) for _ in range(kept)]
-        self._shifts = [torch.zeros_like(self.tau) for _ in range(kept)]
+        self._targets, self._late, self._shifts = ([self._zeros(k) for _ in range(kept)] for k in (12, 1, 12))
         drives = self._machine.drives
         self._usual = self._tensor(drives.kp), self._tensor(drives.kd)
         factors = (np.array([getattr(v, name) for v in variations])[index] for name in ("kp", "kd"))
@@ -122,9 +119,6 @@ class WorldMotors:
         self._servo, self._law.needed = servo, servo.needed
         self.set_share(1.0)
 
-    def _tensor(self, values: Any) -> torch.Tensor:
-        return torch.as_tensor(np.asarray(values), dtype=torch.float32, device=self._device)
-
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, and the usual ones for the rest."""
         self._law.set_gains(*(u + share * (own - u) for u, own in zip(self._usual, self._own, strict=True)))
@@ -133,49 +127,37 @@ class WorldMotors:
 
     def reset(self, mask: torch.Tensor, q: torch.Tensor, dq: torch.Tensor, command: torch.Tensor) -> None:
         """Begin an episode where ``mask`` (N,), at link positions q, commanded to hold ``command`` (N, 12)."""
-        where = mask[:, None]
-        self._law.begin(q, dq, where=where)
+        self._law.begin(q, dq, where=mask[:, None])
         self._keep()
         for target, late in zip(self._targets, self._late, strict=True):
-            target.copy_(torch.where(where, command, target))
-            late.copy_(torch.where(where, torch.zeros_like(late), late))
+            put(target, mask, command)
+            put(late, mask, 0.0)
 
     def arrives(self) -> torch.Tensor:
         """Return whether the command of this control step arrives (N, 1)."""
         return torch.rand_like(self._lost) >= self._lost
 
-    def send(self, target: torch.Tensor) -> None:
-        """Take the command of a control step (N, 12), which acts after its delay."""
+    def send(self, target: torch.Tensor, drawn: torch.Tensor) -> None:
+        """Take the command of a control step (N, 12), which acts after its delay; see `delay` for ``drawn``."""
         for row in (self._targets, self._late):
             for age in reversed(range(1, len(row))):
                 row[age].copy_(row[age - 1])
         self._targets[0].copy_(target)
         self._late[0].copy_(self._spread * torch.rand_like(self._spread))
+        for shift, late in zip(self._shifts, self._late, strict=True):
+            shift.copy_(torch.clip(self.delay(drawn) + late, 0.0, None))
 
     def delay(self, drawn: torch.Tensor) -> torch.Tensor:
         """Return the physics steps from a command to its effect (N, 12), where drawn ones are (N, 1)."""
         return self._shift if self._delayed else self._shift + drawn
 
-    def targets(self, drawn: torch.Tensor) -> list[torch.Tensor]:
-        """Return the target in effect in each physics step of the control step (N, 12), in order."""
-        usual = self.delay(drawn)
-        for shift, late in zip(self._shifts, self._late, strict=True):
-            shift.copy_(torch.clip(usual + late, 0.0, None))
-        return [target_in_effect(self._shares(k), self._sent(k)) for k in range(self._d.decimation)]
-
-    def _shares(self, substep: int) -> list[torch.Tensor]:
-        return shares_in_effect(substep, self._d.decimation, self._shifts, torch)
-
-    def _sent(self, substep: int) -> list[torch.Tensor]:
-        return moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
-
     # ------------------------------------------------------------------ physics
 
-    def drive(self, q: torch.Tensor, dq: torch.Tensor, target: torch.Tensor, substep: int) -> None:
+    def drive(self, q: torch.Tensor, dq: torch.Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""
-        shares, targets = self._shares(substep), self._sent(substep)
-        off = target - target_in_effect(shares, targets)  # where commands were not sent but written
-        parts = [(share, sent + off) for share, sent in zip(shares, targets, strict=True)]
+        shares = shares_in_effect(substep, self._d.decimation, self._shifts, torch)
+        targets = moving_targets(substep, self._d.decimation, self._shifts, self._targets, torch)
+        target, parts = target_in_effect(shares, targets), list(zip(shares, targets, strict=True))
         inputs = self._law.step(q, dq, target, self.time + substep * self._d.timestep, parts=parts)
         self._servo.write(inputs)
         self.tau.copy_(inputs.tau)

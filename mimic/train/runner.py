@@ -1,18 +1,14 @@
-"""The runner and the logger of rsl_rl for one process or several (torchrun), and what all processes agree on."""
+"""The logger of rsl_rl for one process or several (torchrun), and what all processes agree on."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
-from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
 from mimic.errors import ConfigError, MimicError
@@ -29,55 +25,30 @@ class TimeIsUp(Exception):
     """The time is over."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ranks:
-    """Which of the processes of a training this is; the first one writes."""
-
-    rank: int
-    local: int
-    """Among those of this machine, which is the number of its GPU."""
-    count: int
-
-    @classmethod
-    def of_environment(cls) -> Ranks:
-        """Return what torchrun says; without it, one process."""
-        rank, local, count = (int(os.environ.get(k, d)) for k, d in (("RANK", 0), ("LOCAL_RANK", 0), ("WORLD_SIZE", 1)))
-        return cls(rank=rank, local=local, count=count)
-
-    def device(self, wanted: str) -> str:
-        """Return the device of this process.
-
-        Raises:
-            ConfigError: If it is not there.
-        """
-        device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
-        if not device.startswith("cuda"):
-            return device
-        if not torch.cuda.is_available():
-            raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-        if self.count == 1:
-            return device
-        if self.local >= torch.cuda.device_count():
-            raise ConfigError(
-                f"process {self.local} of this machine has no GPU of its own, there are {torch.cuda.device_count()}; "
-                "start as many processes as there are GPUs"
-            )
-        torch.cuda.set_device(self.local)
-        return f"cuda:{self.local}"
+def rank() -> int:
+    """Return which process of a training (torchrun) this is; the first one, 0, writes."""
+    return int(os.environ.get("RANK", 0))
 
 
-class Runner(OnPolicyRunner):
-    """rsl_rl's runner, with processes on CPUs too."""
+def own_device(wanted: str) -> str:
+    """Return the device of this process; each of several has the GPU of its number on this machine.
 
-    def _configure_multi_gpu(self) -> None:
-        ranks = Ranks.of_environment()
-        if ranks.count == 1 or str(self.device).startswith("cuda"):
-            super()._configure_multi_gpu()
-            return
-        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = ranks.count, ranks.local, ranks.rank
-        self.is_distributed = True
-        self.cfg["multi_gpu"] = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.count}
-        torch.distributed.init_process_group(backend="gloo", rank=ranks.rank, world_size=ranks.count)
+    Raises:
+        ConfigError: If it is not there.
+    """
+    device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
+    if os.environ.get("WORLD_SIZE", "1") == "1" or not device.startswith("cuda"):
+        return device
+    local = int(os.environ["LOCAL_RANK"])
+    if local >= torch.cuda.device_count():
+        raise ConfigError(
+            f"process {local} of this machine has no GPU of its own, there are {torch.cuda.device_count()}; "
+            "start as many processes as there are GPUs"
+        )
+    torch.cuda.set_device(local)
+    return f"cuda:{local}"
 
 
 class QuietLogger(Logger):
@@ -104,9 +75,8 @@ class QuietLogger(Logger):
         self.cur_reward_sum += rewards
         self.cur_episode_length += 1
         done = dones > 0
-        self._ended += torch.stack(
-            [(self.cur_reward_sum * done).sum(), (self.cur_episode_length * done).sum(), done.sum()]
-        )
+        sums = torch.stack([self.cur_reward_sum, self.cur_episode_length, torch.ones_like(self.cur_reward_sum)])
+        self._ended += (sums * done).sum(-1)
         self.cur_reward_sum *= ~done
         self.cur_episode_length *= ~done
 
@@ -144,19 +114,11 @@ class QuietLogger(Logger):
     def _write(self, it: int, elapsed: float, figures: dict[str, Any]) -> None:
         rewards, lengths, count = self._ended.tolist()
         self._ended.zero_()
-        if count:
-            self.rewbuffer.clear()
-            self.lenbuffer.clear()
-            self.rewbuffer.append(rewards / count)
-            self.lenbuffer.append(lengths / count)
-        row: dict[str, float] = {}
+        self.tot_timesteps += self.cfg["num_steps_per_env"] * self.num_envs * self.gpu_world_size
+        row = {f"loss/{name}": value for name, value in figures["loss_dict"].items()}
         for extras in self.ep_extras:  # one wait for the device instead of one a figure
             row |= dict(zip(extras, torch.stack([v.float() for v in extras.values()]).tolist(), strict=True))
-        for name, value in row.items():
-            self.writer.add_scalar(name, value, it)  # type: ignore[union-attr]
         self.ep_extras.clear()
-        with contextlib.redirect_stdout(io.StringIO()):
-            super().log(it=it, **figures)
         row |= {
             "reward": rewards / count if count else math.nan,
             "episode": lengths / count if count else math.nan,
@@ -167,5 +129,7 @@ class QuietLogger(Logger):
             "steps": self.tot_timesteps,
             "elapsed_s": elapsed,
         }
+        for name, value in row.items():
+            self.writer.add_scalar(name, value, it)  # type: ignore[union-attr]
         if self._report is not None:
             self._report(it, row)

@@ -14,7 +14,7 @@ from mimic.policy.contract import PolicyContract
 from mimic.policy.leading import MOST_AHEAD, answer_to_pull
 from mimic.robot.description import RobotDescription
 from mimic.robot.goals import draw_goals
-from mimic.train.tensors import Chance, put
+from mimic.train.tensors import Chance, in_heading_frame, put
 
 POOL = 20_000
 """Reachable goal pairs drawn once for a training."""
@@ -45,9 +45,6 @@ FIRST_COMMAND = 1.04
 
 SETTLES = 2.0
 """A robot that is asked to stand has turned to its heading by this time [s]."""
-
-LEADING = LeadingSettings()
-"""How a robot that is led answers a pull."""
 
 
 class GoalSchedule(Chance):
@@ -155,15 +152,12 @@ class MoveSchedule(Chance):
             hand: Velocity of the hand, world axes (N, 2) [m/s].
             heading: Heading of the robot (N,) [rad].
         """
-        s = LEADING
+        s = LeadingSettings()
         self._felt.add_((pull - self._felt) * (self._dt / (s.smoothing + self._dt)) * led[:, None])
-        cosine, sine = torch.cos(heading), torch.sin(heading)
-        forward = cosine * self._felt[:, 0] + sine * self._felt[:, 1]
-        left = cosine * self._felt[:, 1] - sine * self._felt[:, 0]
+        forward, left = in_heading_frame(self._felt, heading).unbind(-1)
         speed, rate, share = answer_to_pull(forward, left, s, torch)
-        led_now = torch.stack([speed, torch.zeros_like(speed)], -1)
-        put(self.velocity, led, led_now)
-        sideways = share * (cosine * hand[:, 1] - sine * hand[:, 0])
+        put(self.velocity, led, torch.stack([speed, torch.zeros_like(speed)], -1))
+        sideways = share * in_heading_frame(hand, heading)[:, 1]
         self.wanted.copy_(torch.where(led[:, None], torch.stack([speed, sideways], -1), self.velocity))
         put(self._rate, led, rate)
         ahead = torch.arctan2(torch.sin(self.heading - heading), torch.cos(self.heading - heading))

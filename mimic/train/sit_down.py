@@ -101,10 +101,10 @@ class SitDownEnv(StandTrackEnv):
         self._velocity_before, self._front_before = self._zeros(3), self._zeros(2, 3)
         self._clearance_before = self._zeros(len(self._landing))
 
-    def _weights_at(self, ramp: float) -> dict[str, float]:
+    def _weights_now(self) -> dict[str, float]:
         return grown(WEIGHTS, self._calls)
 
-    def _set_difficulty(self, ramp: float) -> None:
+    def _set_difficulty(self) -> None:
         """Everything from the beginning: this task begins where the other one ends."""
 
     def _first_phase(self, start: Start) -> torch.Tensor:
@@ -120,7 +120,8 @@ class SitDownEnv(StandTrackEnv):
         return torch.asin(torch.clamp(up_cosine(*self._quat()), -1.0, 1.0))
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        f, w, dt = self._facts(finite, low), self.worlds, self.contract.dt
+        w, dt = self.worlds, self.contract.dt
+        _, contact, hind_speed, _ = self._feet_now(low)
         progress = torch.clamp(self.episode_length_buf * (dt / SECONDS), max=1.0)
         there, smooth = (progress >= 1).float(), smoothstep(progress)
         lying = self.description.training.lying_height
@@ -130,12 +131,11 @@ class SitDownEnv(StandTrackEnv):
         velocity = w.qvel[:, :3]
         speed, turning = velocity.norm(dim=-1), w.qvel[:, 3:6].norm(dim=-1)
         later = self.episode_length_buf > 1
-        acceleration = (velocity - self._velocity_before).norm(dim=-1) / dt
-        acceleration = torch.where(later, acceleration, torch.zeros_like(acceleration))
-        front = w.site_xpos[:, self._toe_sites[:2]]
+        acceleration = torch.where(later, (velocity - self._velocity_before).norm(dim=-1) / dt, 0.0)
+        front = w.toes[:, :2]
         front_speed = ((front - self._front_before) / dt)[..., :2].norm(dim=-1)
         down = front[..., 2] < self.description.toe_radius + NEAR
-        front_slip = torch.where(down & later[:, None], front_speed, torch.zeros_like(front_speed))
+        front_slip = torch.where(down & later[:, None], front_speed, 0.0)
         clearance = low[:, self._landing]
         landed = (clearance < NEAR) & (self._clearance_before > NEAR) & later[:, None]
         landing = (((self._clearance_before - clearance) / dt).clamp(0.0, 4.0) * landed).square().sum(-1)
@@ -151,7 +151,7 @@ class SitDownEnv(StandTrackEnv):
         self._clearance_before.copy_(clearance)
         off, near = pose_error.square().mean(-1), torch.exp(-((pose_error / 0.12) ** 2)).mean(-1)
         at_rest = torch.exp(-speed.square() / 0.02 - turning.square() / 0.3)
-        terms = {
+        terms = self._efforts() | {
             "height": torch.exp(-((height_error / 0.06) ** 2)),
             "level": torch.exp(-((pitch_error / 0.4) ** 2)),
             "roll": left_up.square(),
@@ -166,26 +166,15 @@ class SitDownEnv(StandTrackEnv):
             "trunk": trunk.float() * (0.3 + speed.clamp(max=3.0)),
             "thighs": (low[:, self._thighs] < 0.002).float().sum(-1),
             "head_low": torch.clamp((HEAD_ROOM - head) / HEAD_ROOM, 0.0, 1.0),
-            "slip": (f.hind_speed.clamp(max=2.0) * f.contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
+            "slip": (hind_speed.clamp(max=2.0) * contact).sum(-1) + front_slip.clamp(max=2.0).sum(-1),
             "beyond": beyond.square().sum(-1),
-            "action_rate": f.action_change.square().sum(-1),
-            "torque": f.torque.square().sum(-1),
-            "joint_velocity": f.dq.square().sum(-1),
-            "joint_speed": torch.clamp(f.dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
-            "joint_acceleration": f.ddq.square().sum(-1),
-            "limits": f.limit_excess.sum(-1),
             "fail": failed.float(),
         }
         lies = (height_error.abs() < 0.03) & (pitch_error.abs() < 0.15) & (pose_error.abs().amax(-1) < 0.25)
-        length = self.max_episode_length
         figures = {
             "sit_down/lying": mean(lies.float(), there),
             "sit_down/pose_error": mean(pose_error.abs().mean(-1), there),
-            "sit_down/height_error": mean(height_error.abs(), 1 - there),
-            "sit_down/failed": failed.float().mean() * length,
-            "sit_down/head": (head < 0.002).float().mean() * length,
-            "sit_down/trunk": trunk.float().mean(),
-            "sit_down/landing": landing.mean() * length,
+            "sit_down/failed": failed.float().mean() * self.max_episode_length,
         }
         return terms, failed, figures
 

@@ -35,14 +35,12 @@ from mimic.records import JOINTS, LEGS
 from mimic.robot.description import RobotDescription, with_timestep
 from mimic.robot.goals import MARGIN, leg_joints
 from mimic.robot.leg_kinematics import front_toes
-from mimic.robot.model import TOES
 from mimic.train.contract import ACTION_CLIP, STAND_UP_STEPS, make_contract
 from mimic.train.disturbances import Disturbances
-from mimic.train.feet import Feet, sliding
-from mimic.train.rewards import BEARS, REWARD_SCALE, Facts, grown, reward_terms
+from mimic.train.rewards import REWARD_SCALE, bells, grown, rising_terms, sliding, stepping
 from mimic.train.schedules import GoalSchedule, MoveSchedule
 from mimic.train.starts import Start, Starts
-from mimic.train.tensors import Chance, put, quat_multiply, quat_rotate
+from mimic.train.tensors import Chance, in_heading_frame, put, quat_multiply, quat_rotate
 from mimic.train.worlds import Worlds
 
 CRITIC_EXTRAS = 3 + 2 + 2 + 3 + 12 + 1 + 1 + 1 + 2 + 2 + 2 + 6 + 1 + 1 + 11 + 3 + 3 + 4 + 1 + 1 + 1 + 1
@@ -72,6 +70,21 @@ CAPTURE_REACH = 0.05
 
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
+
+MOST_HEAT = 1.0
+"""More than this sum of squared shares is not counted: standing up and catching a push cost less."""
+
+MOST_UNREST = 6.0
+"""More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
+
+MOST_DRIFT = 0.3
+"""More than this drift is not counted [m]: a step that catches a push costs less."""
+
+BEARS = 0.2
+"""A foot is planted that bears this share of the robot's weight."""
+
+MOST_SHUFFLE = 0.3
+"""A hind toe that moves faster than this on the ground costs no more [m/s]."""
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
 
@@ -103,7 +116,6 @@ class StandTrackEnv(VecEnv, Chance):
         self.goals = GoalSchedule(description, self.contract, settings, device, seed)
         self.moves = MoveSchedule(self.contract, settings, device)
         self._starts = Starts(description, settings, device)
-        self._feet = Feet(description, device)
         self.disturbances = Disturbances(settings, description.dt, device, self.worlds.quiet)
         self._constants()
         self._buffers()
@@ -135,7 +147,6 @@ class StandTrackEnv(VecEnv, Chance):
         )
         self._near_ground = torch.cat([w.columns("toe", "knee", legs=front), w.columns("knee", legs=hind)])
         self._hind_toes = w.columns("toe", legs=hind)
-        self._toe_sites = torch.tensor([w.mj_model.site(name).id for name in TOES], device=self.device)
         knees = [w.mj_model.body(f"{leg}_knee").id for leg in LEGS[:2]]
         self._front_knees = slice(knees[0], knees[1] + 1, knees[1] - knees[0])
         self._floor_up = torch.tensor([[0.0, 0.0, 1.0]], device=self.device).expand(self.num_envs, 3)
@@ -144,8 +155,6 @@ class StandTrackEnv(VecEnv, Chance):
             half[c.columns(name)] = width
         self._noise_half = self._tensor(half)
         self._averaged = torch.as_tensor(c.columns(*AVERAGED), device=self.device)
-        steps = self.settings.randomisation.delay
-        self._delay_range = (round(steps[0] / d.timestep), round(steps[1] / d.timestep))
 
     def _buffers(self) -> None:
         n, device, zeros = self.num_envs, self.device, self._zeros
@@ -168,15 +177,14 @@ class StandTrackEnv(VecEnv, Chance):
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
-        self._weights = torch.tensor(list(self._weights_at(0.0).values()), device=device)
+        weights = self._weights_now()
+        self._rewarded, self._weights = list(weights), torch.tensor(list(weights.values()), device=device)
         self._log: dict[str, torch.Tensor] = {}
 
     def resume_at(self, steps: int) -> None:
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
-        self._calls = 240 * (steps // 240)
-        self._ramp = min(
-            max((self._calls - self.settings.curriculum_latest) / self.settings.curriculum_steps, 0.0), 1.0
-        )
+        self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
+        self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
 
     # ------------------------------------------------------------------ the interface of rsl_rl
 
@@ -193,10 +201,8 @@ class StandTrackEnv(VecEnv, Chance):
         """Apply actions (worlds, 12); return observations, rewards, ends, and figures for the log."""
         self._actions.copy_(actions)
         if self._calls % 240 == 0:
-            ramp = self._ramp_share()
-            self._weights.copy_(torch.tensor(list(self._weights_at(ramp).values())))
-            self._termination_share.fill_(ramp**2)
-            self._set_difficulty(ramp)
+            self._set_difficulty()
+            self._weights.copy_(torch.tensor(list(self._weights_now().values())))
         self._before()
         self.worlds.step()
         self._after()
@@ -224,29 +230,18 @@ class StandTrackEnv(VecEnv, Chance):
         self._pull()
         if motors is not None:
             motors.time.copy_(self.episode_length_buf[:, None] * c.dt)
-            motors.send(newest)
-            self.worlds.substep_ctrl.copy_(torch.stack(motors.targets(self._delay)))
+            motors.send(newest, self._delay)
             return
-        n = self.worlds.decimation
+        ages, n = (newest, before, before_that, torch.where, [oldest]), self.worlds.decimation
         for k in range(n):
-            ages = newest, before, before_that, torch.where, [oldest]
-            ctrl = command_in_effect(k, n, self._delay, *ages, interpolate=True)
-            self.worlds.substep_ctrl[k].copy_(ctrl)
-
-    def _delay_seen(self) -> torch.Tensor:
-        """Return the delay of each world in steps of 5 ms (N, 1), in which the critic has always seen it."""
-        motors = self.worlds.motors
-        steps = self._delay.float() if motors is None else motors.delay(self._delay).mean(-1, keepdim=True)
-        return steps * (self.description.timestep / 0.005)
+            self.worlds.substep_ctrl[k].copy_(command_in_effect(k, n, self._delay, *ages, interpolate=True))
 
     def _pull(self) -> None:
         """Drag the front toes: a force at a toe is that force at the lower leg's centre of mass, and its moment."""
         w = self.worlds
-        toes = w.site_xpos[:, self._toe_sites[:2]]
+        toes, force = w.toes[:, :2], self.disturbances.pull
         self.disturbances.advance(self.episode_length_buf, toes, self._heading)
-        force = self.disturbances.pull
-        lever = toes - w.xipos[:, self._front_knees]
-        moment = torch.linalg.cross(lever, force)
+        moment = torch.linalg.cross(toes - w.xipos[:, self._front_knees], force)
         w.xfrc_applied[:, self._front_knees].copy_(torch.nan_to_num(torch.cat([force, moment], -1)))
 
     def _measure(self) -> None:
@@ -265,12 +260,15 @@ class StandTrackEnv(VecEnv, Chance):
 
     def _velocity(self) -> torch.Tensor:
         """Base velocity forward and left in the heading frame (N, 2) [m/s]."""
-        return self._in_heading_frame(self.worlds.qvel[:, :2])
+        return in_heading_frame(self.worlds.qvel[:, :2], self._heading)
 
-    def _in_heading_frame(self, v: torch.Tensor) -> torch.Tensor:
-        """Return horizontal vectors (N, 2) forward and left."""
-        cosine, sine = torch.cos(self._heading), torch.sin(self._heading)
-        return torch.stack([cosine * v[:, 0] + sine * v[:, 1], -sine * v[:, 0] + cosine * v[:, 1]], -1)
+    def _follow(self) -> None:
+        """Bring up to date how each robot has moved, and where it came to rest."""
+        w = self.worlds
+        self._mean_velocity.add_((self._velocity() - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
+        self._load.copy_(w.load())
+        self._settled = self.moves.settled & self._tracking() & (self._rank < self._rest_share)
+        self._anchor.copy_(torch.where(self._settled[:, None], self._anchor, w.qpos[:, :2]))
 
     def _tracking(self) -> torch.Tensor:
         return self._upright_start | (self.episode_length_buf > STAND_UP_STEPS)
@@ -284,25 +282,26 @@ class StandTrackEnv(VecEnv, Chance):
         self._measure()
         self._command()
         low = w.lowest()
+        self._follow()
         terms, failed, figures = self._evaluate(finite, low)
-        reward = REWARD_SCALE * (torch.stack(list(terms.values())) * self._weights[:, None]).sum(0)
+        earned = torch.stack([terms[name] for name in self._rewarded])
+        reward = REWARD_SCALE * (earned * self._weights[:, None]).sum(0)
         self._reward.copy_(torch.where(finite, torch.nan_to_num(reward), torch.zeros_like(reward)))
         self._time_out.copy_((self.episode_length_buf >= self.max_episode_length) & ~failed & finite)
         self._done.copy_(failed | self._time_out | ~finite)
         self._dq_before.copy_(w.qvel[:, 6:])
         self._q_before.copy_(w.qpos[:, 7:])
-        self._remember(terms, figures, finite)
+        self._remember(earned, figures, finite)
         self._push()
         self._reset(self._done)
         self._observe(self._done, low)
 
     # ------------------------------------------------------------------ the task: what sitting down does in its own way
 
-    def _weights_at(self, ramp: float) -> dict[str, float]:
-        """Return the weight of each reward term by now; ``ramp`` of what makes the task hard is there, 0 to 1."""
-        s = self.settings
-        finished = self._passed(s.finish_steps)
-        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * ramp)
+    def _weights_now(self) -> dict[str, float]:
+        """Return the weight of each reward term by now."""
+        s, finished = self.settings, self._passed(self.settings.finish_steps)
+        factors: dict[str, float] = dict.fromkeys(REFINING_TERMS, REFINING_SHARE + (1 - REFINING_SHARE) * self._ramp)
         factors |= dict.fromkeys(RESTING_TERMS, self._passed(s.rest_steps))
         for name, factor in asdict(s.finish).items():
             factors[name] = factors.get(name, 1.0) * (1 + (factor - 1) * finished)
@@ -313,21 +312,19 @@ class StandTrackEnv(VecEnv, Chance):
         begin, end = steps
         return min(max((self._calls - begin) / (end - begin), 0.0), 1.0)
 
-    def _ramp_share(self) -> float:
-        ends = float(self._log["all/ends"]) if "all/ends" in self._log else 1.0  # waits for the device
-        if self._calls and (ends < self.settings.curriculum_ends or self._calls > self.settings.curriculum_latest):
-            self._ramp = min(self._ramp + 240 / self.settings.curriculum_steps, 1.0)
-        return self._ramp
-
-    def _set_difficulty(self, ramp: float) -> None:
-        """Set what grows as the robot learns to stand, for the share of the ramp that is done."""
-        s = self.settings
-        rests = self._passed(s.rest_steps)
+    def _set_difficulty(self) -> None:
+        """Set what grows as the robot learns to stand, and how far it has grown: ``_ramp``, 0 to 1."""
+        s, rests = self.settings, self._passed(self.settings.rest_steps)
+        ends = float(self._log["all/ends"]) if self._log else 1.0  # waits for the device
+        if self._calls and (ends < s.curriculum_ends or self._calls > s.curriculum_latest):
+            self._ramp = min(self._ramp + 240 / s.curriculum_steps, 1.0)
+        self._termination_share.fill_(self._ramp**2)
         share = s.disturbance_share_at_first + (1 - s.disturbance_share_at_first) * rests
         self.worlds.set_share(share)
         self.disturbances.set_share(share)
         self._rest_share.fill_(rests)
-        self._starts.upright_share.fill_(s.upright_share_at_first + (s.upright_share - s.upright_share_at_first) * ramp)
+        grown_by = (s.upright_share - s.upright_share_at_first) * self._ramp
+        self._starts.upright_share.fill_(s.upright_share_at_first + grown_by)
 
     def _command(self) -> None:
         first = (self.episode_length_buf == STAND_UP_STEPS + 1) & ~self._upright_start
@@ -337,141 +334,156 @@ class StandTrackEnv(VecEnv, Chance):
         self.moves.lead(d.came, d.pull.sum(1)[:, :2], d.hand_velocity, self._heading)
 
     def _evaluate(self, finite: torch.Tensor, low: torch.Tensor) -> Judged:
-        """Return the reward terms in the order of the weights, which worlds failed (N,), and figures for the log."""
-        facts = self._facts(finite, low)
-        return reward_terms(facts, self.settings.swing_height, self.description), facts.fallen, self._figures(facts)
-
-    def _facts(self, finite: torch.Tensor, low: torch.Tensor) -> Facts:
-        w = self.worlds
-        up, step = self._up, self.episode_length_buf
-        toes = w.site_xpos[:, self._toe_sites]
-        hind = w.site_xpos[:, self._toe_sites[2:]]
-        self._toes_at_start.copy_(torch.where((step == 1)[:, None, None], hind, self._toes_at_start))
-        rising_up = ~self._upright_start & (step <= GRACE_STEPS)
-        shift = (hind - self._toes_at_start).norm(dim=-1).mean(-1) * rising_up
-        motion = self._feet.motion(w.qpos[:, 3:7], w.qvel[:, :3], w.qvel[:, 3:6], w.qpos[:, 7:], w.qvel[:, 6:])
-        slip = sliding(toes[..., 2], *motion, below=SLIP_HEIGHT)
-        rising = torch.clamp(step * self.contract.dt / RISE_SECONDS, max=1.0)
-        height, velocity = w.qpos[:, 2], self._velocity()
-        self._mean_velocity.add_((velocity - self._mean_velocity) * (self.contract.dt / SWAY_SECONDS))
-        error = self.moves.heading - self._heading
-        error = torch.arctan2(torch.sin(error), torch.cos(error))
+        """Return the reward terms, which worlds failed (N,), and figures for the log."""
+        w, d, numbers = self.worlds, self.disturbances, self.description.training
         tracking = self._tracking()
-        self._load.copy_(w.load())
-        rests = self._rank < self._rest_share
-        settled = self.moves.settled & tracking & rests
-        self._anchor.copy_(torch.where(settled[:, None], self._anchor, w.qpos[:, :2]))
+        height, hind = w.qpos[:, 2], w.toes[:, 2:]
+        rising = torch.clamp(self.episode_length_buf * self.contract.dt / RISE_SECONDS, max=1.0)
+        rising = torch.where(self._upright_start, torch.ones_like(rising), rising)
+        standing = torch.clamp((height - numbers.height_low) / numbers.height_span, 0, 1)
+        standing = standing * torch.clamp(self._up, 0, 1) * rising
+        ended, met = self._terminations(low, hind, tracking)
+        ended, tracking = finite & ended, tracking.float()
+        toppling = self._toppling(hind) & ~w.quiet  # quiet ones are hardly pushed
+        settled = self._settled.float()
+        asked = (self._gait * (1 - settled))[:, None]  # or a robot turns away, so that its clock starts
+        # by the command, or a robot that turns away a little would be asked to step, and need not rest
+        resting = torch.maximum(1 - self._gait, settled) * rising.ge(1) * ~toppling
+
+        clearance, contact, hind_speed, slip = self._feet_now(low)
+        both_planted = (self._load.amin(-1, keepdim=True) / BEARS).clamp(0.0, 1.0)
+        # a step that catches a fall is no fault
+        standing_still = torch.maximum(both_planted, toppling[:, None].float())
+        steps = stepping(self._phase(), clearance, contact, self.settings.swing_height)
+        steps = asked * steps + (1 - asked) * standing_still
+        sway = self._mean_velocity - self.moves.wanted
+        # the wide bell is felt while the robot does not walk at all
+        speed = bells(sway.square().sum(-1), (0.2, 0.15), (0.2, 0.02), (0.25, 0.004))
+        speed = speed + bells((self._velocity() - self.moves.wanted).square().sum(-1), (0.35, 0.05))
+        turn = heading_error(self._quat_WB, self.moves.heading, torch)
+        turning = 0.15 * (1 + torch.cos(turn)) + bells(turn.square(), (0.35, 0.5)) + bells(turn.square(), (0.35, 0.03))
+        off = self._toes - self.goals.now
+        square = off.square().sum((-1, -2))
+        # without the widest bell toes that are 20 cm off never came nearer
+        reaching = bells(square, (0.2, 0.2), (0.4, 0.04), (0.4, 0.01))
+        drift = (w.qpos[:, :2] - self._anchor).norm(dim=-1)
+        efforts, change = self._efforts(), (self._last_action - self._before_last)[:, 6:]
+        overload = torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak
+        terms = efforts | rising_terms(height, self._up, rising, self.description)
+        terms |= {
+            "alive": torch.ones_like(height),
+            "velocity": speed * standing,
+            "heading": turning * standing,
+            "toes": reaching * standing * tracking,
+            # while the robot steps too, a policy that reaches within a centimetre would rather not walk
+            "toes_fine": bells(square, (1.0, 0.001)) * standing * tracking * (1 - asked[:, 0]),
+            "gait": steps.mean(-1) * standing,
+            "drift": drift.clamp(max=MOST_DRIFT) * tracking,
+            "slip": slip,
+            "foot_shift": self._foot_shift(hind),
+            "terminations": met,
+            "flight": (clearance.amin(-1) > 0.01).float(),
+            "low": (low[:, self._near_ground] < 0.03).float().sum(-1),
+            "unrest": change.square().sum(-1).clamp(max=MOST_UNREST) * resting,
+            "shuffle": (hind_speed.clamp(max=MOST_SHUFFLE) * contact).mean(-1) * resting,
+            "heat": efforts["torque"].clamp(max=MOST_HEAT),
+            "overload": overload.square().sum(-1),
+            "fall": ended.float(),
+        }
+        quiet, asked_speed, fallen = w.quiet * tracking, self.moves.velocity[:, 0], terms["fall"]
+        still = quiet * (self._gait == 0)
+        reached = (self._mean_velocity[:, 0] * asked_speed * tracking).sum()
+        figures = {
+            "still/planted": mean(self._load.amin(-1) > BEARS, still),
+            "still/action_change": mean(change.square().mean(-1), still).sqrt(),
+            "still/shuffle": mean((hind_speed * contact).mean(-1), still),
+            "walk/speed_share": reached / (asked_speed.square() * tracking).sum().clamp(min=1e-3),
+            "walk/lift": mean(clearance.amax(-1), tracking * (self._gait == 1)),
+            "quiet/drift": mean(drift, still),
+            "quiet/falls": mean(fallen, quiet),
+            "led/falls": mean(fallen, d.held.float()),
+            "led/behind": mean(d.behind, d.held.float()),
+            "track/toe_error_cm": 100 * mean(off.norm(dim=-1).mean(-1), tracking),
+            "track/mean_velocity_error": mean(sway.norm(dim=-1), tracking),
+            "track/heading_error": mean(turn.abs(), tracking),
+            "track/falls": mean(fallen, tracking),
+            "track/termination_share": self._termination_share[0],
+            "all/ends": fallen.mean(),
+        }
+        return terms, ended, figures
+
+    def _terminations(
+        self, low: torch.Tensor, hind: torch.Tensor, tracking: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return where an episode ends in a fall or by one of the paper's terminations, and how many of them hold."""
+        q, step, numbers = self.worlds.qpos[:, 7:], self.episode_length_buf, self.description.training
         grounded = low[:, self._grounding].amin(-1) < 0.002
-        fallen = tracking & (grounded | (height < self.description.training.height_fallen) | (up < 0.3))
-        q, dq = w.qpos[:, 7:], w.qvel[:, 6:]
+        fallen = tracking & (grounded | (self.worlds.qpos[:, 2] < numbers.height_fallen) | (self._up < 0.3))
         near = ((q < self._near_min) | (q > self._near_max)).any(-1) & (step > 3)
-        early = rising_up & (step > 3)
-        high = early & (hind[..., 2].amax(-1) > self.description.training.early_toe_height)
-        jump = early & ((q - self._q_before).abs().amax(-1) > self.description.training.early_joint_step)
+        early = self._early() & (step > 3)
+        high = early & (hind[..., 2].amax(-1) > numbers.early_toe_height)
+        jump = early & ((q - self._q_before).abs().amax(-1) > numbers.early_joint_step)
         touch = ~self._upright_start & (step > GRACE_STEPS) & ~tracking & grounded
-        broken = near | high | jump | touch
-        fallen = finite & (fallen | (broken & (self._rand() < self._termination_share)))
+        met = torch.stack([near, high, jump, touch]).float().sum(0)
+        return fallen | ((met > 0) & (self._rand() < self._termination_share)), met
+
+    def _early(self) -> torch.Tensor:
+        return ~self._upright_start & (self.episode_length_buf <= GRACE_STEPS)
+
+    def _foot_shift(self, hind: torch.Tensor) -> torch.Tensor:
+        """Return the mean way of the hind toes (N, 2, 3) from where they began, while standing up (N,) [m]."""
+        first = (self.episode_length_buf == 1)[:, None, None]
+        self._toes_at_start.copy_(torch.where(first, hind, self._toes_at_start))
+        return (hind - self._toes_at_start).norm(dim=-1).mean(-1) * self._early()
+
+    def _feet_now(self, low: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return height [m], contact (1 or 0) and speed [m/s] of the hind toes (N, 2), and the paper's slip (N,)."""
+        w, clearance = self.worlds, low[:, self._hind_toes]
+        velocity, turning = w.toe_motion()
+        slip = sliding(w.toes[..., 2], velocity, turning, below=SLIP_HEIGHT)
+        return clearance, (clearance < 0.003).float(), velocity[:, 2:].norm(dim=-1), slip
+
+    def _efforts(self) -> dict[str, torch.Tensor]:
+        """Return the reward terms of motion and torque, which all tasks have."""
+        w, q, dq = self.worlds, self.worlds.qpos[:, 7:], self.worlds.qvel[:, 6:]
         excess = torch.clamp(self._soft_min - q, min=0.0) + torch.clamp(q - self._soft_max, min=0.0)
         ddq = (dq - self._dq_before) / self.contract.dt
-        ddq = torch.where((step > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
-        toppling = self._toppled = self._toppling(hind)
-        return Facts(
-            height=height,
-            up=up,
-            velocity_error=velocity - self.moves.wanted,
-            mean_velocity_error=self._mean_velocity - self.moves.wanted,
-            drift=w.qpos[:, :2] - self._anchor,
-            gait=self._gait,
-            toppling=toppling & ~w.quiet,
-            settled=settled,
-            heading_error=error,
-            rising=torch.where(self._upright_start, torch.ones_like(height), rising),
-            toe_error=self._toes - self.goals.now,
-            tracking=tracking.float(),
-            contact=low[:, self._hind_toes] < 0.003,
-            load=self._load,
-            clearance=low[:, self._hind_toes],
-            slip=slip,
-            hind_speed=motion[0][:, 2:].norm(dim=-1),
-            foot_shift=shift,
-            terminations_met=near.float() + high.float() + jump.float() + touch.float(),
-            phase=self._phase(),
-            low=(low[:, self._near_ground] < 0.03).float().sum(-1),
-            action_change=self._last_action - self._before_last,
-            torque=w.motor_torque / self._peak,
-            overload=torch.clamp(w.motor_torque.abs() - self._rated, min=0.0) / self._peak,
-            dq=dq.clamp(-50, 50),
-            ddq=ddq,
-            limit_excess=excess,
-            fallen=fallen,
-        )
+        ddq = torch.where((self.episode_length_buf > 1)[:, None], ddq, torch.zeros_like(ddq)).clamp(-2000, 2000)
+        dq = dq.clamp(-50, 50)
+        return {
+            "action_rate": (self._last_action - self._before_last).square().sum(-1),
+            "torque": (w.motor_torque / self._peak).square().sum(-1),
+            "joint_velocity": dq.square().sum(-1),
+            "joint_speed": torch.clamp(dq.abs() - self.description.training.joint_speed, min=0.0).sum(-1),
+            "joint_acceleration": ddq.square().sum(-1),
+            "limits": excess.sum(-1),
+        }
 
     def _toppling(self, hind: torch.Tensor) -> torch.Tensor:
         """Return where the capture point lies before, behind or beside both hind toes (N,); toes (N, 2, 3) [m]."""
         w = self.worlds
         fall = torch.sqrt(w.com[:, 2].clamp(min=0.05) / abs(float(w.mj_model.opt.gravity[2])))
         capture = w.com[:, :2] + w.qvel[:, :2] * fall[:, None]
-        away = capture - hind[..., :2].mean(1)
-        ahead = torch.stack([torch.cos(self._heading), torch.sin(self._heading)], -1)
-        across = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-        half = 0.5 * ((hind[:, 0, :2] - hind[:, 1, :2]) * across).sum(-1).abs()
-        return ((away * ahead).sum(-1).abs() > CAPTURE_REACH) | ((away * across).sum(-1).abs() > half)
-
-    def _figures(self, f: Facts) -> dict[str, torch.Tensor]:
-        d, tracking, rises = self.disturbances, f.tracking, 1 - f.tracking
-        quiet = (self.worlds.quiet | (self.settings.quiet_share == 0.0)).float() * tracking
-        still, asked, steps = quiet * (f.gait == 0), self.moves.velocity[:, 0], tracking * (f.gait == 1)
-        held, fallen = d.held.float(), f.fallen.float()
-        reached = (self._mean_velocity[:, 0] * asked * tracking).sum()
-        return {
-            "still/planted": mean(f.load.amin(-1) > BEARS, still),
-            "still/action_change": mean(f.action_change[:, 6:].square().mean(-1), still).sqrt(),
-            "still/torque_squares": mean(f.torque.square().sum(-1), still),
-            "still/shuffle": mean((f.hind_speed * f.contact).mean(-1), still),
-            "still/toppling": mean(self._toppled, still),
-            "walk/speed_share": reached / (asked.square() * tracking).sum().clamp(min=1e-3),
-            "walk/lift": mean(f.clearance.amax(-1), steps),
-            "quiet/velocity_error": mean(f.velocity_error.norm(dim=-1), quiet),
-            "quiet/drift": mean(f.drift.norm(dim=-1), still),
-            "quiet/falls": mean(fallen, quiet),
-            "led/falls": mean(fallen, held),
-            "led/behind": mean(d.behind, held),
-            "track/up": mean(f.up, tracking),
-            "track/height": mean(f.height, tracking),
-            "track/toe_error_cm": 100 * mean(f.toe_error.norm(dim=-1).mean(-1), tracking),
-            "track/mean_velocity_error": mean(f.mean_velocity_error.norm(dim=-1), tracking),
-            "track/velocity_error": mean(f.velocity_error.norm(dim=-1), tracking),
-            "track/drift": mean(f.drift.norm(dim=-1), tracking),
-            "track/heading_error": mean(f.heading_error.abs(), tracking),
-            "track/falls": mean(fallen, tracking),
-            "track/slip": mean(f.slip, tracking),
-            "track/terminations": mean(f.terminations_met, tracking),
-            "all/ends": fallen.mean(),
-            "rise/slip": mean(f.slip, rises),
-            "rise/terminations": mean(f.terminations_met, rises),
-            "track/termination_share": self._termination_share.mean(),
-            "track/knee_torque": mean(f.torque[:, 8::3].abs().mean(-1), tracking),
-        }
+        ahead, aside = in_heading_frame(capture - hind[..., :2].mean(1), self._heading).abs().unbind(-1)
+        apart = in_heading_frame(hind[:, 0, :2] - hind[:, 1, :2], self._heading)[:, 1].abs()
+        return (ahead > CAPTURE_REACH) | (aside > 0.5 * apart)
 
     def _show_reaching(self) -> None:
         q, excess = leg_joints(self.goals.now, self.description, torch)
         actions = (q - self._default_q[:6].view(2, 3)) / self.settings.action_scale
-        counts = (excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None]
-        counts = counts[..., None].expand_as(actions)
-        self._reaching[:, 0].copy_(torch.where(counts, actions, torch.zeros_like(actions)))
-        self._reaching[:, 1].copy_(counts)
+        counts = ((excess <= 0) & (self._tracking() & (self._up > STANDING))[:, None])[..., None]
+        self._reaching[:, 0].copy_(torch.where(counts, actions, 0.0))
+        self._reaching[:, 1].copy_(counts.expand_as(actions))
 
     def _first_phase(self, start: Start) -> torch.Tensor:
         """Return the gait phase (N,) at the first step [rad]."""
         return self._uniform(-math.pi, math.pi)
 
-    def _remember(self, terms: dict[str, torch.Tensor], figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
+    def _remember(self, earned: torch.Tensor, figures: dict[str, torch.Tensor], finite: torch.Tensor) -> None:
         # stacked, since on a GPU a launch costs more than the numbers
-        means = torch.stack([value.float() for value in terms.values()]).mean(-1)
-        others = torch.stack([*figures.values(), 1 - finite.float().mean()])
-        values = torch.cat([means, others])
+        values = torch.cat([earned.mean(-1), torch.stack([*figures.values(), 1 - finite.float().mean()])])
         if not self._log:
-            names = [*(f"reward/{name}" for name in terms), *figures, "track/non_finite"]
+            names = [*(f"reward/{name}" for name in self._rewarded), *figures, "track/non_finite"]
             self._log_values = values.clone()
             self._log = dict(zip(names, self._log_values.unbind(), strict=True))
         self._log_values.copy_(values)
@@ -501,11 +513,11 @@ class StandTrackEnv(VecEnv, Chance):
         self._measure()
         for command in self._commands:
             put(command, mask, start.command)
-        old = w.warmstart, self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
-        for buffer in old:
+        past = self._last_action, self._before_last, self._mean_velocity, self._anchor, self._gait
+        for buffer in (w.warmstart, *past):
             put(buffer, mask, 0.0)
         put(self._noise, mask, self._uniform(self.settings.noise_least, 1.0).clamp(min=0.0))
-        low, high = self._delay_range
+        low, high = (round(delay / self.description.timestep) for delay in self.settings.randomisation.delay)
         put(self._delay, mask, torch.randint_like(self._delay, low, high + 1))
         if w.motors is not None:
             w.motors.reset(mask, w.qpos[:, 7:], w.qvel[:, 6:], start.command)
@@ -547,15 +559,16 @@ class StandTrackEnv(VecEnv, Chance):
         self._history.copy_(torch.where(fresh[:, None, None], first, pushed))
         self._policy_obs.copy_(self._history.reshape(n, -1))
         feet = low[:, self._hind_toes]
+        delay = self._delay.float() if w.motors is None else w.motors.delay(self._delay).mean(-1, keepdim=True)
         extras = [
             torch.cat([self._velocity(), w.qvel[:, 2:3]], -1),
             self._mean_velocity,
-            self._in_heading_frame(w.qpos[:, :2] - self._anchor) * 3,
+            in_heading_frame(w.qpos[:, :2] - self._anchor, self._heading) * 3,
             w.qvel[:, 3:6].clamp(-20, 20) * 0.3,
             w.qvel[:, 6:].clamp(-40, 40) * 0.1,
             w.qpos[:, 2:3] * 3,
             self._up[:, None],
-            (self._delay_seen() - 3.5) * 0.3,
+            (delay * (self.description.timestep / 0.005) - 3.5) * 0.3,
             (feet < 0.003).float(),
             self._load,
             feet.clamp(max=0.2) * 10,

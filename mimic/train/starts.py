@@ -27,6 +27,9 @@ UNEVEN, SIT_DOWN_ROLL = 0.05, 0.1
 LIFTED = 0.01
 """Added to the heights of the poses, so that nothing starts inside the ground [m]."""
 
+NEAREST = 0.01
+"""No joint starts nearer to its limits [rad]."""
+
 KINDS = ("steady", "rising", "falling")
 """Recorded states: while standing, walking and turning; while standing up; while falling after a push."""
 
@@ -83,29 +86,24 @@ class Starts(Chance):
         pitch = torch.where(upright, self._pitch + self._uniform(-TILT, TILT), self._uniform(-UNEVEN, UNEVEN))
         quat = quat_from_euler(self._uniform(-UNEVEN, UNEVEN), -pitch, heading)
         q = torch.where(upright[:, None], self._upright, self._lie) + self._uniform(*r.start_q, 12)
-        low, high = self._q_min + MARGIN, self._q_max - MARGIN
+        qpos = self._placed(upright, quat, q, MARGIN, r.start_height)
+        qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
+        return Start(upright=upright, heading=heading, command=qpos[:, 7:], qpos=qpos, qvel=qvel, anytime=upright)
+
+    def _placed(
+        self, upright: torch.Tensor, quat: torch.Tensor, q: torch.Tensor, margin: float, above: tuple[float, float]
+    ) -> torch.Tensor:
+        """Return positions (N, 19) a little above the poses' heights; upright robots have front legs anywhere."""
+        low, high = self._q_min + margin, self._q_max - margin
         anywhere = low + (high - low) * self._uniform(0.0, 1.0, 12)
         q = torch.where(upright[:, None] & self._is_front, anywhere, q)
-        q = torch.clamp(q, self._q_min + 0.01, self._q_max - 0.01)
-        qpos = self._at(upright, self._uniform(*r.start_height), quat, q)
-        qvel = self._uniform(-0.1, 0.1, 18) * torch.where(upright, 1.0, 0.2)[:, None]
-        return Start(upright=upright, heading=heading, command=q, qpos=qpos, qvel=qvel, anytime=upright)
-
-    def _at(self, upright: torch.Tensor, above: torch.Tensor, quat: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
-        """Return positions (N, 19) in the pose's height and a little above (N,) [m]."""
-        height = torch.where(upright, self._heights["upright"], self._heights["lie"]) + LIFTED + above
-        zeros = torch.zeros_like(height)
-        return torch.cat([torch.stack([zeros, zeros, height], -1), quat, q], -1)
+        q = torch.clamp(q, self._q_min + NEAREST, self._q_max - NEAREST)
+        height = torch.where(upright, self._heights["upright"], self._heights["lie"]) + LIFTED + self._uniform(*above)
+        return torch.cat([self._zeros(2), height[:, None], quat, q], -1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class StartShares:
-    """How often sitting down starts how; what is left starts upright with random front legs, tilt and motion."""
-
-    steady: float = 0.45
-    rising: float = 0.1
-    falling: float = 0.15
-    lying: float = 0.1
+SHARES = {"steady": 0.45, "rising": 0.1, "falling": 0.15, "lying": 0.1}
+"""How often sitting down starts how; what is left starts upright with random front legs, tilt and motion."""
 
 
 def recorded_states(file: str | Path) -> dict[str, np.ndarray]:
@@ -115,7 +113,7 @@ def recorded_states(file: str | Path) -> dict[str, np.ndarray]:
         file: A file in policies/ or a path; lab/policies/handover_states.py makes it.
 
     Raises:
-        AssetError: If there is no such file, or it holds something else.
+        AssetError: If there is no such file.
     """
     try:
         path = Path(file) if Path(file).is_file() else shipped("policies", str(file))
@@ -125,36 +123,25 @@ def recorded_states(file: str | Path) -> dict[str, np.ndarray]:
             f"--robot ROBOT --write {file} records it from a policy that stands"
         ) from reason
     with np.load(path) as stored:
-        kinds = {kind: stored[kind].astype(np.float32) for kind in KINDS if kind in stored}
-    if set(kinds) != set(KINDS) or any(
-        rows.ndim != 2 or rows.shape[1] != 49 or not len(rows) for rows in kinds.values()
-    ):
-        raise AssetError(f"{path} does not hold states of each of {', '.join(KINDS)}; make it anew")
-    return kinds
+        return {kind: stored[kind].astype(np.float32) for kind in KINDS}
 
 
 class SitDownStarts(Starts):
     """Draws starts of sitting down."""
 
-    shares = StartShares()
-
     def __init__(self, description: RobotDescription, settings: MdpSettings, device: str) -> None:
         super().__init__(description, settings, device)
-        self._q_min, self._q_max = self._q_min + 0.01, self._q_max - 0.01
-        kinds = recorded_states(robot_file("handovers.npz", description.name))
-        counts = [len(kinds[kind]) for kind in KINDS]
-        self._recorded = self._tensor(np.concatenate([kinds[kind] for kind in KINDS]))
-        self._first = self._tensor(np.concatenate([[0], np.cumsum(counts[:-1])]))
-        self._count = self._tensor(counts)
+        kinds = recorded_states(robot_file("handovers.npz", description.name)).values()
+        counts = [len(rows) for rows in kinds]
+        self._recorded = self._tensor(np.concatenate(list(kinds)))
+        self._first, self._count = self._tensor(np.cumsum([0, *counts[:-1]])), self._tensor(counts)
+        self._kind_ends = self._tensor(np.cumsum(list(SHARES.values())))
 
     def draw(self) -> Start:
         """Return a start for every world."""
-        s = self.shares
-        chance = self._uniform(0.0, 1.0)
-        is_recorded = chance < sum((s.steady, s.rising, s.falling))
-        kind = (chance >= s.steady).long() + (chance >= s.steady + s.rising).long()
-        lying = ~is_recorded & (chance < sum((s.steady, s.rising, s.falling)) + s.lying)
-        row = self._first[kind.clamp(max=2)] + torch.floor(self._uniform(0.0, 1.0) * self._count[kind.clamp(max=2)])
+        kind = torch.bucketize(self._uniform(0.0, 1.0), self._kind_ends, right=True)
+        is_recorded, lying, kind = kind < len(KINDS), kind == len(KINDS), kind.clamp(max=len(KINDS) - 1)
+        row = self._first[kind] + torch.floor(self._uniform(0.0, 1.0) * self._count[kind])
         recorded = self._recorded[row.long().clamp(max=len(self._recorded) - 1)]
 
         heading = self._uniform(-math.pi, math.pi)
@@ -162,21 +149,17 @@ class SitDownStarts(Starts):
         quat = quat_from_euler(self._uniform(-SIT_DOWN_ROLL, SIT_DOWN_ROLL), -torch.where(lying, *tilt), heading)
         around = torch.where(lying[:, None], self._lie + self._uniform(-0.15, 0.15, 12), self._upright)
         q = around + torch.where(lying, 0.0, STRIDE)[:, None] * self._uniform(-1.0, 1.0, 12)
-        anywhere = self._q_min + (self._q_max - self._q_min) * self._uniform(0.0, 1.0, 12)
-        q = torch.where(~lying[:, None] & self._is_front, anywhere, q)
-        q = torch.minimum(torch.maximum(q, self._q_min), self._q_max)
-        qpos = self._at(~lying, self._uniform(0.0, 0.02), quat, q)
+        qpos = self._placed(~lying, quat, q, NEAREST, (0.0, 0.02))
         moving = torch.where(lying, 0.2, 1.0)[:, None]
         linear = self._uniform(-VELOCITY, VELOCITY, 3) * moving
         qvel = torch.cat([linear, self._uniform(-TURN, TURN, 3) * moving, self._uniform(-0.5, 0.5, 12) * moving], -1)
-        command = q + self._uniform(-OFFSET, OFFSET, 12)
+        command = qpos[:, 7:] + self._uniform(-OFFSET, OFFSET, 12)
 
         jitter = torch.cat([self._uniform(-1.0, 1.0, 3) * JITTER, self._uniform(-0.3, 0.3, 15)], -1)
         use = is_recorded[:, None]
         qpos = torch.where(use, recorded[:, :19], qpos)
         qvel = torch.where(use, recorded[:, 19:37] + jitter, qvel)
         command = torch.where(use, recorded[:, 37:], command)
-        sine, cosine = heading_sin_cos(*qpos[:, 3:7].unbind(-1))
+        heading = torch.arctan2(*heading_sin_cos(*qpos[:, 3:7].unbind(-1)))
         never = torch.zeros_like(is_recorded)
-        heading = torch.arctan2(sine, cosine)
         return Start(upright=never, heading=heading, command=command, qpos=qpos, qvel=qvel, anytime=lying)

@@ -33,6 +33,13 @@ def put(buffer: torch.Tensor, where: torch.Tensor, value: torch.Tensor | float) 
     buffer.copy_(torch.where(rows, value, buffer))
 
 
+def in_heading_frame(vectors: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+    """Return horizontal vectors of the world (N, 2) forward and left, for headings (N,) [rad]."""
+    cosine, sine = torch.cos(heading), torch.sin(heading)
+    x, y = vectors.unbind(-1)
+    return torch.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
+
+
 def quat_multiply(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
     """Return the product of quaternions."""
     a, v, b, u = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]

@@ -30,7 +30,7 @@ from mimic.dynamics.robot_model import bouncing, carry, draw_variation, load_mod
 from mimic.dynamics.servo import Servo, read_standing
 from mimic.records import LEGS
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import BASE, FLOOR
+from mimic.robot.model import BASE, FLOOR, TOES
 from mimic.train.motors import WorldMotors
 from mimic.train.tensors import quat_rotate
 
@@ -95,7 +95,8 @@ class Worlds:
         self.device, self._description = device, description
         self.decimation = description.decimation
         effects = read_standing(Path(settings.effects)) if settings.effects else None
-        self.motors = None if effects is None else WorldMotors(description, effects, settings.worlds, device)
+        n, count = settings.worlds, min(settings.worlds, VARIANTS)
+        self.motors = None if effects is None else WorldMotors(description, effects, n, device, count, seed)
         """The law of the drives, where a calibration's effects take the place of the native motors."""
         model = load_model(description, visuals=False, driven=effects is not None)
         model.opt.timestep = description.timestep
@@ -107,19 +108,17 @@ class Worlds:
         if self._friction_speed:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
         self.mj_model = model
-        n = settings.worlds
         data = mujoco.MjData(model)
         data.qpos[:7] = 0.0, 0.0, description.pose_height["lie"], 1.0, 0.0, 0.0, 0.0
         data.qpos[7:] = data.ctrl[:] = description.poses["lie"]
         mujoco.mj_forward(model, data)
         with wp.ScopedDevice(device):
             fields = RANDOMISED if self.motors is None else (*RANDOMISED, *DRIVEN)
-            sizes = {name: n for name in fields}
-            self.model = mjw.put_model(model, batch_sizes=sizes)
+            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(fields, n))
             self.model.opt.warn_overflow = 0
             contacts = CONTACTS + math.ceil(SPARE_CONTACTS / n)
             self.data = mjw.put_data(model, data, nworld=n, nconmax=contacts, njmax=ROWS)
-            self._randomise(description, settings, n, seed, fields)
+            self._randomise(description, settings, count, seed, fields)
             self._own_damping = wp.clone(self.model.dof_damping)
             self.qpos = wp.to_torch(self.data.qpos)
             self.qvel = wp.to_torch(self.data.qvel)
@@ -128,9 +127,9 @@ class Worlds:
             self.site_xpos = wp.to_torch(self.data.site_xpos)
             self.geom_xpos = wp.to_torch(self.data.geom_xpos)
             self.geom_xmat = wp.to_torch(self.data.geom_xmat)
-            self.ctrl = wp.to_torch(self.data.ctrl)
             self.xipos = wp.to_torch(self.data.xipos)
             self.com = wp.to_torch(self.data.subtree_com)[:, model.body(BASE).id]
+            self._cvel = wp.to_torch(self.data.cvel)  # turning and velocity, at the centre of mass
             self.xfrc_applied = wp.to_torch(self.data.xfrc_applied)
             feet = np.zeros((2, model.ngeom), dtype=np.float32)
             for side, leg in enumerate(LEGS[2:]):
@@ -144,32 +143,32 @@ class Worlds:
             """Of each robot (N,) [N]."""
         self.substep_ctrl = torch.zeros(self.decimation, n, 12, device=device)
         self._substep_ctrl: list[Any] = [wp.from_torch(self.substep_ctrl[k]) for k in range(self.decimation)]
+        self._toe_sites = torch.tensor([model.site(name).id for name in TOES], device=device)
+        self._toe_bodies = torch.tensor([model.site(name).bodyid.item() for name in TOES], device=device)
         ids = [g for g in range(model.ngeom) if model.geom(g).name != FLOOR]
         self._shapes = [model.geom(g).name for g in ids]
         self._geoms = torch.tensor(ids, device=device)
         self._kinds = torch.tensor([int(model.geom_type[g]) for g in ids], device=device)
         self._sizes = torch.tensor(model.geom_size[ids], dtype=torch.float32, device=device)
-        self._whole = ReplayedWarp(self._run, device)
-        self._physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
-        self._kinematics = ReplayedWarp(partial(mjw.kinematics, self.model, self.data), device)
-        self._between = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
+        self._parts: list[Replayed | ReplayedWarp] = [ReplayedWarp(self._run, device)]
+        """What a control step is made of; with effects the law and the physics take turns."""
+        if self.motors is not None:
+            physics = ReplayedWarp(partial(mjw.step, self.model, self.data), device)
+            drives = [Replayed(partial(self._drive, k), device) for k in range(self.decimation + 1)]
+            between = [part for drive in drives[:-1] for part in (drive, physics)]
+            self._parts = [*between, drives[-1], ReplayedWarp(self.see, device)]
 
     def _randomise(
-        self, description: RobotDescription, settings: MdpSettings, n: int, seed: int, names: Sequence[str]
+        self, description: RobotDescription, settings: MdpSettings, count: int, seed: int, names: Sequence[str]
     ) -> None:
-        rng = np.random.default_rng([seed, 17])
-        other = np.random.default_rng([seed, 18])
-        d = settings.disturbances
+        n, d = settings.worlds, settings.disturbances
+        rng, other = (np.random.default_rng([seed, stream]) for stream in (17, 18))
         calm = replace(UNDISTURBED, contact_time=d.contact_time, friction_ratio=d.friction_ratio)
-        quiet = round(settings.quiet_share * min(n, VARIANTS)) if settings.task == "stand_track" else 0
+        quiet = round(settings.quiet_share * count) if settings.task == "stand_track" else 0
         driven = self.motors is not None
         nominal, varied = (load_model(description, visuals=False, driven=driven) for _ in range(2))
-        count = min(n, VARIANTS)
         rows: dict[str, list[np.ndarray]] = {name: [] for name in names}
-        features, slopes, variations = [], [], []
-        grounds: list[tuple[float, float, float]] = []
-        if self.motors is not None:
-            self.motors.draw(count, np.random.default_rng([seed, 19]))
+        features, slopes, variations, grounds, ratios = [], [], [], [], []
         for i in range(count):
             d = calm if i < quiet else settings.disturbances
             ranges = QUIET_ROBOT if i < quiet else settings.randomisation
@@ -181,39 +180,44 @@ class Worlds:
             variations.append(v)
             side, payload = int(other.integers(2)), other.uniform(*d.toe_payload)
             carry(varied, f"{LEGS[side]}_knee", payload, description.leg.toe)
-            ratio = math.exp(other.uniform(*np.log(d.friction_ratio)))
-            grounds.append((v.restitution, other.uniform(*d.contact_time), ratio))
-            angle, steep = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope))
-            slopes.append(
-                [np.cos(steep / 2), np.sin(steep / 2) * np.cos(angle), np.sin(steep / 2) * np.sin(angle), 0.0]
-            )
+            ratios.append(math.exp(other.uniform(*np.log(d.friction_ratio))))
+            grounds.append((v.restitution, other.uniform(*d.contact_time)))
+            angle, half = other.uniform(-np.pi, np.pi), np.deg2rad(other.uniform(*d.slope)) / 2
+            slopes.append([np.cos(half), np.sin(half) * np.cos(angle), np.sin(half) * np.sin(angle), 0.0])
             for name in names:
                 rows[name].append(np.array(getattr(varied, name)))
-            features.append([v.ground_friction - 1.5, v.restitution, v.base_mass, v.kp.mean() - 1, v.kd.mean() - 1])
-            features[-1] += [*(10 * v.com), 0.5 * v.dry_friction.mean()]
-            features[-1] += [10 * payload * (side == k) for k in range(2)]
+            kp, kd, rubs = v.kp.mean() - 1, v.kd.mean() - 1, 0.5 * v.dry_friction.mean()
+            carried = [10 * payload * (side == k) for k in range(2)]
+            features.append(
+                [v.ground_friction - 1.5, v.restitution, v.base_mass, kp, kd, *(10 * v.com), rubs, *carried]
+            )
         index = np.arange(n) % count
-        for name in names:
-            target = getattr(self.model, name)
-            values = np.stack(rows[name])[index]
-            if target.shape[0] != n:
-                raise RuntimeError(f"{name} has {target.shape[0]} rows, expected {n}")
-            tensor = wp.to_torch(target)
-            tensor.copy_(torch.as_tensor(values, dtype=tensor.dtype).reshape(tensor.shape))
+        for name, values in rows.items():
+            tensor = wp.to_torch(getattr(self.model, name))
+            tensor.copy_(torch.as_tensor(np.stack(values)[index], dtype=tensor.dtype).reshape(tensor.shape))
         if self.motors is not None:
-            self.motors.fit(variations, index, self._servo(), settings.randomisation.delay[1])
+            m, d = self.model, self.data
+            servo = Servo(
+                ctrl=wp.to_torch(d.ctrl),
+                applied=wp.to_torch(d.qfrc_applied)[:, 6:],
+                inertia=wp.to_torch(m.dof_armature)[:, 6:],
+                friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
+                needed=wp.to_torch(d.qfrc_bias)[:, 6:],
+            )
+            self.motors.fit(variations, index, servo, settings.randomisation.delay[1])
         self.quiet = torch.as_tensor(index < quiet, device=self.device)
         """True for the worlds of MdpSettings.quiet_share (N,)."""
         self._gains = wp.to_torch(self.model.actuator_gainprm)
         self._own_gains = self._gains.clone()
         self._solref = wp.to_torch(self.model.geom_solref)
-        self._stiffer = torch.ones(n, device=self.device)
+        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
+        self._ratio = torch.tensor(ratios, device=self.device)[self._ground_of]
+        self._stiffer = torch.ones_like(self._ratio)
         self.model.opt.impratio_invsqrt = wp.from_torch(self._stiffer)
         self._floor = nominal.geom(FLOOR).id
         self._contact_time = float(nominal.geom_solref[self._floor, 0])
-        self._grounds, self._ground_of = grounds, torch.as_tensor(index, device=self.device)
         usual = torch.as_tensor(nominal.actuator_gainprm, dtype=torch.float32, device=self.device)
-        self._usual_gains = usual.reshape(1, *self._gains.shape[1:]).expand_as(self._gains)
+        self._usual_gains = usual.expand_as(self._gains)
         self.features = torch.as_tensor(np.array(features, dtype=np.float32)[index], device=self.device)
         self._own_slope = torch.as_tensor(np.array(slopes, dtype=np.float32)[index], device=self.device)
         self.slope_quat = self._own_slope.clone()
@@ -224,31 +228,19 @@ class Worlds:
 
     def set_share(self, share: float) -> None:
         """Give each world this share of its own gains, slope and ground, and the usual ones for the rest."""
-        usual = self._contact_time
-        grounds = [bouncing((1 + share * (slower - 1)) * usual, share * bounce) for bounce, slower, _ in self._grounds]
-        solref = torch.as_tensor(np.array(grounds), dtype=torch.float32, device=self.device)
+        time = self._contact_time
+        grounds = [bouncing((1 + share * (slower - 1)) * time, share * bounce) for bounce, slower in self._grounds]
+        solref = torch.tensor(grounds, device=self.device)
         self._solref[:, self._floor] = solref[self._ground_of]
-        ratios = torch.tensor([ratio for *_, ratio in self._grounds], device=self.device)
-        self._stiffer.copy_((ratios ** (-0.5 * share))[self._ground_of])
+        self._stiffer.copy_(self._ratio ** (-0.5 * share))
         if self.motors is None:
             self._gains.copy_(self._usual_gains + share * (self._own_gains - self._usual_gains))
         else:
             self.motors.set_share(share)
-        level = torch.zeros_like(self._own_slope)
-        level[:, 0] = 1.0
+        level = torch.tensor([1.0, 0.0, 0.0, 0.0], device=self.device)
         mixed = level + share * (self._own_slope - level)
         self.slope_quat.copy_(mixed / mixed.norm(dim=-1, keepdim=True))
         self._gravity.copy_(quat_rotate(self.slope_quat, self._level, inverse=True))
-
-    def _servo(self) -> Servo:
-        m, d = self.model, self.data
-        return Servo(
-            ctrl=wp.to_torch(d.ctrl),
-            applied=wp.to_torch(d.qfrc_applied)[:, 6:],
-            inertia=wp.to_torch(m.dof_armature)[:, 6:],
-            friction=wp.to_torch(m.dof_frictionloss)[:, 6:],
-            needed=wp.to_torch(d.qfrc_bias)[:, 6:],
-        )
 
     @property
     def motor_torque(self) -> torch.Tensor:
@@ -278,6 +270,17 @@ class Worlds:
         drop = torch.where(self._kinds == CAPSULE, capsule, drop)
         return self.geom_xpos[:, self._geoms, 2] - drop
 
+    @property
+    def toes(self) -> torch.Tensor:
+        """Positions of the toes in the order of LEGS, world axes (N, 4, 3) [m]."""
+        return self.site_xpos[:, self._toe_sites]
+
+    def toe_motion(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return horizontal toe velocities (N, 4, 2) [m/s] and turning of the lower legs about the vertical (N, 4)."""
+        turning, velocity = torch.nan_to_num(self._cvel[:, self._toe_bodies]).split(3, -1)
+        velocity = velocity + torch.linalg.cross(turning, self.toes - self.com[:, None])
+        return velocity[..., :2], turning[..., 2]
+
     def load(self) -> torch.Tensor:
         """Return the share of its weight on each robot's left and right hind foot (N, 2), in the last physics step."""
         count, geom, world, row, force = self._contacts
@@ -294,7 +297,12 @@ class Worlds:
             if self._friction_speed:
                 self._rub()
             mjw.step(self.model, self.data)
-        mjw.kinematics(self.model, self.data)
+        self.see()
+
+    def see(self) -> None:
+        """Bring what is seen of the bodies to the positions and velocities after the last physics step."""
+        for update in (mjw.kinematics, mjw.com_pos, mjw.com_vel):
+            update(self.model, self.data)
 
     def _rub(self) -> None:
         """Set the damping of all joints so that it holds their dry friction."""
@@ -303,18 +311,12 @@ class Worlds:
         wp.launch(_smooth_friction, dim=d.qvel.shape, inputs=inputs, outputs=[m.dof_damping])
 
     def step(self) -> None:
-        """Advance all worlds by a control step; the commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad].
+        """Advance all worlds by a control step.
 
-        With effects the law and the physics take turns; on a GPU each is a captured graph, the law PyTorch's.
+        The commands are in ``substep_ctrl`` (decimation, worlds, 12) [rad], with effects in the motors.
         """
-        if self.motors is None:
-            self._whole()
-            return
-        for drive in self._between[:-1]:
-            drive()
-            self._physics()
-        self._between[-1]()
-        self._kinematics()
+        for part in self._parts:
+            part()
 
     def _drive(self, substep: int) -> None:
         """Finish the physics step just made, and hand over the inputs of the next one, if there is one."""
@@ -323,4 +325,4 @@ class Worlds:
         if substep > 0:
             self.motors.settle(dq)
         if substep < self.decimation:
-            self.motors.drive(q, dq, self.substep_ctrl[substep], substep)
+            self.motors.drive(q, dq, substep)

@@ -15,7 +15,7 @@ from mimic.records import LEGS
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.feet import Feet, sliding  # noqa: E402
+from mimic.train.rewards import sliding  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 from mimic.train.tensors import quat_multiply, quat_rotate  # noqa: E402
 
@@ -116,8 +116,9 @@ def test_lost_commands_leave_the_one_before_in_effect(description):
     assert torch.allclose(env.worlds.substep_ctrl[:, 0], before.expand(description.decimation, 12))
 
 
-def test_toe_motion_is_that_of_the_kinematics(description):
-    model = load_model(description, visuals=False)
+def test_toe_motion_is_that_of_mujoco(description):
+    worlds = make(description).worlds
+    model = worlds.mj_model
     data = mujoco.MjData(model)
     rng = np.random.default_rng(1)
     data.qpos[:3], data.qvel[:] = rng.normal(size=3), rng.normal(size=18)
@@ -128,10 +129,12 @@ def test_toe_motion_is_that_of_the_kinematics(description):
     expected = np.zeros((4, 6))
     for i, leg in enumerate(LEGS):
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, model.site(f"{leg}_toe").id, expected[i], 0)
-    qpos, qvel = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (data.qpos, data.qvel))
-    motion = Feet(description, "cpu").motion(qpos[:, 3:7], qvel[:, :3], qvel[:, 3:6], qpos[:, 7:], qvel[:, 6:])
-    assert np.allclose(motion[0][0].numpy(), expected[:, 3:5], atol=1e-5)
-    assert np.allclose(motion[1][0].numpy(), expected[:, 2], atol=1e-5)
+    for there, here in ((worlds.qpos, data.qpos), (worlds.qvel, data.qvel)):
+        there.copy_(torch.as_tensor(here, dtype=torch.float32)[None])
+    worlds.see()
+    velocity, turning = worlds.toe_motion()
+    assert np.allclose(velocity[0].numpy(), expected[:, 3:5], atol=1e-5)
+    assert np.allclose(turning[0].numpy(), expected[:, 2], atol=1e-5)
 
 
 def test_only_low_toes_pay_for_moving():

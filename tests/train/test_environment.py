@@ -21,9 +21,8 @@ from mimic.simulation.plant import SimulatedPlant
 
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 pytest.importorskip("mujoco_warp", reason="training needs the extra 'train'")
-from mimic.train.rewards import BEARS, MOST_DRIFT, MOST_SHUFFLE  # noqa: E402
 from mimic.train.schedules import SETTLES  # noqa: E402
-from mimic.train.stand_track import StandTrackEnv  # noqa: E402
+from mimic.train.stand_track import BEARS, MOST_DRIFT, MOST_SHUFFLE, StandTrackEnv  # noqa: E402
 
 FEW = MdpSettings(
     worlds=6,

@@ -106,8 +106,7 @@ def difference(folder: Path, description, effects: tuple[EffectValues, ...], ste
         if k % 4 == 0:
             q_des = q_des + rng.uniform(-0.4, 0.4, q_des.shape)
         worlds.motors.time.fill_(k * STEP)
-        worlds.motors.send(torch.as_tensor(q_des, dtype=torch.float32))
-        worlds.substep_ctrl.copy_(torch.stack(worlds.motors.targets(delay)))
+        worlds.motors.send(torch.as_tensor(q_des, dtype=torch.float32), delay)
         worlds.step()
         for plant, target in zip(plants, q_des, strict=True):
             ramp = plant.description.dt
@@ -210,11 +209,13 @@ def test_lost_commands_leave_the_one_before(description, tmp_path):
     """With nine of ten lost, most worlds still hold their first command after a step."""
     env = environment(description, file(tmp_path, one("lost_commands", share=0.9)), worlds=60, solver_iterations=2)
     env.step(torch.zeros(60, 12))
-    before = env.worlds.substep_ctrl[-1].clone()
+    motors = env.worlds.motors
+    assert motors is not None
+    before = motors._targets[0].clone()
     env.step(torch.ones(60, 12))
     env.step(torch.ones(60, 12))
     env.step(torch.ones(60, 12))
-    held = (env.worlds.substep_ctrl[0] - before).abs().amax(-1) < 1e-6
+    held = (motors._targets[0] - before).abs().amax(-1) < 1e-6
     assert 0.4 < held.float().mean() < 0.98
 
 

@@ -13,16 +13,30 @@ from mimic.errors import ConfigError
 torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
 for library in ("mujoco_warp", "rsl_rl", "onnx", "tensorboard"):
     pytest.importorskip(library, reason="training needs the extra 'train'")
+from rsl_rl.runners import OnPolicyRunner  # noqa: E402
+
 from mimic.robot.description import load_description  # noqa: E402
+from mimic.train import learn  # noqa: E402
 from mimic.train.learn import runner_config  # noqa: E402
-from mimic.train.runner import Ranks, Runner  # noqa: E402
+from mimic.train.runner import own_device, rank  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
 
 together = pytest.mark.skipif(
     not (torch.distributed.is_available() and torch.distributed.is_gloo_available()), reason="PyTorch without gloo"
 )
 MDP = MdpSettings(worlds=2, history=2)
-LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, reaching=0.0)
+LEARN = LearnSettings(device="cpu", steps=4, hidden=(16, 8), epochs=2, minibatches=2, reaching=0.0, mirror=0.0)
+
+
+class RunnerOnCpus(OnPolicyRunner):
+    """rsl_rl's runner, which has several processes on GPUs only."""
+
+    def _configure_multi_gpu(self) -> None:
+        me, count = rank(), int(os.environ["WORLD_SIZE"])
+        self.gpu_world_size, self.gpu_local_rank, self.gpu_global_rank = count, me, me
+        self.is_distributed = True
+        self.cfg["multi_gpu"] = {"global_rank": me, "local_rank": me, "world_size": count}
+        torch.distributed.init_process_group(backend="gloo", rank=me, world_size=count)
 
 
 def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
@@ -31,8 +45,8 @@ def learned(env: StandTrackEnv, seed: int, plain: bool) -> torch.Tensor:
     config = runner_config(LEARN)
     if plain:
         config["algorithm"]["class_name"] = "PPO"
-        del config["algorithm"]["reaching_coef"]
-    runner = Runner(env, config, None, "cpu")
+        del config["algorithm"]["reaching_coef"], config["algorithm"]["mirror_coef"]
+    runner = RunnerOnCpus(env, config, None, "cpu")
     if runner.is_distributed:
         runner.alg.broadcast_parameters()
     noise = torch.Generator().manual_seed(seed)
@@ -56,15 +70,16 @@ def process(folder: str, *ports: str) -> int:
     """What each of two processes of torchrun does: learn from noise by this PPO and by rsl_rl's, then train."""
     from mimic.cli import main
 
-    rank, torchrun = int(os.environ["RANK"]), dict(os.environ)
+    torchrun = dict(os.environ)
     torch.set_num_threads(1)
     env = StandTrackEnv(load_description("cyberdog2"), MDP, "cpu", 0)
     os.environ.pop("TORCHELASTIC_USE_AGENT_STORE")
     for plain, port in zip((False, True), ports, strict=True):
         os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
-        torch.save(learned(env, 1 + rank, plain), f"{folder}/{rank}-{plain}.pt")
+        torch.save(learned(env, 1 + rank(), plain), f"{folder}/{rank()}-{plain}.pt")
         torch.distributed.destroy_process_group()
     os.environ |= torchrun
+    learn.OnPolicyRunner = RunnerOnCpus  # type: ignore[misc]
     words = ["worlds=2", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
     return main(["train", f"{folder}/out", "--set", *words])
 
@@ -98,16 +113,14 @@ def test_two_processes_that_see_different_things_learn_one_policy_as_rsl_rl_does
 
 
 def test_the_first_process_writes_and_each_has_a_gpu_of_its_own(monkeypatch):
-    assert Ranks.of_environment() == Ranks(rank=0, local=0, count=1)
+    assert (rank(), own_device("cpu")) == (0, "cpu")
     for name, value in (("RANK", "5"), ("LOCAL_RANK", "1"), ("WORLD_SIZE", "8")):
         monkeypatch.setenv(name, value)
-    ranks = Ranks.of_environment()
-    assert ranks == Ranks(rank=5, local=1, count=8)
-    assert ranks.device("cpu") == "cpu"
+    assert (rank(), own_device("cpu")) == (5, "cpu")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
     with pytest.raises(ConfigError, match="as many processes as there are GPUs"):
-        ranks.device("auto")
+        own_device("auto")
 
 
 if __name__ == "__main__":

@@ -88,15 +88,8 @@ def test_a_policy_of_another_size_is_refused(policy, changes, sizes, tmp_path):
 
 
 def test_a_policy_whose_actions_mean_something_else_is_refused(policy, tmp_path):
-    with pytest.raises(ConfigError, match=r"policy\.onnx has action_scale \[0\.5, .*; the settings have \[0\.25, "):
+    with pytest.raises(ConfigError, match=r"policy\.onnx has action_scale \(0\.5, .*; the settings have \(0\.25, "):
         train(tmp_path, dataclasses.replace(MDP, action_scale=0.25), LEARN, resume=policy)
-
-
-def test_what_is_played_otherwise_than_before_is_said(policy, tmp_path, caplog):
-    with caplog.at_level("INFO", logger="mimic.train"):
-        train(tmp_path, dataclasses.replace(MDP, clock_hz=3.0), LEARN, resume=policy)
-    said = [line for line in caplog.messages if "was trained with" in line]
-    assert said == [f"policy.onnx was trained with clock_hz {MDP.clock_hz} and goes on with 3.0"]
 
 
 def test_what_is_no_policy_is_refused(tmp_path):
@@ -129,7 +122,7 @@ def test_a_training_goes_on_from_a_policy_without_gyro_as_that_policy_acts(polic
     assert np.abs(before).max() > 1e-2
 
 
-def test_a_training_goes_on_from_the_policy_of_another_robot_with_an_easy_task(policy, tmp_path, caplog):
+def test_a_training_goes_on_from_the_policy_of_another_robot_with_an_easy_task(policy, tmp_path):
     def terminations(name: str) -> float:
         rows = []
         robot = load_description(name)
@@ -137,6 +130,4 @@ def test_a_training_goes_on_from_the_policy_of_another_robot_with_an_easy_task(p
         train_robot(tmp_path / name, MDP, learn, robot, resume=policy, report=lambda _, row: rows.append(row))
         return rows[-1]["track/termination_share"]
 
-    with caplog.at_level("INFO", logger="mimic.train"):
-        assert (terminations("cyberdog2"), terminations("go2")) == (1.0, 0.0)
-    assert "policy.onnx was trained with robot cyberdog2 and goes on with go2" in caplog.messages
+    assert (terminations("cyberdog2"), terminations("go2")) == (1.0, 0.0)
