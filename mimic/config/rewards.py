@@ -48,7 +48,7 @@ class RewardWeights:
     """Speed of hind toes on the ground meanwhile [per m/s]."""
     torque: float = -0.03
     """Sum of squared torques, each as a share of its motor's largest."""
-    heat: float = -4.0
+    heat: float = -5.0
     """The same up to a limit: it heats the windings."""
     overload: float = -1.5
     """Squared torque beyond the rated one, the same way."""
@@ -89,7 +89,7 @@ RESTING_TERMS = ("drift", "unrest", "shuffle")
 class FinishFactors:
     """What the weights of a few reward terms are multiplied by at the end of a training."""
 
-    velocity: float = 2.5
+    velocity: float = 3.5
     """Of the weight of that name, as all here."""
     heading: float = 2.5
     """Walking straight."""

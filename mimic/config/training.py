@@ -58,9 +58,9 @@ class DisturbanceRanges:
     """Largest error of the gyro about each axis that lasts for an episode [rad/s]; what zeroing at rest leaves."""
     lost_share: tuple[float, float] = (0.0, 0.08)
     """Probability that a command does not arrive; the one before stays in effect."""
-    drag: tuple[float, float] = (0.0, 15.0)
+    drag: tuple[float, float] = (0.0, 11.0)
     """Horizontal pull on one front toe [N]: a hand that holds it. In any direction, backward twice as often."""
-    drag_share: float = 0.4
+    drag_share: float = 0.5
     """Share of episodes with such a pull."""
     drag_from: tuple[float, float] = (1.5, 8.0)
     """When it begins [s]."""
@@ -94,7 +94,7 @@ class MdpSettings:
     task: Literal["stand_track", "sit_down"] = "stand_track"
     """What is trained: stand, track and walk, or sit down."""
     worlds: int = 16384
-    """Robots simulated at once."""
+    """Robots simulated at once, on all GPUs together."""
     effects: str = ""
     """effects.toml of a calibration, around which the robots are drawn; empty draws them around the description."""
     timestep: float = 0.004
@@ -161,7 +161,7 @@ class MdpSettings:
     """Share of the disturbances, pushes, gain factors and bounce of the ground that worlds see before ``rest_steps``.
     On a ground that bounces fully from the beginning a policy learns to stand and step with almost straight legs, and
     keeps that (lab/results/training.md)."""
-    rest_steps: tuple[float, float] = (20_000.0, 30_000.0)
+    rest_steps: tuple[float, float] = (22_000.0, 36_000.0)
     """Control steps of a world between which the share of the worlds grows from 0 to 1 whose gait clock rests while the
     robot is asked to stand, and with it the RESTING_TERMS and all disturbances. A policy that may rest, or is dragged,
     before it walks well does not learn to walk."""
@@ -171,7 +171,7 @@ class MdpSettings:
     finish: FinishFactors = field(default_factory=FinishFactors)
     """Factors on the weights of rewards once everything is learned: walking straight and sliding little are polish,
     which, asked for with these weights from the beginning, keeps a policy from stepping and reaching."""
-    finish_steps: tuple[float, float] = (10_000.0, 15_000.0)
+    finish_steps: tuple[float, float] = (12_000.0, 22_000.0)
     """Control steps of a world between which these factors grow from 1."""
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from mimic.io.store import plain, written_whole
 from mimic.robot.description import RobotDescription
 from mimic.train.contract import make_contract
 from mimic.train.onnx_file import export_network
-from mimic.train.runner import QuietLogger, Report, TimeIsUp, own_device, rank
+from mimic.train.runner import QuietLogger, Report, TimeIsUp, own_device, processes, rank
 from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import take_over
@@ -78,8 +78,8 @@ def train(
 ) -> Path:
     """Train a policy and export it.
 
-    Started by torchrun, every process has worlds of its own, drawn from a seed of its own, on a GPU of its own; all
-    learn one policy, and the first process writes.
+    Started by torchrun, every process has its part of the worlds, drawn from a seed of its own, on a GPU of its own;
+    all learn one policy, and the first process writes.
 
     Args:
         folder: Receives checkpoints, TensorBoard files, settings.json and policy.onnx.
@@ -105,7 +105,8 @@ def train(
         with written_whole(folder / "settings.json") as part:
             part.write_text(settings_text(mdp, learn), encoding="utf-8")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
-    env = kind(description, mdp, device, learn.seed + 1000 * rank())
+    own = replace(mdp, worlds=mdp.worlds // processes())
+    env = kind(description, own, device, learn.seed + 1000 * rank())
     with contextlib.redirect_stdout(io.StringIO()):
         runner = OnPolicyRunner(env, runner_config(learn), str(folder), device)
     runner.logger.__class__ = QuietLogger

@@ -30,6 +30,11 @@ def rank() -> int:
     return int(os.environ.get("RANK", 0))
 
 
+def processes() -> int:
+    """Return how many processes of a training there are."""
+    return int(os.environ.get("WORLD_SIZE", 1))
+
+
 def own_device(wanted: str) -> str:
     """Return the device of this process; each of several has the GPU of its number on this machine.
 
@@ -39,7 +44,7 @@ def own_device(wanted: str) -> str:
     device = wanted if wanted != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise ConfigError(f"device is {device}, but PyTorch sees no GPU; use --device cpu or install a CUDA build")
-    if os.environ.get("WORLD_SIZE", "1") == "1" or not device.startswith("cuda"):
+    if processes() == 1 or not device.startswith("cuda"):
         return device
     local = int(os.environ["LOCAL_RANK"])
     if local >= torch.cuda.device_count():

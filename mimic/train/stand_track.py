@@ -71,7 +71,7 @@ CAPTURE_REACH = 0.05
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
 
-MOST_HEAT = 1.0
+MOST_HEAT = 2.0
 """More than this sum of squared shares is not counted: standing up and catching a push cost less."""
 
 MOST_UNREST = 6.0

@@ -80,7 +80,7 @@ def process(folder: str, *ports: str) -> int:
         torch.distributed.destroy_process_group()
     os.environ |= torchrun
     learn.OnPolicyRunner = RunnerOnCpus  # type: ignore[misc]
-    words = ["worlds=2", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
+    words = ["worlds=4", "history=2", "iterations=2", "steps=2", "minibatches=2", "hidden=[16,8]", "device=cpu"]
     return main(["train", f"{folder}/out", "--set", *words])
 
 
