@@ -83,7 +83,7 @@ class Following:
     correlation: FloatArray
     """Of position i with target j (J, J), each at its best lag; negative where it is so by far more."""
     lag: FloatArray
-    """Of each position behind its own target (J,) [s]; NaN where one of them rests."""
+    """Of each position behind its own target (J,) [s]; NaN where one of them rests, or it is out of the range."""
     moves: BoolArray
     """Whether the target moves (J,)."""
 
@@ -113,7 +113,7 @@ def following(t: FloatArray, q: FloatArray, target: FloatArray, lags: tuple[floa
         late, early = x[max(shift, 0) :, i], y[max(-shift, 0) :, j]
         rows = min(len(late), len(early))
         correlation[i, j] = np.corrcoef(late[:rows], early[:rows])[0, 1]
-        if i == j:
+        if i == j and 0 < k < len(shifts) - 1:
             lag[i] = (shift + _vertex(np.abs(curve), k)) * dt
     return Following(correlation=np.nan_to_num(correlation), lag=lag, moves=moves)
 
@@ -125,8 +125,6 @@ def _centred(x: FloatArray, dt: float) -> FloatArray:
 
 def _vertex(curve: FloatArray, k: int) -> float:
     """Return where the parabola through a peak and its neighbours is highest, from ``k``."""
-    if not 0 < k < len(curve) - 1:
-        return 0.0
     a, b, c = curve[k - 1 : k + 2]
     bend = a - 2 * b + c
     return 0.0 if bend >= 0 else 0.5 * (a - c) / bend

@@ -389,6 +389,20 @@ def test_its_targets_in_another_order_are_refused(go2: JointLog) -> None:
     assert not targets_match_log(replace(go2, q_des=go2.q_des[::-1]))[0]
 
 
+@pytest.mark.parametrize("gain", [200, 800])
+def test_a_slow_servo_that_gravity_pulls_ahead_does_not_move_before_its_target(gain: int) -> None:
+    path = Path(f"../shared/data/logs/xl330/up_and_down_kp{gain}.parquet")
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    t, q, target = (table[name].to_numpy() for name in ("timestamp", "position", "goal_position"))
+    real = JointLog(joints=("j",), t=t, q=q[:, None], q_des=target[:, None])
+    assert targets_match_log(real) == (True, "")
+    assert not any("before its target" in line for line in check_log(real).warnings)
+
+
 def test_a_stored_log_is_the_log_checked(log: JointLog, tmp_path: Path) -> None:
     again = read_log(write_log(log, tmp_path / "log.csv"))
     assert again.joints == JOINTS
