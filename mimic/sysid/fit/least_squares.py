@@ -179,7 +179,7 @@ def fitting(
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         stale = stale or winner > 0
-        gain = 1 - best / before if winner else _promised(sums, problem, tried[-1]) / best.sum()
+        gain = 1 - best / before if winner else _promised(sums, problem, tried[-1]) / (problem.weight @ best)
         if (gain < 2 * RULES.gain / MOST_STEPS).all():
             break
         harder = max(harder / DAMPINGS[-1], 1.0) if winner else harder * DAMPINGS[-1]
@@ -194,7 +194,7 @@ def fitting(
 
 def _promised(sums: Sums, problem: Problem, step: FloatArray) -> float:
     """Return by how much a step (P,) lowers the sum of squares of a linear model."""
-    hessian, gradient = sums.over(problem.blocks.train)
+    hessian, gradient = sums.weighed_over(problem.blocks.train)
     return float((2 * gradient - hessian @ step) @ step)
 
 
@@ -218,7 +218,9 @@ def stepping(
     made = problem.columns(residual, np.array(moved), groups, fresh, sizes) if moved else []
     columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
     stacked = tuple(columns[k.key, k.joint] for k in free)
-    step = solve(problem.sums(residual, stacked, free), problem.blocks.train, free, start.read(free), 0.0)
+    sums, at = problem.sums(residual, stacked, free), start.read(free)
+    tried = [solve(sums, problem.blocks.train, free, at, damping) for damping in DAMPINGS]
+    step = max(tried, key=lambda one: _promised(sums, problem, one))
     left = residual - sum(np.float32(size) * column for size, column in zip(step, stacked, strict=True))
     return Fit(
         point=start.moved(free, step),
