@@ -227,7 +227,7 @@ def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
     for free in h.fitted.free_parameters:
         none = neutral(*free.key, h.problem.machine)[max(free.joint, 0)]
         for bound in free.bounds:
-            if h.fitted.point.at(free) == bound and bound not in (none, 0.0):
+            if h.fitted.point.at(free) == bound and bound not in (free.parameter.turned(none), 0.0):
                 found.append((free, bound))
     return found
 
@@ -309,12 +309,13 @@ def _effect_set(h: FittedModel, coarse: BoolArray) -> EffectSet:
                 intervals[p.name] = np.array([h.intervals[name]])
             elif not p.fixed and (name, p.name) not in problem.pinned:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
-                low, high = values[p.name] - half, values[p.name] + half
+                at = p.turned(values[p.name])
+                low, high = at - half, at + half
                 if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
                     times = problem.replay.sending
                     low, high = np.maximum(low - times.later, np.minimum(low, 0.0)), high + times.earlier
                 if np.isfinite(half).all():
-                    intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
+                    intervals[p.name] = np.sort(p.turned(np.clip(np.stack([low, high], -1), *p.bounds)), axis=-1)
         joints = () if spec.scope == "machine" else tuple(problem.machine.joints[j] for j in index)
         effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
     if coarse.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from mimic.errors import ConfigError
 
@@ -38,6 +38,17 @@ class Parameter:
     """Says where or when the effect acts, not how much: at any value it is none while the others are neutral."""
     fixed: bool = False
     """Never fitted: it has its value from ``starts`` or from a person."""
+    inverse: bool = False
+    """One over it is fitted, with which the motion changes nearly in proportion; 0 is none."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest of what is fitted."""
+        return (1.0 / self.high, 1.0 / self.low) if self.inverse else (self.low, self.high)
+
+    def turned(self, x: Any) -> Any:
+        """Return what is fitted of a value, or the value of what is fitted."""
+        return 1.0 / x if self.inverse else x
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
