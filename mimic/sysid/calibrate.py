@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, as_logged
+from mimic.dynamics.machine import UNLIMITED, MachineModel, as_logged
 from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
@@ -225,9 +225,9 @@ def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
     """Return the numbers that are at a bound which does not mean none, and the bound."""
     found = []
     for free in h.fitted.free_parameters:
-        none = neutral(*free.key, h.problem.machine)[max(free.joint, 0)]
+        none = [neutral(*free.key, h.problem.machine)[max(free.joint, 0)], 0.0, UNLIMITED]
         for bound in free.bounds:
-            if h.fitted.point.at(free) == bound and bound not in (free.parameter.turned(none), 0.0):
+            if h.fitted.point.at(free) == bound and free.parameter.turned(bound) not in none:
                 found.append((free, bound))
     return found
 

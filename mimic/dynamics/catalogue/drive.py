@@ -1,6 +1,6 @@
 """Effects of the drive: gains, limits, lags, heat."""
 
-from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
+from mimic.dynamics.catalogue.kinds import MODEL, UNLIMITED, Effect, Parameter
 
 DRIVE = (
     Effect(
@@ -51,7 +51,7 @@ DRIVE = (
                 "rad/s",
                 neutral=MODEL,
                 low=0.5,
-                high=200.0,
+                high=UNLIMITED,
                 step=0.02,
                 starts=(0.5, 1.2, 4.0, 100.0),
                 inverse=True,

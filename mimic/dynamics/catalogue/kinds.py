@@ -10,6 +10,9 @@ from mimic.errors import ConfigError
 MODEL = "model"
 """Neutral value of a parameter that replaces a number of the model."""
 
+UNLIMITED = 1e6
+"""Stands for no limit on a torque or a speed."""
+
 STANDARD = "standard model; MuJoCo 4 documentation, Computation"
 """Source of what every textbook has."""
 
