@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.law import Drives
 from mimic.errors import AssetError, ConfigError
 from mimic.records import FloatArray, IntArray
@@ -19,9 +20,6 @@ from mimic.robot.model import read_model, remove_free_joint
 
 GRAVITY = 9.81
 """[m/s^2]"""
-
-UNLIMITED = 1e6
-"""Stands for no limit on a torque [N m]."""
 
 SOLREF_STEPS = 2.0
 """Time constant of dry friction, in physics steps: MuJoCo's least. Longer ones let a joint creep that should stick."""

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.catalogue import CATALOGUE, effect
 from mimic.dynamics.effect_set import EffectSet, EffectValues
-from mimic.dynamics.machine import MachineModel, as_logged
+from mimic.dynamics.machine import UNLIMITED, MachineModel, as_logged
 from mimic.dynamics.servo import neutral
 from mimic.errors import CalibrationError
 from mimic.io.joint_log import JointLog
@@ -225,9 +225,9 @@ def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
     """Return the numbers that are at a bound which does not mean none, and the bound."""
     found = []
     for free in h.fitted.free_parameters:
-        none = neutral(*free.key, h.problem.machine)[max(free.joint, 0)]
+        none = [neutral(*free.key, h.problem.machine)[max(free.joint, 0)], 0.0, UNLIMITED]
         for bound in free.bounds:
-            if h.fitted.point.at(free) == bound and bound not in (none, 0.0):
+            if h.fitted.point.at(free) == bound and free.parameter.turned(bound) not in none:
                 found.append((free, bound))
     return found
 
@@ -309,12 +309,13 @@ def _effect_set(h: FittedModel, coarse: BoolArray) -> EffectSet:
                 intervals[p.name] = np.array([h.intervals[name]])
             elif not p.fixed and (name, p.name) not in problem.pinned:
                 half = 1.96 * np.array([spread.get(((name, p.name), j), np.nan) for j in index])
-                low, high = values[p.name] - half, values[p.name] + half
+                at = p.turned(values[p.name])
+                low, high = at - half, at + half
                 if (name, p.name) == ("delay", "time"):  # when targets were sent is not known better
                     times = problem.replay.sending
                     low, high = np.maximum(low - times.later, np.minimum(low, 0.0)), high + times.earlier
                 if np.isfinite(half).all():
-                    intervals[p.name] = np.stack([np.maximum(low, p.low), np.minimum(high, p.high)], -1)
+                    intervals[p.name] = np.sort(p.turned(np.clip(np.stack([low, high], -1), *p.bounds)), axis=-1)
         joints = () if spec.scope == "machine" else tuple(problem.machine.joints[j] for j in index)
         effects.append(EffectValues(name=name, joints=joints, values=values, intervals=intervals, role="fitted"))
     if coarse.any():

@@ -1,6 +1,6 @@
 """Effects of the drive: gains, limits, lags, heat."""
 
-from mimic.dynamics.catalogue.kinds import MODEL, Effect, Parameter
+from mimic.dynamics.catalogue.kinds import MODEL, UNLIMITED, Effect, Parameter
 
 DRIVE = (
     Effect(
@@ -46,7 +46,16 @@ DRIVE = (
         equation="|tau| <= torque, and <= torque (speed - |v|) / (speed - flat) while driving",
         parameters=(
             Parameter("torque", "N m", neutral=MODEL, low=0.1, high=500.0, step=0.02, starts=(0.2, 0.4, 0.8)),
-            Parameter("speed", "rad/s", neutral=MODEL, low=0.5, high=200.0, step=0.02, starts=(0.5, 1.2, 4.0, 100.0)),
+            Parameter(
+                "speed",
+                "rad/s",
+                neutral=MODEL,
+                low=0.5,
+                high=UNLIMITED,
+                step=0.02,
+                starts=(0.5, 1.2, 4.0, 100.0),
+                inverse=True,
+            ),
             Parameter(
                 "flat", "rad/s", neutral=MODEL, low=0.0, high=100.0, step=1.0, starts=(0.0,), fixed=True, shape=True
             ),

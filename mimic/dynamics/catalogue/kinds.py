@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from mimic.errors import ConfigError
 
 MODEL = "model"
 """Neutral value of a parameter that replaces a number of the model."""
+
+UNLIMITED = 1e6
+"""Stands for no limit on a torque or a speed."""
 
 STANDARD = "standard model; MuJoCo 4 documentation, Computation"
 """Source of what every textbook has."""
@@ -38,6 +41,17 @@ class Parameter:
     """Says where or when the effect acts, not how much: at any value it is none while the others are neutral."""
     fixed: bool = False
     """Never fitted: it has its value from ``starts`` or from a person."""
+    inverse: bool = False
+    """One over it is fitted, with which the motion changes nearly in proportion; 0 is none."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest of what is fitted."""
+        return (1.0 / self.high, 1.0 / self.low) if self.inverse else (self.low, self.high)
+
+    def turned(self, x: Any) -> Any:
+        """Return what is fitted of a value, or the value of what is fitted."""
+        return 1.0 / x if self.inverse else x
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

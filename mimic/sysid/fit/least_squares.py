@@ -151,7 +151,7 @@ def fitting(
     if frozen is not None:
         columns = {(k.key, k.joint): c for k, c in zip(frozen.free_parameters, frozen.columns, strict=True)}
     stacked: list[FloatArray] = []
-    stale = frozen is not None
+    stale, harder = frozen is not None, 1.0
     for i in range(most):
         anew = bool(every and i and i % every == 0)
         if fresh := [k for k in free_parameters if anew or (k.key, k.joint) not in columns]:
@@ -162,7 +162,7 @@ def fitting(
         stacked = [columns[k.key, k.joint] for k in free_parameters]
         sums = problem.sums(residual, stacked, free_parameters)
         at, before = point.read(free_parameters), best
-        tried = [solve(sums, problem.blocks.train, free_parameters, at, damping) for damping in DAMPINGS]
+        tried = [solve(sums, problem.blocks.train, free_parameters, at, harder * damping) for damping in DAMPINGS]
         trials = [point.moved(free_parameters, step) for step in tried]
         steps, replayed = [np.zeros(len(free_parameters)), *tried], [residual, *(yield trials)]
         costs = [best]
@@ -179,8 +179,10 @@ def fitting(
             columns = {(k.key, k.joint): c for k, c in zip(free_parameters, stacked, strict=True)}
         point, residual, best = point.moved(free_parameters, steps[winner]), replayed[winner], costs[winner]
         stale = stale or winner > 0
-        if not winner or (1 - best / before < 2 * RULES.gain / MOST_STEPS).all():
+        gain = 1 - best / before if winner else _promised(sums, problem, tried[-1]) / (problem.weight @ best)
+        if (gain < 2 * RULES.gain / MOST_STEPS).all():
             break
+        harder = max(harder / DAMPINGS[-1], 1.0) if winner else harder * DAMPINGS[-1]
     if every and free_parameters and stale:
         points, groups, sizes = problem.difference_points(point, free_parameters)
         stacked = problem.columns(residual, (yield points), groups, free_parameters, sizes)
@@ -188,6 +190,12 @@ def fitting(
     return Fit(
         point=point, free_parameters=tuple(free_parameters), residual=residual, columns=tuple(stacked), sums=sums
     )
+
+
+def _promised(sums: Sums, problem: Problem, step: FloatArray) -> float:
+    """Return by how much a step (P,) lowers the sum of squares of a linear model."""
+    hessian, gradient = sums.weighed_over(problem.blocks.train)
+    return float((2 * gradient - hessian @ step) @ step)
 
 
 def stepping(
@@ -210,7 +218,9 @@ def stepping(
     made = problem.columns(residual, np.array(moved), groups, fresh, sizes) if moved else []
     columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
     stacked = tuple(columns[k.key, k.joint] for k in free)
-    step = solve(problem.sums(residual, stacked, free), problem.blocks.train, free, start.read(free), 0.0)
+    sums, at = problem.sums(residual, stacked, free), start.read(free)
+    tried = [solve(sums, problem.blocks.train, free, at, damping) for damping in DAMPINGS]
+    step = max(tried, key=lambda one: _promised(sums, problem, one))
     left = residual - sum(np.float32(size) * column for size, column in zip(step, stacked, strict=True))
     return Fit(
         point=start.moved(free, step),

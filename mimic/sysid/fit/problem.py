@@ -44,10 +44,14 @@ class FreeParameter:
     """Standard deviation of what is plausible before anything is known."""
 
     @property
+    def parameter(self) -> Parameter:
+        """What the catalogue says of it."""
+        return CATALOGUE[self.key[0]].parameter(self.key[1])
+
+    @property
     def bounds(self) -> tuple[float, float]:
         """Least and greatest value."""
-        p = CATALOGUE[self.key[0]].parameter(self.key[1])
-        return p.low, p.high
+        return self.parameter.bounds
 
     def called(self, joints: Sequence[str]) -> str:
         """Return its name for a person: effect, parameter, and of which of the joints."""
@@ -89,12 +93,12 @@ class Point:
         values = {k: v.copy() for k, v in self.values.items()}
         for free, delta in zip(free_parameters, by, strict=True):
             at = max(free.joint, 0)
-            values[free.key][at] = np.clip(values[free.key][at] + delta, *free.bounds)
+            values[free.key][at] = free.parameter.turned(np.clip(self.at(free) + delta, *free.bounds))
         return Point(values)
 
     def at(self, free: FreeParameter) -> float:
         """Return the value of a free parameter."""
-        return self.values[free.key][max(free.joint, 0)]
+        return free.parameter.turned(self.values[free.key][max(free.joint, 0)])
 
     def read(self, free_parameters: Sequence[FreeParameter]) -> FloatArray:
         """Return the values of the free parameters."""
@@ -356,11 +360,12 @@ class Problem:
         return found
 
     def _free_parameter(self, point: Point, name: str, p: Parameter, joint: int) -> FreeParameter:
-        step = p.step * self.scale(p.unit, joint)
+        step = p.step * p.turned(self.scale(p.unit, joint))
         at = max(joint, 0)
         # where an effect is, or where a limit is, has no neutral value to be near: it begins where it starts
         unanchored = p.shape or name == "torque_speed"
-        centre = float(point.values[name, p.name][at] if unanchored else neutral(name, p.name, self.machine)[at])
+        row = point.values[name, p.name] if unanchored else neutral(name, p.name, self.machine)
+        centre = float(p.turned(row[at]))
         spread = p.spread * step
         if name in ("coulomb", "viscous", "armature"):
             spread = max(spread, centre)

@@ -610,7 +610,7 @@ def _is_shape(k: FreeParameter) -> bool:
 
 def _is_none(model: FittedModel, k: FreeParameter) -> bool:
     """Return whether a number is at the bound at which it is none."""
-    none = float(neutral(*k.key, model.problem.machine)[max(k.joint, 0)])
+    none = k.parameter.turned(float(neutral(*k.key, model.problem.machine)[max(k.joint, 0)]))
     value = model.fitted.point.at(k)
     return value == none and value in k.bounds
 
