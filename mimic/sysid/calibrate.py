@@ -225,10 +225,10 @@ def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:
     """Return the numbers that are at a bound which does not mean none, and the bound."""
     found = []
     for free in h.fitted.free_parameters:
-        none = [neutral(*free.key, h.problem.machine)[max(free.joint, 0)], 0.0, UNLIMITED]
-        for bound in free.bounds:
-            if h.fitted.point.at(free) == bound and free.parameter.turned(bound) not in none:
-                found.append((free, bound))
+        j, p = max(free.joint, 0), free.parameter
+        value = h.fitted.point.values[free.key][j]
+        if value in (p.low, p.high) and value not in (neutral(*free.key, h.problem.machine)[j], 0.0, UNLIMITED):
+            found.append((free, value))
     return found
 
 

@@ -287,6 +287,5 @@ def _left(rest: tuple[UnexplainedResidual, ...]) -> str:
 
 def stopped_at(free: FreeParameter, bound: float, machine: MachineModel) -> str:
     """Return that a parameter is at a bound of its validity, and where."""
-    p, value = free.parameter, free.parameter.turned(bound)
-    end = "largest" if value == p.high else "smallest"
-    return f"{free.called(machine.joints)} is at its {end}, {value:g}: the log does not say more of it"
+    end = "largest" if bound == free.parameter.high else "smallest"
+    return f"{free.called(machine.joints)} is at its {end}, {bound:g}: the log does not say more of it"

@@ -47,14 +47,7 @@ DRIVE = (
         parameters=(
             Parameter("torque", "N m", neutral=MODEL, low=0.1, high=500.0, step=0.02, starts=(0.2, 0.4, 0.8)),
             Parameter(
-                "speed",
-                "rad/s",
-                neutral=MODEL,
-                low=0.5,
-                high=UNLIMITED,
-                step=0.02,
-                starts=(0.5, 1.2, 4.0, 100.0),
-                inverse=True,
+                "speed", "rad/s", neutral=MODEL, low=0.5, high=UNLIMITED, step=0.02, starts=(0.5, 4.0), inverse=True
             ),
             Parameter(
                 "flat", "rad/s", neutral=MODEL, low=0.0, high=100.0, step=1.0, starts=(0.0,), fixed=True, shape=True
