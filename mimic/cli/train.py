@@ -24,7 +24,7 @@ def train(
 ) -> int:
     """Train the low-level policy: minutes on a GPU; on a CPU with few worlds to try it out.
 
-    On several GPUs: torchrun --nproc-per-node 2 -m mimic train OUT; each then has half of the worlds.
+    On several GPUs: torchrun --nproc-per-node 2 -m mimic train OUT; each then has its share of the worlds.
 
     Parameters
     ----------
