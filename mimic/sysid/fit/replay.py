@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Self
 
 import mujoco
@@ -22,6 +24,7 @@ from mimic.dynamics.machine import SOLREF_STEPS, UNLIMITED, MachineModel
 from mimic.dynamics.servo import Servo, static_fields, target_shift
 from mimic.dynamics.timers import disable_timers
 from mimic.io.joint_log import JointLog
+from mimic.jobs.local import cores
 from mimic.records import FloatArray, IntArray
 from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import VOLTAGE, Part, enabled, rows_of, single
@@ -154,7 +157,7 @@ MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
 FEW = 400
-"""Joints in a batch up to which one thread is faster than several that wait for each other at every step."""
+"""Joints in the batch of a thread from which it pays: with less, threads wait for each other's Python."""
 
 
 AROUND = 0.01
@@ -199,14 +202,14 @@ class Replay:
             timestep: Physics step [s].
             segment: Length of a segment [s]; by default a share of the log.
             lead_in: Time that a segment runs before its readings count [s].
-            threads: Of MuJoCo; 0 takes one for each core.
+            threads: Batches at once; 0 takes one for each core.
             torque: Also predict the torque.
             sending: When targets were sent; without, when the row was written that first shows them.
             parts: Logs that this one is made of, with the drives of each; without, it is one, with the machine's.
         """
         disable_timers()
         self.parts: tuple[Part, ...] = tuple(parts) or (single(log, machine),)
-        self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads
+        self.machine, self.log, self.dt, self.threads = machine, log, timestep, threads or cores()
         self.torque = torque and log.tau is not None
         t = log.t - log.t[0]
         steps = on_steps(t / timestep)
@@ -350,6 +353,7 @@ class Replay:
 
     # ------------------------------------------------------------------ running
 
+    @_unheard()
     def run(self, parameters: Parameters, count: int, targets: Targets | None = None) -> Prediction:
         """Return the predictions of ``count`` parameter sets.
 
@@ -358,18 +362,28 @@ class Replay:
             count: How many.
             targets: Those of each of them (count, ...), instead of the log's.
         """
-        size, made = self.sets_per_batch, []
-        for begin in range(0, count, size):
-            rows = slice(begin, min(begin + size, count))
-            values: dict[tuple[str, str], FloatArray] = {
-                k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
-            }
-            own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
-            made.append(self._run(values, own))
+        threads = min(self.threads, count, max(1, count * self.segments * len(self.machine.joints) // FEW))
+        rounds = math.ceil(count / self.sets_per_batch / threads)
+        cuts = np.linspace(0, count, threads * rounds + 1).round().astype(int)
+
+        def batches(thread: int) -> list[Prediction]:
+            found = []
+            for begin, end in pairwise(cuts[thread * rounds : (thread + 1) * rounds + 1]):
+                rows = slice(begin, end)
+                values: dict[tuple[str, str], FloatArray] = {
+                    k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
+                }
+                own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
+                found.append(self._run(values, own, thread))
+            return found
+
+        with ThreadPoolExecutor(threads) as pool:
+            made = [one for found in pool.map(batches, range(threads)) for one in found]
         self.replays += count
         torque = np.concatenate([p.torque_residual for p in made]) if self.torque else None  # type: ignore[misc]
         return Prediction(residual=np.concatenate([p.residual for p in made]), torque_residual=torque)
 
+    @_unheard()
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square motor torque since the reading before (T, J), for one parameter set."""
         values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
@@ -393,18 +407,17 @@ class Replay:
         model.dof_solimp[:] = [STIFFNESS, STIFFNESS, 0.001, 0.5, 2.0]
         return model
 
-    def _batch(self, size: int) -> Batch:
-        if size not in self._batches:
-            model = self._model()
-            self._batches.clear()
-            self._batches[size] = Batch(model, size, self.threads if size * model.nv > FEW else 1)
-        return self._batches[size]
+    def _batch(self, size: int, thread: int) -> Batch:
+        kept = self._batches.get(thread)
+        if kept is None or kept.nsim != size:
+            kept = self._batches[thread] = Batch(self._model(), size, 1)
+        return kept
 
-    @_unheard()
     def _run(
         self,
         parameters: dict[tuple[str, str], FloatArray],
         targets: Targets,
+        thread: int = 0,
         square: bool = False,
     ) -> Prediction:
         """Return predictions; with ``square`` minus the mean square torque instead of a torque residual."""
@@ -424,7 +437,7 @@ class Replay:
         if any(part.supply != 1.0 for part in self.parts) and self.machine.drives.volts is None:
             law.scale_supply(np.array([part.supply for part in self.parts])[part_of, None])
         began = np.array([part.begin for part in self.parts])[part_of]
-        batch = self._batch(n)
+        batch = self._batch(n, thread)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
         begin = np.tile(self._begin, sets)
