@@ -139,6 +139,7 @@ class Law:
         self.set_gains(self._d.kp, self._d.kd)
         self._level = self._zero + self.get("coulomb", "level")
         self._limits = tuple(self._zero + self.get("torque_speed", name) for name in ("torque", "flat", "speed"))
+        self._slope = self._limits[0] / (self._limits[2] - self._limits[1])
         self._most: Any = None
         self._supply: Any = 1.0
         self._exact = max(EXACT, 4.0 * float(xp.finfo(self._zero.dtype).eps))
@@ -214,6 +215,7 @@ class Law:
         stall = torque * speed / (speed - flat) * share
         torque = self.xp.minimum(torque, stall)
         self._limits = torque, speed * share * (1.0 - torque / stall), speed * share
+        self._slope = stall / self._limits[2]
 
     def limit_torque(self, most: Any) -> None:
         """Let the drives give no more than this from now on (N, J) [N m], whatever they could."""
@@ -353,11 +355,12 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        if parts:
-            mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
+        load, square = xp.abs(tau), tau * tau
+        stiffness = kp / get("encoder_scale", "factor") if "encoder_scale" in has else kp
+        ones = [(share, asked + stiffness * (part - target)) for share, part in parts]
+        if ones and self._by_themselves(ones, low, high):
+            mean, load, square, free = self._one_by_one(ones, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
-        else:
-            load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(q, dq, load, tau)
@@ -372,20 +375,22 @@ class Law:
         inertia = self._inertia + self.dt * kept
         return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
 
-    def _one_by_one(
-        self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
-    ) -> tuple[Any, Any, Any, Any]:
+    def _by_themselves(self, ones: Sequence[tuple[Any, Any]], low: Any, high: Any) -> bool:
+        """Return whether torques of several targets in a step must be looked at one by one; on tensors always."""
+        if self.xp is not np or self._has & {"load_friction", "kt_heat"}:
+            return True
+        return any((one < low).any() or (one > high).any() for _, one in ones)
+
+    def _one_by_one(self, ones: Sequence[tuple[Any, Any]], low: Any, high: Any) -> tuple[Any, Any, Any, Any]:
         """Return mean torques over a step with several targets, each limited by itself, and the share in limits.
 
         Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean
         where a target asks for more than it can, and torques of both signs cancel in their mean but not in gears and
-        windings.
+        windings. Targets are given by their shares of the step and what each asks for (N, J).
         """
         xp, tau, free = self.xp, self._zero, self._zero
         size, square = self._zero, self._zero
-        stiffness = kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
-        for share, target in parts:
-            one = asked + stiffness * (target - mean)
+        for share, one in ones:
             limited = xp.minimum(xp.maximum(one, low), high)
             tau, free = tau + share * limited, free + xp.where(limited == one, share + self._zero, self._zero)
             if "load_friction" in self._has:
@@ -408,9 +413,10 @@ class Law:
         )
 
     def _torque_limits(self, omega: Any, left: Any) -> tuple[Any, Any]:
-        """Return the least and greatest torque at velocities omega (N, J) with shares of the supply left (N, 1)."""
-        xp, (torque, flat, speed) = self.xp, (limit * left for limit in self._limits)
-        slope = torque / (speed - flat)
+        """Return the least and greatest torque at velocities omega (N, J) with these shares of the supply (N, 1)."""
+        xp, slope, (torque, _, speed) = self.xp, self._slope, self._limits
+        if left is not None:
+            torque, speed = torque * left, speed * left
         high = xp.minimum(xp.maximum((speed - omega) * slope, self._zero), torque)
         low = -xp.minimum(xp.maximum((speed + omega) * slope, self._zero), torque)
         if self._d.volts is not None:
@@ -421,15 +427,15 @@ class Law:
         return low, high
 
     def _supply_left(self, asked: Any, omega: Any) -> Any:
-        """Return the share of the supply (N, 1) that is left when motors draw what that share allows.
+        """Return the share of the supply (N, 1) left when motors draw what that share allows; None where it is stiff.
 
         The more is left, the more they draw: the one root of a falling function of straight pieces, by Newton's steps
         that stay between what is known to be too little and too much.
         """
         if "supply_sag" not in self._has:
-            return 1.0
-        xp, zero, (torque, flat, speed) = self.xp, self._zero, self._limits
-        slope, fast, size = torque / (speed - flat), xp.abs(omega), xp.abs(asked)
+            return None
+        xp, zero, slope, (torque, _, speed) = self.xp, self._zero, self._slope, self._limits
+        fast, size = xp.abs(omega), xp.abs(asked)
         if self._most is not None:
             size = xp.minimum(size, self._most)
         size, rise, begin = xp.where(asked * omega > 0, size, zero), speed * slope, fast * slope

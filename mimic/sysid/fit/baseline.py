@@ -13,33 +13,45 @@ from mimic.config.sysid import CalibrateSettings
 from mimic.dynamics.machine import MachineModel
 from mimic.io.joint_log import JointLog
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.least_squares import MOST_STEPS, Asking, Fit, answered, fit, fitting
+from mimic.sysid.fit.least_squares import MOST_STEPS, Asking, Fit, fit, fit_all, fitting
 from mimic.sysid.fit.problem import WIDE, Key, Point, Problem
 from mimic.sysid.fit.replay import Replay, physics_step
 from mimic.sysid.log.noise import coarse_steps, noise_floor
 from mimic.sysid.log.pool import Part, Pool, enabled, make_blocks, pool, valid_samples
 from mimic.sysid.result import Errors, LogErrors
 
-
-def corrected(problem: Problem, point: Point) -> Problem:
-    """Return the problem whose residuals are corrected by the error of coarse steps at this point."""
-    return problem.changed(correction=problem.in_fine_steps(point) - problem.uncorrected([point])[0])
+Fitted = tuple[Fit, Sequence[str], Mapping[str, BoolArray]]
+"""A fit, with the effects that it has and the joints that have each."""
 
 
-def settled(problem: Problem, fitted: Fit, names: Sequence[str], where: Mapping[str, BoolArray]) -> tuple[Problem, Fit]:
-    """Return a fit along the derivatives that it has, and the problem that is corrected by fine steps near it.
+def corrected(problem: Problem, points: Sequence[Point]) -> list[Problem]:
+    """Return the problem, for each point, whose residuals are corrected by the error of coarse steps there."""
+    errors = problem.in_fine_steps(points) - problem.uncorrected(points)
+    return [problem.changed(correction=error) for error in errors]
+
+
+def settled(problem: Problem, fits: Sequence[Fitted]) -> list[tuple[Problem, Fit]]:
+    """Return fits along the derivatives that they have, each with the problem that is corrected by fine steps near it.
 
     Once more where numbers moved further than their derivatives were taken over.
     """
+    made, left = [(problem, f) for f, _, _ in fits], list(range(len(fits)))
     for _ in range(2):
-        problem = corrected(problem, fitted.point)
-        after = fit(problem, fitted.point, names, where, most=1, frozen=fitted, every=0)
-        size = np.array([k.step for k in after.free_parameters])
-        moved = after.point.read(after.free_parameters) - fitted.point.read(after.free_parameters)
-        fitted = after
-        if np.all(np.abs(moved) <= WIDE * size):
+        near = corrected(problem, [made[i][1].point for i in left])
+        asked = [
+            fitting(own, made[i][1].point, *fits[i][1:], most=1, frozen=made[i][1], every=0)
+            for i, own in zip(left, near, strict=True)
+        ]
+        moved = []
+        for i, own, after in zip(left, near, fit_all(problem, asked), strict=True):
+            size = np.array([k.step for k in after.free_parameters])
+            by = after.point.read(after.free_parameters) - made[i][1].point.read(after.free_parameters)
+            made[i] = own, after
+            if not np.all(np.abs(by) <= WIDE * size):
+                moved.append(i)
+        if not (left := moved):
             break
-    return problem, fitted
+    return made
 
 
 def with_fine_derivatives(problem: Problem, fitted: Fit) -> Fit:
@@ -59,13 +71,13 @@ def compared(
         problem = weighed
         fitted = fit(problem, fitted.point, names, where, most=3)
     if problem.channels > joints:
-        problem = corrected(problem, fitted.point)
+        (problem,) = corrected(problem, [fitted.point])
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         noise = np.concatenate([problem.noise[:joints], np.maximum(problem.noise[joints:], unsure)])
-        problem = corrected(problem.changed(noise=noise), fitted.point)
+        (problem,) = corrected(problem.changed(noise=noise), [fitted.point])
         fitted = fit(problem, fitted.point, names, where, most=3)
-    return settled(problem, fitted, names, where)
+    return settled(problem, [(fitted, names, where)])[0]
 
 
 def errors_of(problem: Problem, residual: FloatArray) -> Errors:
@@ -87,7 +99,7 @@ def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str,
     """
     rows = [_rows(problem, part) for part in problem.replay.parts]
     refits = [_without(problem, one, where, here) for here in rows for one in (before, final)]
-    apart = answered(problem.residuals, refits) if len(rows) > 2 else []
+    apart = fit_all(problem, refits) if len(rows) > 2 else []
     unseen = [
         _rms(problem, f.residual, here) for f, here in zip(apart, [r for r in rows for _ in range(2)], strict=False)
     ]
@@ -106,7 +118,7 @@ def errors_by_log(problem: Problem, before: Fit, final: Fit, where: Mapping[str,
 
 def errors_of_unseen(unseen: Problem, before: Fit, final: Fit) -> tuple[LogErrors, ...]:
     """Return the errors of logs that nothing was fitted to."""
-    left = [unseen.in_fine_steps(one.point) for one in (before, final)]
+    left = unseen.in_fine_steps([before.point, final.point])
     found = []
     for part in unseen.replay.parts:
         here = _rows(unseen, part)

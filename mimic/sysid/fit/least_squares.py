@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -82,7 +82,7 @@ def scaled_solution(hessian: FloatArray, gradient: FloatArray, rcond: float) -> 
 
 
 Asking: TypeAlias = Generator[Sequence[Point], FloatArray, "Fit"]
-"""Yields points, is sent their whitened residuals (N, T, C), returns the fit."""
+"""Yields points, is sent their whitened residuals (N, T, C) as coarse steps have them, returns the fit."""
 
 
 def fit(
@@ -93,12 +93,10 @@ def fit(
 
 
 def fit_all(problem: Problem, fits: Sequence[Asking]) -> list[Fit]:
-    """Return the results of several fits that share their replays: what all ask for next runs as one batch."""
-    return answered(problem.residuals, fits)
+    """Return what several fits end with, each sent the uncorrected residuals (N, T, C) of the points it asks for.
 
-
-def answered(replayed: Callable[[Sequence[Point]], FloatArray], fits: Sequence[Asking]) -> list[Fit]:
-    """Return what several fits end with, each sent the residuals (N, T, C) of the points that it asks for."""
+    They share their replays: what all ask for next runs as one batch.
+    """
     asked: dict[int, Sequence[Point]] = {}
     done: dict[int, Fit] = {}
 
@@ -113,7 +111,7 @@ def answered(replayed: Callable[[Sequence[Point]], FloatArray], fits: Sequence[A
         ask(i, None)
     while asked:
         order = sorted(asked)
-        answers, at = replayed([p for i in order for p in asked[i]]), 0
+        answers, at = problem.uncorrected([p for i in order for p in asked[i]]), 0
         for i in order:
             count = len(asked[i])
             ask(i, answers[at : at + count])
@@ -145,7 +143,7 @@ def fitting(
     """
     free_parameters = problem.free_parameters(start, joints, names)
     point = start
-    residual = (yield [point])[0]
+    residual = problem.corrected((yield [point])[0])
     best = chain_costs(problem, point, residual, free_parameters)
     columns: dict[tuple[Key, int], FloatArray] = {}
     if frozen is not None:
@@ -156,7 +154,7 @@ def fitting(
         anew = bool(every and i and i % every == 0)
         if fresh := [k for k in free_parameters if anew or (k.key, k.joint) not in columns]:
             points, groups, sizes = problem.difference_points(point, fresh)
-            made = problem.columns(residual, (yield points), groups, fresh, sizes)
+            made = problem.columns(residual, problem.corrected((yield points)), groups, fresh, sizes)
             columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
             stale = stale and not anew
         stacked = [columns[k.key, k.joint] for k in free_parameters]
@@ -164,14 +162,14 @@ def fitting(
         at, before = point.read(free_parameters), best
         tried = [solve(sums, problem.blocks.train, free_parameters, at, harder * damping) for damping in DAMPINGS]
         trials = [point.moved(free_parameters, step) for step in tried]
-        steps, replayed = [np.zeros(len(free_parameters)), *tried], [residual, *(yield trials)]
+        steps, replayed = [np.zeros(len(free_parameters)), *tried], [residual, *problem.corrected((yield trials))]
         costs = [best]
         costs += [chain_costs(problem, p, r, free_parameters) for p, r in zip(trials, replayed[1:], strict=True)]
         mixed = best_of_chains(problem, free_parameters, steps, costs)
         if mixed is not None:  # no one step suits all chains
             trial = point.moved(free_parameters, mixed)
             steps.append(mixed)
-            replayed.append((yield [trial])[0])
+            replayed.append(problem.corrected((yield [trial])[0]))
             costs.append(chain_costs(problem, trial, replayed[-1], free_parameters))
         winner = int(np.argmin([problem.weight @ cost for cost in costs]))
         if winner and i + 1 < most:
@@ -185,7 +183,7 @@ def fitting(
         harder = max(harder / DAMPINGS[-1], 1.0) if winner else harder * DAMPINGS[-1]
     if every and free_parameters and stale:
         points, groups, sizes = problem.difference_points(point, free_parameters)
-        stacked = problem.columns(residual, (yield points), groups, free_parameters, sizes)
+        stacked = problem.columns(residual, problem.corrected((yield points)), groups, free_parameters, sizes)
     sums = problem.sums(residual, stacked, free_parameters)
     return Fit(
         point=point, free_parameters=tuple(free_parameters), residual=residual, columns=tuple(stacked), sums=sums
@@ -214,7 +212,7 @@ def stepping(
     columns = {(k.key, k.joint): c for k, c in zip(known.free_parameters, known.columns, strict=True)}
     fresh = [k for k in free if (k.key, k.joint) not in columns]
     points, groups, sizes = problem.difference_points(start, fresh)
-    residual, *moved = yield [start, *points]
+    residual, *moved = problem.corrected((yield [start, *points]))
     made = problem.columns(residual, np.array(moved), groups, fresh, sizes) if moved else []
     columns |= {(k.key, k.joint): c for k, c in zip(fresh, made, strict=True)}
     stacked = tuple(columns[k.key, k.joint] for k in free)

@@ -208,22 +208,27 @@ class Problem:
 
     def residuals(self, points: Sequence[Point]) -> FloatArray:
         """Return whitened residuals (N, T, C), single precision; NaN where readings do not count or it blew up."""
-        joined = self.uncorrected(points)
-        return joined if self.correction is None else joined + self.correction
+        return self.corrected(self.uncorrected(points))
+
+    def corrected(self, residual: FloatArray) -> FloatArray:
+        """Return residuals (…, T, C) without what is known of the error of these steps."""
+        return residual if self.correction is None else residual + self.correction
 
     def uncorrected(self, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
         """Return the residuals of these steps as they are, for targets of each point or those of the log."""
         return self._whitened(self._replayed(self.replay, points, targets))
 
-    def in_fine_steps(self, point: Point) -> FloatArray:
-        """Return whitened residuals (T, C), extrapolated to steps of length zero.
+    def in_fine_steps(self, points: Sequence[Point]) -> FloatArray:
+        """Return whitened residuals (N, T, C), extrapolated to steps of length zero.
 
         From replays with ``FINE`` and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
-        both = [self._replayed(self.replay.finer(FINE * more, SHOOT), [point])[0] for more in (1, 2)]
-        found = self._whitened(np.stack(both))
-        return 2.0 * found[1] - found[0]
+        some, more = (
+            self._whitened(self._replayed(self.replay.finer(FINE * times, SHOOT, len(points)), points))
+            for times in (1, 2)
+        )
+        return 2.0 * more - some
 
     def columns_in_fine_steps(self, point: Point, free_parameters: Sequence[FreeParameter]) -> list[FloatArray]:
         """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.

@@ -438,11 +438,11 @@ class Selection:
             asked.append(
                 fitting(problem, point, [*near.names, s.name], where, most=MOST_STEPS, frozen=t.fitted, every=3)
             )
-        done, fits = [], fit_all(problem, asked)
-        for s, f in zip(first, fits, strict=True):
-            own = problem
-            if near is model:  # what coarse steps are wrong by changes with an effect
-                own, f = settled(problem, f, [*near.names, s.name], {**near.joints, s.name: s.joints})
+        done, fits = [], [(problem, f) for f in fit_all(problem, asked)]
+        if near is model:  # what coarse steps are wrong by changes with an effect
+            new = [([*near.names, s.name], {**near.joints, s.name: s.joints}) for s in first]
+            fits = settled(problem, [(f, *n) for (_, f), n in zip(fits, new, strict=True)])
+        for s, (own, f) in zip(first, fits, strict=True):
             done += self._trials(near, [s], [f], [left_out(f, own)], near.squares)
         for t in quick:
             if t not in strong:  # its many derivatives are of no more use
@@ -501,7 +501,7 @@ class Selection:
             problem = model.problem.weighed(t.fitted.residual)
             known = None if t.short else t.fitted
             fitted = fit(problem, point, child.names, child.joints, most=MOST_STEPS, frozen=known)
-        problem, fitted = settled(problem, fitted, child.names, child.joints)
+        problem, fitted = settled(problem, [(fitted, child.names, child.joints)])[0]
         return replace(child, problem=problem, fitted=fitted)
 
 
@@ -620,10 +620,10 @@ def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     tick("final fit")
     problem = model.problem
     if "kt_heat" in model.names:
-        problem = corrected(problem.warmed_up(model.fitted.point), model.fitted.point)
+        (problem,) = corrected(problem.warmed_up(model.fitted.point), [model.fitted.point])
     fitted = fit(problem, model.fitted.point, model.names, model.joints, most=1, frozen=model.fitted, every=0)
     fitted = with_fine_derivatives(problem, fitted)
-    problem, fitted = settled(problem, fitted, model.names, model.joints)
+    problem, fitted = settled(problem, [(fitted, model.names, model.joints)])[0]
     return replace(model, problem=problem, fitted=fitted)
 
 

@@ -110,7 +110,7 @@ def test_the_last_reading_of_a_log_before_others_is_replayed_in_any_step(pendulu
     start = Point.of(BASELINE, pendulum)
     counted = np.isfinite(problem.residuals([start])[0]).all(axis=1)
     assert counted[len(t) - 1]
-    assert np.isfinite(problem.in_fine_steps(start)[counted]).all()
+    assert np.isfinite(problem.in_fine_steps([start])[0][counted]).all()
 
 
 def test_a_log_is_judged_alike_whatever_logs_are_before_it(pendulum: MachineModel) -> None:
