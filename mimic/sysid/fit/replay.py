@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Self
 
 import mujoco
@@ -58,6 +57,12 @@ class Readings:
     """How far into the step, up to 1 for its end."""
     since: IntArray
     """Steps of the segment that were over at the reading before; 0 for its first."""
+
+    def of(self, segments: IntArray) -> Readings:
+        """Return those of some segments that follow each other, which are then numbered from 0."""
+        mine = np.flatnonzero((self.segment >= segments[0]) & (self.segment <= segments[-1]))
+        found = {name: getattr(self, name)[mine] for name in ("row", "segment", "step", "part", "since")}
+        return Readings(**{**found, "segment": found["segment"] - segments[0]})
 
     def at(self, steps: int) -> IntArray:
         """Return where the readings of each step begin (steps + 1,)."""
@@ -354,41 +359,42 @@ class Replay:
     # ------------------------------------------------------------------ running
 
     @_unheard()
-    def run(self, parameters: Parameters, count: int, targets: Targets | None = None) -> Prediction:
+    def run(
+        self, parameters: Parameters, count: int, targets: Targets | None = None, *, square: bool = False
+    ) -> Prediction:
         """Return the predictions of ``count`` parameter sets.
 
         Args:
             parameters: Values (count, J) or (count, 1).
             count: How many.
             targets: Those of each of them (count, ...), instead of the log's.
+            square: Instead of a torque residual return minus the mean square torque.
         """
-        threads = min(self.threads, count, max(1, count * self.segments * len(self.machine.joints) // FEW))
-        rounds = math.ceil(count / self.sets_per_batch / threads)
-        cuts = np.linspace(0, count, threads * rounds + 1).round().astype(int)
+        shape = (count, len(self.log.t), len(self.machine.joints))
+        out = np.full(shape, np.nan, dtype=np.float32)
+        torque = np.full_like(out, np.nan) if self.torque or square else None
+        threads = min(self.threads, self.segments, max(1, count * self.segments * shape[2] // FEW))
+        cuts = np.linspace(0, self.segments, threads + 1).round().astype(int)
 
-        def batches(thread: int) -> list[Prediction]:
-            found = []
-            for begin, end in pairwise(cuts[thread * rounds : (thread + 1) * rounds + 1]):
-                rows = slice(begin, end)
+        def share(thread: int) -> None:
+            for begin in range(0, count, self.sets_per_batch):
+                rows = slice(begin, begin + self.sets_per_batch)
                 values: dict[tuple[str, str], FloatArray] = {
                     k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
                 }
                 own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
-                found.append(self._run(values, own, thread))
-            return found
+                made = Prediction(residual=out[rows], torque_residual=None if torque is None else torque[rows])
+                self._run(values, own, made, np.arange(*cuts[thread : thread + 2]), thread, square)
 
         with ThreadPoolExecutor(threads) as pool:
-            made = [one for found in pool.map(batches, range(threads)) for one in found]
+            list(pool.map(share, range(threads)))
         self.replays += count
-        torque = np.concatenate([p.torque_residual for p in made]) if self.torque else None  # type: ignore[misc]
-        return Prediction(residual=np.concatenate([p.residual for p in made]), torque_residual=torque)
+        out[~np.isfinite(out)] = np.nan
+        return Prediction(residual=out, torque_residual=torque)
 
-    @_unheard()
     def mean_square_torque(self, parameters: Parameters) -> FloatArray:
         """Return the mean square motor torque since the reading before (T, J), for one parameter set."""
-        values: dict[tuple[str, str], FloatArray] = {k: np.asarray(v, dtype=np.float64) for k, v in parameters.items()}
-        made = self._run(values, self._grid, square=True).torque_residual
-        self.replays += 1
+        made = self.run(parameters, 1, square=True).torque_residual
         assert made is not None
         found = -made[0].astype(np.float64)
         known = np.isfinite(found)
@@ -417,14 +423,16 @@ class Replay:
         self,
         parameters: dict[tuple[str, str], FloatArray],
         targets: Targets,
-        thread: int = 0,
-        square: bool = False,
-    ) -> Prediction:
-        """Return predictions; with ``square`` minus the mean square torque instead of a torque residual."""
-        sets = len(next(iter(parameters.values()))) if parameters else 1
-        segments, joints = self.segments, len(self.machine.joints)
+        made: Prediction,
+        chosen: IntArray,
+        thread: int,
+        square: bool,
+    ) -> None:
+        """Write what some segments predict; with ``square`` minus the mean square torque instead of the residual."""
+        out, torque = made.residual, made.torque_residual
+        sets, segments, joints = len(out), len(chosen), len(self.machine.joints)
         n = sets * segments
-        part_of = np.tile(self._part_of, sets)
+        part_of = np.tile(self._part_of[chosen], sets)
         p = {key: np.repeat(value, segments, 0) for key, value in parameters.items()}
         if any(part.payload.any() for part in self.parts):
             load = np.stack([part.payload for part in self.parts])[part_of]
@@ -440,24 +448,23 @@ class Replay:
         batch = self._batch(n, thread)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
-        begin = np.tile(self._begin, sets)
+        begin = np.tile(self._begin[chosen], sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
-        start_q, start_dq = self._starts(begin)
+        start_q, start_dq = self._starts(begin, part_of)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        law.reset(start_q, start_dq, self._heat_at(parameters))
+        law.reset(start_q, start_dq, self._heat_at(parameters, chosen))
         q[:], dq[:] = law.unread(start_q), start_dq
         late = target_shift(p, self.dt)
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
-        out = np.full((sets, len(self.log.t), joints), np.nan, dtype=np.float32)
-        torque = np.full_like(out, np.nan) if self.torque or square else None
         measured = None if square else self.log.tau
         gone, seen = np.zeros((n, joints)), np.zeros((n, joints))
         before = np.array(law.reading(q))  # q is the simulation, and moves on
         order = np.arange(n).reshape(sets, segments)
         own = np.repeat(np.arange(sets), segments)
         which = own if targets.held.ndim > 2 else None
-        plan, at = self.readings, self.readings.at(self.length)
+        plan = self.readings.of(chosen)
+        at = plan.at(self.length)
         for i in range(at[0]):
             out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[order[:, plan.segment[i]]]
             if torque is not None:
@@ -492,8 +499,6 @@ class Replay:
                     torque[:, rows] = (0.0 if measured is None else measured[rows]) - mean
                     seen[sims] = gone[sims]
             before = np.array(reading)
-        out[~np.isfinite(out)] = np.nan
-        return Prediction(residual=out, torque_residual=torque)
 
     def _supply_share(self) -> FloatArray | None:
         """Return the supply of voltage drives over that of the first log in each step (steps, 1); None for others."""
@@ -529,18 +534,17 @@ class Replay:
             since=since[order],
         )
 
-    def _starts(self, begin: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _starts(self, begin: IntArray, part: IntArray) -> tuple[FloatArray, FloatArray]:
         t = self.log.t - self.log.t[0]
         at = begin * self.dt
         q = np.stack([np.interp(at, t, column) for column in self.log.q.T], -1)
         low, high = (np.array([getattr(part, end) for part in self.parts]) for end in ("begin", "end"))
-        part = np.tile(self._part_of, len(begin) // self.segments)
         around = np.clip(at + np.array([[-AROUND], [AROUND]]), low[part], high[part])
         before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
         return q, (after - before) / (around[1] - around[0])[:, None]
 
-    def _heat_at(self, p: Parameters) -> FloatArray | None:
-        """Return the mean square torque of each set of parameters (N, J) at the start of each segment (N segments, J).
+    def _heat_at(self, p: Parameters, chosen: IntArray) -> FloatArray | None:
+        """Return the mean square torque of each set of parameters (N, J) at the start of segments (N segments, J).
 
         None where no set has an effect of heat, or none is known.
         """
@@ -557,7 +561,7 @@ class Replay:
                 continue  # another log: cold again
             heat[:, i] = heat[:, i - 1] * np.exp(-len(own) * dt / time[:, 0])
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
-        return heat.reshape(-1, heat.shape[2])
+        return heat[:, chosen].reshape(-1, heat.shape[2])
 
     def _acting(
         self, begin: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
