@@ -47,6 +47,17 @@ def test_readings_between_two_steps_are_predicted_at_their_own_time(
     assert np.nanmax(np.abs(residual)) < 5e-4
 
 
+def test_threads_change_nothing(pendulum: MachineModel, swing: JointLog) -> None:
+    delays = {("delay", "time"): np.linspace(0.0, 0.02, 200)[:, None]}
+    one, two = (
+        Replay(pendulum, swing, timestep=0.005, segment=2.0, threads=n, torque=True).run(delays, 200) for n in (1, 2)
+    )
+    assert np.isfinite(one.residual).any()
+    assert np.ptp(one.residual[:, 300]) > 0.01
+    np.testing.assert_array_equal(one.residual, two.residual)
+    np.testing.assert_array_equal(one.torque_residual, two.torque_residual)
+
+
 def test_a_joint_that_swings_freely_is_followed_from_before_it_was_let_go(pendulum: MachineModel) -> None:
     """Begun at noisy readings on its way, the swing would be off by far more than the readings are."""
     t = np.arange(0.0, 8.0, 0.02)
