@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
+from threading import Event
 from typing import Any, Self
 
 import mujoco
@@ -252,6 +253,7 @@ class Replay:
         self.heat: FloatArray | None = None
         """Square torque at each reading (T, J), where it is known."""
         self._batches: dict[int, Batch] = {}
+        self._stop = Event()
         self._finer: dict[tuple[int, float], Replay] = {}
 
     def finer(self, times: int, segment: float, count: int = 1) -> Replay:
@@ -386,8 +388,12 @@ class Replay:
                 made = Prediction(residual=out[rows], torque_residual=None if torque is None else torque[rows])
                 self._run(values, own, made, np.arange(*cuts[thread : thread + 2]), thread, square)
 
+        self._stop.clear()
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(share, range(threads)))
+            try:
+                list(pool.map(share, range(threads)))
+            finally:  # Ctrl-C does not wait for the rest
+                self._stop.set()
         self.replays += count
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)
@@ -470,6 +476,8 @@ class Replay:
             if torque is not None:
                 torque[:, plan.row[i]] = 0.0
         for k, (target, shares) in enumerate(self._acting(begin, shifts, targets, which)):
+            if self._stop.is_set():
+                return
             now = begin + k
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             if self._supply is not None:
