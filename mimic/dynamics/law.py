@@ -355,12 +355,11 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        load, square = xp.abs(tau), tau * tau
-        stiffness = kp / get("encoder_scale", "factor") if "encoder_scale" in has else kp
-        ones = [(share, asked + stiffness * (part - target)) for share, part in parts]
-        if ones and self._by_themselves(ones, low, high):
-            mean, load, square, free = self._one_by_one(ones, low, high)
+        if parts:
+            mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
+        else:
+            load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(q, dq, load, tau)
@@ -375,22 +374,20 @@ class Law:
         inertia = self._inertia + self.dt * kept
         return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
 
-    def _by_themselves(self, ones: Sequence[tuple[Any, Any]], low: Any, high: Any) -> bool:
-        """Return whether torques of several targets in a step must be looked at one by one; on tensors always."""
-        if self.xp is not np or self._has & {"load_friction", "kt_heat"}:
-            return True
-        return any((one < low).any() or (one > high).any() for _, one in ones)
-
-    def _one_by_one(self, ones: Sequence[tuple[Any, Any]], low: Any, high: Any) -> tuple[Any, Any, Any, Any]:
+    def _one_by_one(
+        self, parts: Sequence[tuple[Any, Any]], mean: Any, asked: Any, kp: Any, low: Any, high: Any
+    ) -> tuple[Any, Any, Any, Any]:
         """Return mean torques over a step with several targets, each limited by itself, and the share in limits.
 
         Those of the torque, its size and its square: the mean of what a motor gives is not what it gives for the mean
         where a target asks for more than it can, and torques of both signs cancel in their mean but not in gears and
-        windings. Targets are given by their shares of the step and what each asks for (N, J).
+        windings.
         """
         xp, tau, free = self.xp, self._zero, self._zero
         size, square = self._zero, self._zero
-        for share, one in ones:
+        stiffness = kp / self.get("encoder_scale", "factor") if "encoder_scale" in self._has else kp
+        for share, target in parts:
+            one = asked + stiffness * (target - mean)
             limited = xp.minimum(xp.maximum(one, low), high)
             tau, free = tau + share * limited, free + xp.where(limited == one, share + self._zero, self._zero)
             if "load_friction" in self._has:

@@ -33,7 +33,7 @@ def predict(
         effects: What it has.
         whole: Replay the log in one piece from its first reading; else in pieces that each begin with a measured
             position.
-        threads: Of MuJoCo; 0 takes one for each core.
+        threads: Threads; 0 takes one for each core.
 
     Raises:
         ConfigError: If an effect names a joint that the machine lacks.

@@ -24,7 +24,7 @@ Fitted = tuple[Fit, Sequence[str], Mapping[str, BoolArray]]
 """A fit, with the effects that it has and the joints that have each."""
 
 
-def corrected(problem: Problem, points: Sequence[Point]) -> list[Problem]:
+def corrected_at(problem: Problem, points: Sequence[Point]) -> list[Problem]:
     """Return the problem, for each point, whose residuals are corrected by the error of coarse steps there."""
     errors = problem.in_fine_steps(points) - problem.uncorrected(points)
     return [problem.changed(correction=error) for error in errors]
@@ -37,7 +37,7 @@ def settled(problem: Problem, fits: Sequence[Fitted]) -> list[tuple[Problem, Fit
     """
     made, left = [(problem, f) for f, _, _ in fits], list(range(len(fits)))
     for _ in range(2):
-        near = corrected(problem, [made[i][1].point for i in left])
+        near = corrected_at(problem, [made[i][1].point for i in left])
         asked = [
             fitting(own, made[i][1].point, *fits[i][1:], most=1, frozen=made[i][1], every=0)
             for i, own in zip(left, near, strict=True)
@@ -71,11 +71,11 @@ def compared(
         problem = weighed
         fitted = fit(problem, fitted.point, names, where, most=3)
     if problem.channels > joints:
-        (problem,) = corrected(problem, [fitted.point])
+        (problem,) = corrected_at(problem, [fitted.point])
         assert problem.correction is not None
         unsure = np.sqrt(np.nanmean(problem.correction[:, joints:] ** 2, axis=0)) * problem.noise[joints:] / 2
         noise = np.concatenate([problem.noise[:joints], np.maximum(problem.noise[joints:], unsure)])
-        (problem,) = corrected(problem.changed(noise=noise), [fitted.point])
+        (problem,) = corrected_at(problem.changed(noise=noise), [fitted.point])
         fitted = fit(problem, fitted.point, names, where, most=3)
     return settled(problem, [(fitted, names, where)])[0]
 

@@ -62,8 +62,8 @@ class Readings:
     def of(self, segments: IntArray) -> Readings:
         """Return those of some segments that follow each other, which are then numbered from 0."""
         mine = np.flatnonzero((self.segment >= segments[0]) & (self.segment <= segments[-1]))
-        found = {name: getattr(self, name)[mine] for name in ("row", "segment", "step", "part", "since")}
-        return Readings(**{**found, "segment": found["segment"] - segments[0]})
+        found = {name: values[mine] for name, values in vars(self).items()}
+        return Readings(**found | {"segment": found["segment"] - segments[0]})
 
     def at(self, steps: int) -> IntArray:
         """Return where the readings of each step begin (steps + 1,)."""
@@ -163,7 +163,7 @@ MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
 FEW = 400
-"""Joints in the batch of a thread from which it pays: with less, threads wait for each other's Python."""
+"""Fewest simulated joints for each thread: with fewer, threads wait for each other's Python."""
 
 
 AROUND = 0.01
@@ -208,7 +208,7 @@ class Replay:
             timestep: Physics step [s].
             segment: Length of a segment [s]; by default a share of the log.
             lead_in: Time that a segment runs before its readings count [s].
-            threads: Batches at once; 0 takes one for each core.
+            threads: Threads; 0 takes one for each core.
             torque: Also predict the torque.
             sending: When targets were sent; without, when the row was written that first shows them.
             parts: Logs that this one is made of, with the drives of each; without, it is one, with the machine's.

@@ -20,7 +20,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.baseline import corrected, errors_of, settled, with_fine_derivatives
+from mimic.sysid.fit.baseline import corrected_at, errors_of, settled, with_fine_derivatives
 from mimic.sysid.fit.least_squares import (
     LARGEST,
     MOST_STEPS,
@@ -620,7 +620,7 @@ def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
     tick("final fit")
     problem = model.problem
     if "kt_heat" in model.names:
-        (problem,) = corrected(problem.warmed_up(model.fitted.point), [model.fitted.point])
+        (problem,) = corrected_at(problem.warmed_up(model.fitted.point), [model.fitted.point])
     fitted = fit(problem, model.fitted.point, model.names, model.joints, most=1, frozen=model.fitted, every=0)
     fitted = with_fine_derivatives(problem, fitted)
     problem, fitted = settled(problem, [(fitted, model.names, model.joints)])[0]
