@@ -93,8 +93,6 @@ class CapturedPPO(PPO):
             for moment in self.optimizer.state.get(parameter, {}).values():
                 moment.zero_()
 
-    # ------------------------------------------------------------------ rollout
-
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions and keep what the update needs."""
         self._seen = obs.clone() if self._seen is None else self._seen.copy_(obs)
@@ -117,8 +115,6 @@ class CapturedPPO(PPO):
 
     def _all_returns(self) -> None:
         super().compute_returns(self._seen)  # type: ignore[arg-type]
-
-    # ------------------------------------------------------------------ update
 
     def update(self) -> dict[str, float]:
         """Go over the storage in epochs and minibatches; return mean losses."""
@@ -227,8 +223,6 @@ class CapturedPPO(PPO):
         nn.utils.clip_grad_norm_(self.actor.parameters(), self.max_grad_norm)
         nn.utils.clip_grad_norm_(self.critic.parameters(), self.max_grad_norm)
         self.optimizer.step()
-
-    # ------------------------------------------------------------------ checkpoints
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, Any] | None, strict: bool) -> bool:
         """Take over a checkpoint of PPO or of this class, of a CPU or a GPU, before the first step."""

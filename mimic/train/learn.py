@@ -62,11 +62,6 @@ def settings_text(mdp: MdpSettings, learn: LearnSettings) -> str:
     return json.dumps({"mdp": plain(mdp), "learn": plain(learn)}, indent=2) + "\n"
 
 
-def settings_hash(mdp: MdpSettings, learn: LearnSettings) -> str:
-    """Return the SHA-256 of settings.json, which the contract holds."""
-    return sha256(settings_text(mdp, learn).encode()).hexdigest()
-
-
 def train(
     folder: Path,
     mdp: MdpSettings,
@@ -100,10 +95,11 @@ def train(
     if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
         learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
+    settings = settings_text(mdp, learn)
     if first:
         folder.mkdir(parents=True, exist_ok=True)
         with written_whole(folder / "settings.json") as part:
-            part.write_text(settings_text(mdp, learn), encoding="utf-8")
+            part.write_text(settings, encoding="utf-8")
     kind = SitDownEnv if mdp.task == "sit_down" else StandTrackEnv
     own = replace(mdp, worlds=mdp.worlds // processes())
     env = kind(description, own, device, learn.seed + 1000 * rank())
@@ -112,7 +108,7 @@ def train(
     runner.logger.__class__ = QuietLogger
     deadline = time.monotonic() + 60 * learn.minutes if learn.minutes > 0 else math.inf
 
-    contract = make_contract(description, mdp, settings_hash(mdp, learn))
+    contract = make_contract(description, mdp, sha256(settings.encode()).hexdigest())
     critic_alone = 0
 
     def progressed(share: float) -> None:

@@ -87,8 +87,6 @@ class WorldMotors(Chance):
         self.tau = self._zeros(12)
         """Torque of each motor at the start of the last physics step (N, 12) [N m]."""
 
-    # ------------------------------------------------------------------ set-up
-
     def write_static(self, model: mujoco.MjModel, i: int) -> None:
         """Write what the effects of robot i change once into its model."""
         static_model(model, self._machine, {key: value[i : i + 1] for key, value in self._p.items()})
@@ -123,8 +121,6 @@ class WorldMotors(Chance):
         """Give each world this share of its own gains, and the usual ones for the rest."""
         self._law.set_gains(*(u + share * (own - u) for u, own in zip(self._usual, self._own, strict=True)))
 
-    # ------------------------------------------------------------------ commands
-
     def reset(self, mask: torch.Tensor, q: torch.Tensor, dq: torch.Tensor, command: torch.Tensor) -> None:
         """Begin an episode where ``mask`` (N,), at link positions q, commanded to hold ``command`` (N, 12)."""
         self._law.begin(q, dq, where=mask[:, None])
@@ -150,8 +146,6 @@ class WorldMotors(Chance):
     def delay(self, drawn: torch.Tensor) -> torch.Tensor:
         """Return the physics steps from a command to its effect (N, 12), where drawn ones are (N, 1)."""
         return self._shift if self._delayed else self._shift + drawn
-
-    # ------------------------------------------------------------------ physics
 
     def drive(self, q: torch.Tensor, dq: torch.Tensor, substep: int) -> None:
         """Hand over the inputs of the next physics step, from link positions and velocities (N, 12)."""

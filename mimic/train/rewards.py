@@ -24,7 +24,6 @@ REGULARISATION, RAMP_STEPS = 2.0, 12_000
 SWING_SHARE = 0.7
 """Share of half a gait cycle in which a foot swings; in the rest both stand."""
 
-
 FASTEST = 4.0
 """More than this squared speed of one toe is not counted [m^2/s^2]."""
 

@@ -16,26 +16,15 @@ from mimic.train.stand_track import Judged, StandTrackEnv, mean
 from mimic.train.starts import SitDownStarts, Start
 from mimic.train.tensors import put
 
-EPISODE_STEPS = 150
-"""Control steps of an episode."""
-
-SECONDS = 1.2
-"""Time that going down should take [s]."""
+EPISODE_STEPS, SECONDS = 150, 1.2
+"""Control steps of an episode, and time that going down should take [s]."""
 
 CRASH_SPEED = 0.8
 """An episode ends where the trunk touches the ground faster than this [m/s]."""
 
-SINKING = 0.45
-"""Downward speed of the base from which on it costs [m/s]."""
-
-MOVING = 0.7
-"""Speed of the base from which on it costs [m/s]."""
-
-TUMBLING = 3.0
-"""Angular speed of the base from which on it costs [rad/s]."""
-
-JOLT = 15.0
-"""Acceleration of the base over a control step from which on it costs [m/s^2]."""
+SINKING, MOVING, TUMBLING, JOLT = 0.45, 0.7, 3.0, 15.0
+"""More costs: the base's speed downward and in any direction [m/s], its angular speed [rad/s], and its acceleration
+over a control step [m/s^2]."""
 
 NEAR = 0.004
 """What is lower than this touches the ground [m]."""
@@ -45,7 +34,6 @@ HEAD_ROOM = 0.05
 
 ON_ITS_BACK, ON_ITS_SIDE = -0.6, 0.85
 """An episode fails where the base's z axis points less up, or its y axis more up or down, than this (cosines)."""
-
 
 WEIGHTS = {
     "height": 1.6,

@@ -71,20 +71,12 @@ CAPTURE_REACH = 0.05
 STANDING = 0.7
 """Cosine between the trunk and upright from which on a front leg is shown how to reach."""
 
-MOST_HEAT = 2.0
-"""More than this sum of squared shares is not counted: standing up and catching a push cost less."""
-
-MOST_UNREST = 6.0
-"""More than this sum of squared changes of the action is not counted: nobody catches a push with small ones."""
-
-MOST_DRIFT = 0.3
-"""More than this drift is not counted [m]: a step that catches a push costs less."""
+MOST_HEAT, MOST_UNREST, MOST_DRIFT, MOST_SHUFFLE = 2.0, 6.0, 0.3, 0.3
+"""More is not counted, since standing up and catching a push need it: sums of squared shares of the torque and of
+squared changes of the action, drift [m], and speed of a hind toe on the ground [m/s]."""
 
 BEARS = 0.2
 """A foot is planted that bears this share of the robot's weight."""
-
-MOST_SHUFFLE = 0.3
-"""A hind toe that moves faster than this on the ground costs no more [m/s]."""
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
 
@@ -124,8 +116,6 @@ class StandTrackEnv(VecEnv, Chance):
         self._reset(everyone)
         self.episode_length_buf.copy_(torch.randint(0, settings.episode_steps // 2, (self.num_envs,), device=device))
         self._observe(everyone, self.worlds.lowest())
-
-    # ------------------------------------------------------------------ set-up
 
     def _constants(self) -> None:
         d, c = self.description, self.contract
@@ -171,9 +161,8 @@ class StandTrackEnv(VecEnv, Chance):
         seen = self.settings.history * FRAME_SIZE
         self._policy_obs, self._critic_obs = zeros(seen), zeros(seen + CRITIC_EXTRAS)
         self._reaching = zeros(2, 2, 3)
-        self._reward = zeros()
+        self._reward, self._load = zeros(), zeros(2)
         self._done, self._time_out = zeros(dtype=torch.bool), zeros(dtype=torch.bool)
-        self._load = zeros(2)
         self._mean_velocity, self._anchor, self._slow = zeros(2), zeros(2), zeros(len(self._averaged))
         self._rank = torch.linspace(0.0, 1.0 - 1.0 / n, n, device=device)[torch.randperm(n, device=device)]
         self._rest_share = torch.full((1,), self._passed(self.settings.rest_steps), device=device)
@@ -185,8 +174,6 @@ class StandTrackEnv(VecEnv, Chance):
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
         self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
         self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
-
-    # ------------------------------------------------------------------ the interface of rsl_rl
 
     def get_observations(self) -> TensorDict:
         """Return what actor (policy) and critic see of each world, and what nobody sees but the learner.
@@ -211,8 +198,6 @@ class StandTrackEnv(VecEnv, Chance):
         if self._calls % 12 == 0:
             extras["log"] = dict(zip(self._log, self._log_values.clone().unbind(), strict=True))
         return self.get_observations(), self._reward.clone(), self._done.long(), extras
-
-    # ------------------------------------------------------------------ one control step
 
     def _before_physics(self) -> None:
         c = self.contract
@@ -295,8 +280,6 @@ class StandTrackEnv(VecEnv, Chance):
         self._push()
         self._reset(self._done)
         self._observe(self._done, low)
-
-    # ------------------------------------------------------------------ the task: what sitting down does in its own way
 
     def _weights_now(self) -> dict[str, float]:
         """Return the weight of each reward term by now."""
@@ -492,8 +475,6 @@ class StandTrackEnv(VecEnv, Chance):
         rate = 2 * math.pi * self.contract.clock_hz * self.contract.dt
         return self.phase_at_start + rate * self.episode_length_buf
 
-    # ------------------------------------------------------------------ chance and pushes
-
     def _push(self) -> None:
         r = self.settings.randomisation
         every = round(r.push_interval / self.contract.dt)
@@ -503,8 +484,6 @@ class StandTrackEnv(VecEnv, Chance):
         angle = torch.where(self._rand() < PUSHED_SIDEWAYS, self._heading + side, angle)
         kick = torch.stack([speed * torch.cos(angle), speed * torch.sin(angle)], -1)
         self.worlds.qvel[:, :2].add_(kick * due[:, None])
-
-    # ------------------------------------------------------------------ resets and observations
 
     def _reset(self, mask: torch.Tensor) -> None:
         w, start = self.worlds, self._starts.draw()

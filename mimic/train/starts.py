@@ -24,11 +24,9 @@ TILT, SIT_DOWN_TILT = 0.12, 0.25
 UNEVEN, SIT_DOWN_ROLL = 0.05, 0.1
 """Largest roll of any start and pitch of a lying one; largest roll of a random start of sitting down [rad]."""
 
-LIFTED = 0.01
-"""Added to the heights of the poses, so that nothing starts inside the ground [m]."""
-
-NEAREST = 0.01
-"""No joint starts nearer to its limits [rad]."""
+LIFTED, NEAREST = 0.01, 0.01
+"""Added to the heights of the poses, so that nothing starts inside the ground [m]; least distance of a joint from its
+limits [rad]."""
 
 KINDS = ("steady", "rising", "falling")
 """Recorded states: while standing, walking and turning; while standing up; while falling after a push."""
@@ -36,14 +34,9 @@ KINDS = ("steady", "rising", "falling")
 STRIDE = 0.45
 """Sitting down: largest change of the hind legs' joints of a random upright start [rad]."""
 
-VELOCITY, TURN = 0.3, 1.0
-"""… largest base velocity along each axis [m/s], and angular velocity [rad/s]."""
-
-OFFSET = 0.15
-"""… largest difference between command and position of its joints [rad]."""
-
-JITTER = 0.15
-"""… largest change of a recorded base velocity along each axis [m/s]."""
+VELOCITY, TURN, OFFSET, JITTER = 0.3, 1.0, 0.15, 0.15
+"""… largest base velocity along each axis [m/s], angular velocity [rad/s], difference between command and position of
+its joints [rad], and change of a recorded base velocity along each axis [m/s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
