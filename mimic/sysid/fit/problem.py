@@ -19,7 +19,7 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.replay import SEGMENT, SHOOT, Replay, Targets
+from mimic.sysid.fit.replay import SEGMENT, Replay, Targets
 from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
@@ -225,7 +225,7 @@ class Problem:
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
         some, more = (
-            self._whitened(self._replayed(self.replay.finer(FINE * times, SHOOT, len(points)), points))
+            self._whitened(self._replayed(self.replay.finer(FINE * times, SEGMENT[0], len(points)), points))
             for times in (1, 2)
         )
         return 2.0 * more - some
@@ -253,7 +253,7 @@ class Problem:
 
     def warmed_up(self, point: Point) -> Problem:
         """Return the problem whose segments begin with motors as warm as a finer replay says; see `in_fine_steps`."""
-        fine = self.replay.finer(FINE, SHOOT)
+        fine = self.replay.finer(FINE, SEGMENT[0])
         heat = np.sqrt(fine.mean_square_torque(stack([point], self.machine)))
         return self.changed(replay=self.replay.with_heat(heat))
 
