@@ -21,7 +21,7 @@ from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 
 from mimic.robot.description import load_description  # noqa: E402
 from mimic.train.contract import make_contract  # noqa: E402
-from mimic.train.learn import runner_config, settings_hash  # noqa: E402
+from mimic.train.learn import runner_config, settings_text  # noqa: E402
 from mimic.train.learn import train as train_robot  # noqa: E402
 from mimic.train.runner import TrainingDiverged  # noqa: E402
 from mimic.train.stand_track import StandTrackEnv  # noqa: E402
@@ -55,8 +55,8 @@ def test_a_training_leaves_policy_checkpoints_settings_and_curves(trained):
 
 def test_the_exported_policy_carries_its_contract(trained, description):
     policy = Policy(trained / "policy.onnx", description)
-    assert policy.contract == make_contract(description, MDP, settings_hash(MDP, LEARN))
-    assert policy.contract.training == sha256((trained / "settings.json").read_bytes()).hexdigest()
+    stored = sha256((trained / "settings.json").read_bytes()).hexdigest()
+    assert policy.contract == make_contract(description, MDP, stored)
 
 
 def test_the_exported_policy_answers_as_the_trained_one(trained, description):
@@ -132,7 +132,7 @@ def test_a_gpu_that_is_not_there_is_reported_before_anything_is_written(tmp_path
     assert not (tmp_path / "new").exists()
 
 
-def test_the_hash_of_the_settings_identifies_trainings():
-    assert settings_hash(MDP, LEARN) == settings_hash(MdpSettings(worlds=4), LEARN)
+def test_the_text_of_the_settings_identifies_trainings():
+    assert settings_text(MDP, LEARN) == settings_text(MdpSettings(worlds=4), LEARN)
     other = dataclasses.replace(MDP, rewards=RewardWeights(slip=-0.123))
-    assert settings_hash(other, LEARN) != settings_hash(MDP, LEARN)
+    assert settings_text(other, LEARN) != settings_text(MDP, LEARN)

@@ -19,7 +19,7 @@ from mimic.dynamics.catalogue import CATALOGUE, Parameter, scale_of
 from mimic.dynamics.machine import MachineModel
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray, IntArray
-from mimic.sysid.fit.replay import SEGMENT, Replay, Targets
+from mimic.sysid.fit.replay import Replay, Targets
 from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import Blocks, Sums
 from mimic.sysid.log.timing import SendingTimes
@@ -225,8 +225,7 @@ class Problem:
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
         some, more = (
-            self._whitened(self._replayed(self.replay.finer(FINE * times, SEGMENT[0], len(points)), points))
-            for times in (1, 2)
+            self._whitened(self._replayed(self.replay.finer(FINE * times, len(points)), points)) for times in (1, 2)
         )
         return 2.0 * more - some
 
@@ -248,12 +247,12 @@ class Problem:
             by[group] = back[group]
             opposite.append(point.moved(free_parameters, by))
         asked = [*points, *opposite]
-        made = self._whitened(self._replayed(self.replay.finer(FINE, SEGMENT[0], len(asked)), asked))
+        made = self._whitened(self._replayed(self.replay.finer(FINE, len(asked)), asked))
         return self.columns(made[len(points) :], made[: len(points)], groups, free_parameters, sizes - back)
 
     def warmed_up(self, point: Point) -> Problem:
         """Return the problem whose segments begin with motors as warm as a finer replay says; see `in_fine_steps`."""
-        fine = self.replay.finer(FINE, SEGMENT[0])
+        fine = self.replay.finer(FINE)
         heat = np.sqrt(fine.mean_square_torque(stack([point], self.machine)))
         return self.changed(replay=self.replay.with_heat(heat))
 

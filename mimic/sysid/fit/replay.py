@@ -254,15 +254,15 @@ class Replay:
         """Square torque at each reading (T, J), where it is known."""
         self._batches: dict[int, Batch] = {}
         self._stop = Event()
-        self._finer: dict[tuple[int, float], Replay] = {}
+        self._finer: dict[int, Replay] = {}
 
-    def finer(self, times: int, segment: float, count: int = 1) -> Replay:
-        """Return this replay in finer steps and segments of another length [s]; counts ``count`` replays."""
+    def finer(self, times: int, count: int = 1) -> Replay:
+        """Return this replay in finer steps and segments of the least length; counts ``count`` replays."""
         self.replays += times * count
-        fine = self._finer.get((times, segment)) or self._again(self.dt / times, segment)
+        fine = self._finer.get(times) or self._again(self.dt / times, SEGMENT[0])
         if fine.late is not self.late:
             fine = fine.with_late(self.late)
-        self._finer[times, segment] = fine
+        self._finer[times] = fine
         return fine if fine.heat is self.heat else fine._with(heat=self.heat)
 
     def in_short_segments(self) -> Self:
