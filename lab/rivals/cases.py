@@ -12,7 +12,16 @@ import numpy as np
 from lab.hidden_effects.generator import measured, simulate
 from lab.hidden_effects.scenarios import Scenario, build
 from lab.hidden_effects.suite import hung, legs_mjcf
-from lab.real_logs.logs import EMPS_MJCF, SERVO_MJCF, emps_log, identify, read_emps, servo_logs
+from lab.real_logs.logs import (
+    EMPS_MJCF,
+    SERVO_MJCF,
+    XL330_MJCF,
+    emps_log,
+    identify,
+    read_emps,
+    servo_logs,
+    xl330_logs,
+)
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, read_machine
 from mimic.io.joint_log import JointLog
@@ -121,6 +130,28 @@ def servo_case(folder: Path) -> Case:
             ("armature", "inertia"): (0.0, 0.1),
             ("encoder_offset", "angle"): (-0.1, 0.1),
             ("delay", "time"): (-0.01, 0.06),
+        },
+    )
+
+
+def xl330_case(folder: Path) -> Case:
+    """Return seven logs of the XL330, a voltage drive, to fit and the other, of squares at high gain, to judge by."""
+    logs = xl330_logs(folder / "xl330")
+    test = logs.pop("sin_time_square_kp800")
+    return Case(
+        title="XL330, seven logs, judged by the eighth",
+        hidden=("load_friction",),
+        fitted=tuple(logs.values()),
+        test=test,
+        machine=_compiled(XL330_MJCF),
+        mjcf=XL330_MJCF,
+        ranges={
+            ("coulomb", "level"): (0.0, 0.2),
+            ("viscous", "coefficient"): (0.0, 0.1),
+            ("link_mass", "factor"): (0.8, 1.2),
+            ("armature", "inertia"): (0.0, 0.02),
+            ("encoder_offset", "angle"): (-0.1, 0.1),
+            ("delay", "time"): (-0.01, 0.03),
         },
     )
 
