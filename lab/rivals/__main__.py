@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from lab.rivals.cases import Case, emps_case, leg_case, servo_case, xl330_case
+from lab.rivals.cases import Case, arm_case, emps_case, go2_case, leg_case, servo_case, xl330_case
 from lab.rivals.methods import METHODS, Found
 from mimic.dynamics.machine import as_logged
 from mimic.errors import MimicError
@@ -44,7 +44,9 @@ def cases(folder: Path) -> dict[str, Callable[[], Case]]:
     return {
         "STS3250": partial(servo_case, folder),
         "EMPS": partial(emps_case, folder),
-        "XL330": partial(xl330_case, folder),
+        "Go2": partial(go2_case, folder),
+        **{f"XL330 {f.stem}": partial(xl330_case, folder, f.stem) for f in sorted(folder.glob("xl330/*.parquet"))},
+        **{f"arm {f.stem}": partial(arm_case, folder, f.stem) for f in sorted(folder.glob("arm/*.parquet"))},
         **{f"leg {key.split('/')[1]}": partial(leg_case, key) for key in LEGS},
     }
 

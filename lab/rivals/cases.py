@@ -17,6 +17,7 @@ from lab.real_logs.logs import (
     SERVO_MJCF,
     XL330_MJCF,
     emps_log,
+    go2_log,
     identify,
     read_emps,
     servo_logs,
@@ -24,7 +25,7 @@ from lab.real_logs.logs import (
 )
 from mimic.dynamics.excitation import hung_ranges, probe_targets
 from mimic.dynamics.machine import MachineModel, read_machine
-from mimic.io.joint_log import JointLog
+from mimic.io.joint_log import JointLog, read_log
 from mimic.robot.description import load_description
 
 Ranges = Mapping[tuple[str, str], tuple[float, float]]
@@ -38,6 +39,18 @@ LEG_RANGES: Ranges = {
     ("delay", "time"): (0.0, 0.03),
 }
 """Source: Li et al. 2024, section IV, for friction, damping, mass and delay."""
+
+ARM_EFFECTS: Mapping[str, tuple[str, ...]] = {
+    "asym": ("asymmetric_friction",),
+    "backlash": ("backlash",),
+    "belt": ("compliance",),
+    "boucwen": (),
+    "ecc": ("encoder_eccentricity",),
+    "heat": ("kt_heat",),
+    "tgtfilter": ("target_filter",),
+    "tlimit": ("torque_speed",),
+}
+"""What is hidden in each log of the arm, in the words of the catalogue; () where it has no word for it."""
 
 SERVO_DRIVE = {"kp": 53.7, "kd": 1.19, "torque": 5.05, "speed": 8.88, "armature": 0.00725}
 """Drive of the STS3250 [N m/rad, N m s/rad, N m, rad/s, kg m^2], which every method is given; its register does not
@@ -134,12 +147,12 @@ def servo_case(folder: Path) -> Case:
     )
 
 
-def xl330_case(folder: Path) -> Case:
-    """Return seven logs of the XL330, a voltage drive, to fit and the other, of squares at high gain, to judge by."""
+def xl330_case(folder: Path, left_out: str) -> Case:
+    """Return seven logs of the XL330, a voltage drive, to fit and the eighth to judge by."""
     logs = xl330_logs(folder / "xl330")
-    test = logs.pop("sin_time_square_kp800")
+    test = logs.pop(left_out)
     return Case(
-        title="XL330, seven logs, judged by the eighth",
+        title=f"XL330, seven logs, judged by {left_out.replace('_', ' ')}",
         hidden=("load_friction",),
         fitted=tuple(logs.values()),
         test=test,
@@ -154,6 +167,43 @@ def xl330_case(folder: Path) -> Case:
             ("delay", "time"): (-0.01, 0.03),
         },
     )
+
+
+def arm_case(folder: Path, name: str) -> Case:
+    """Return two thirds of a log of the arm of another pen to fit and the last third to judge by."""
+    log, text = read_log(folder / "arm" / f"{name}.parquet"), (folder / "arm" / "arm.xml").read_text(encoding="utf-8")
+    fitted, test = _parts(log, 2 / 3)
+    hidden = ARM_EFFECTS[name.split("_")[-2]]
+    return Case(
+        title=f"arm, {' '.join(hidden or ('something unknown',)).replace('_', ' ')} hidden, judged by its last third",
+        hidden=hidden,
+        fitted=(fitted,),
+        test=test,
+        machine=_compiled(text),
+        mjcf=text,
+        ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 0.6), ("viscous", "coefficient"): (0.0, 0.3)},
+    )
+
+
+def go2_case(folder: Path) -> Case:
+    """Return the first half of the Go2's log in the air to fit and the second to judge by."""
+    log = go2_log(folder / "go2_air_chirp" / "log.parquet")
+    text = (folder / "go2_air_chirp" / "go2_hung.xml").read_text(encoding="utf-8")
+    fitted, test = _parts(log, 1 / 2)
+    return Case(
+        title="Go2 in the air, judged by the second half",
+        hidden=None,
+        fitted=(fitted,),
+        test=test,
+        machine=_compiled(text),
+        mjcf=text,
+        ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 1.0), ("viscous", "coefficient"): (0.0, 0.5)},
+    )
+
+
+def _parts(log: JointLog, share: float) -> tuple[JointLog, JointLog]:
+    at = round(share * len(log.t))
+    return log.part(slice(at)), log.part(slice(at, None))
 
 
 def _compiled(mjcf: str) -> MachineModel:
