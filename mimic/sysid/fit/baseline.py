@@ -42,16 +42,21 @@ def settled(problem: Problem, fits: Sequence[Fitted]) -> list[tuple[Problem, Fit
             fitting(own, made[i][1].point, *fits[i][1:], most=1, frozen=made[i][1], every=0)
             for i, own in zip(left, near, strict=True)
         ]
-        moved = []
+        again = []
         for i, own, after in zip(left, near, fit_all(problem, asked), strict=True):
-            size = np.array([k.step for k in after.free_parameters])
-            by = after.point.read(after.free_parameters) - made[i][1].point.read(after.free_parameters)
+            if moved(made[i][1], after):
+                again.append(i)
             made[i] = own, after
-            if not np.all(np.abs(by) <= WIDE * size):
-                moved.append(i)
-        if not (left := moved):
+        if not (left := again):
             break
     return made
+
+
+def moved(before: Fit, after: Fit) -> bool:
+    """Return whether a number of a fit moved further than its derivative was taken over."""
+    size = np.array([k.step for k in after.free_parameters])
+    by = after.point.read(after.free_parameters) - before.point.read(after.free_parameters)
+    return not np.all(np.abs(by) <= WIDE * size)
 
 
 def with_fine_derivatives(problem: Problem, fitted: Fit) -> Fit:

@@ -229,6 +229,11 @@ class Problem:
         )
         return 2.0 * more - some
 
+    def in_finer_replay(self, point: Point) -> Problem:
+        """Return the problem of a replay with ``FINE`` times more steps, corrected at a point; see `in_fine_steps`."""
+        fine = self.changed(replay=self.replay.finer(FINE), correction=None)
+        return fine.changed(correction=(self.in_fine_steps([point]) - fine.uncorrected([point]))[0])
+
     def columns_in_fine_steps(self, point: Point, free_parameters: Sequence[FreeParameter]) -> list[FloatArray]:
         """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.
 

@@ -20,7 +20,7 @@ from mimic.dynamics.catalogue import CATALOGUE
 from mimic.dynamics.law import STIFFEST
 from mimic.dynamics.servo import neutral
 from mimic.records import BoolArray, FloatArray
-from mimic.sysid.fit.baseline import corrected_at, errors_of, settled, with_fine_derivatives
+from mimic.sysid.fit.baseline import corrected_at, errors_of, moved, settled, with_fine_derivatives
 from mimic.sysid.fit.least_squares import (
     LARGEST,
     MOST_STEPS,
@@ -616,13 +616,18 @@ def _is_none(model: FittedModel, k: FreeParameter) -> bool:
 
 
 def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
-    """Return the model fitted again, with derivatives in fine steps."""
+    """Return the model fitted again, in fine steps: what a log hardly determines moves far in coarse ones."""
     tick("final fit")
     problem = model.problem
     if "kt_heat" in model.names:
         (problem,) = corrected_at(problem.warmed_up(model.fitted.point), [model.fitted.point])
     fitted = fit(problem, model.fitted.point, model.names, model.joints, most=1, frozen=model.fitted, every=0)
-    fitted = with_fine_derivatives(problem, fitted)
+    for _ in range(2):
+        start = with_fine_derivatives(problem, fitted)
+        fine = problem.in_finer_replay(start.point)
+        fitted = fit(fine, start.point, model.names, model.joints, most=MOST_STEPS, frozen=start, every=0)
+        if not moved(start, fitted):
+            break
     problem, fitted = settled(problem, [(fitted, model.names, model.joints)])[0]
     return replace(model, problem=problem, fitted=fitted)
 

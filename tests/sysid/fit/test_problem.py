@@ -6,6 +6,7 @@ import pytest
 from mimic.dynamics.catalogue import BASELINE
 from mimic.dynamics.effect_set import EffectValues
 from mimic.dynamics.machine import MachineModel
+from mimic.sysid.fit.baseline import settled, with_fine_derivatives
 from mimic.sysid.fit.least_squares import fit, left_out
 from mimic.sysid.fit.problem import Point
 from mimic.sysid.log.noise import coarse_steps, noise_floor
@@ -70,3 +71,20 @@ def test_what_goes_together_without_a_change_has_derivatives_that_cancel(
     columns = problem.columns_in_fine_steps(point, free_parameters)
     together = sum(value * column for value, column in zip(point.read(free_parameters), columns, strict=True))
     assert np.sqrt(np.nanmean(np.square(together))) < 0.2
+
+
+@pytest.mark.slow
+def test_a_fit_in_fine_steps_finds_what_coarse_ones_are_wrong_about(pair: MachineModel, log_of, problem_of) -> None:
+    """The scale of all forces shows in a millisecond after each target only; see the last test."""
+    soft = EffectValues(name="gains", joints=("a", "b"), values={"kp": np.full(2, 0.7), "kd": np.ones(2)})
+    problem, baseline = problem_of(pair, log_of(pair, soft, fast=1.0, timestep=0.00025), 0.005)
+    names = [*BASELINE, "gains"]
+    start = baseline.with_effect("gains", pair, {"kp": 0.9, "kd": 1.0})
+    ((problem, coarse),) = settled(problem, [(fit(problem, start, names, {}, most=10), names, {})])
+    fine = problem.in_finer_replay(coarse.point)
+    np.testing.assert_allclose(fine.residuals([coarse.point]), problem.in_fine_steps([coarse.point]), atol=1e-3)
+    again = fit(fine, coarse.point, names, {}, most=10, frozen=with_fine_derivatives(problem, coarse), every=0)
+    left = [np.nansum(problem.in_fine_steps([f.point])[0, problem.blocks.fitted] ** 2) for f in (coarse, again)]
+    off = [np.abs(f.point.values["gains", "kp"] - 0.7).max() for f in (coarse, again)]
+    assert left[1] < left[0]
+    assert off[1] < 0.5 * off[0]
