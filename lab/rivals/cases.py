@@ -72,6 +72,8 @@ class Case:
     ranges: Ranges
     """Where the methods that need ranges look."""
     unit: tuple[str, float] = ("mrad", 1e3)
+    judged_from: float = 0.0
+    """Time of the test log from which on it is judged [s]: in one that begins in motion the speed is not known at first."""
 
 
 def leg_case(key: str) -> Case:
@@ -182,6 +184,7 @@ def arm_case(folder: Path, name: str) -> Case:
         machine=_compiled(text),
         mjcf=text,
         ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 0.6), ("viscous", "coefficient"): (0.0, 0.3)},
+        judged_from=1.0,
     )
 
 
@@ -198,6 +201,7 @@ def go2_case(folder: Path) -> Case:
         machine=_compiled(text),
         mjcf=text,
         ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 1.0), ("viscous", "coefficient"): (0.0, 0.5)},
+        judged_from=1.0,
     )
 
 
