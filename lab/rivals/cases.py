@@ -73,7 +73,7 @@ class Case:
     """Where the methods that need ranges look."""
     unit: tuple[str, float] = ("mrad", 1e3)
     judged_from: float = 0.0
-    """Time of the test log from which on it is judged [s]: in one that begins in motion the speed is not known at first."""
+    """From when on the test log is judged [s]: where it begins in motion, its speed is not known at first."""
 
 
 def leg_case(key: str) -> Case:
