@@ -626,6 +626,7 @@ def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
         start = with_fine_derivatives(problem, fitted)
         fine = problem.in_finer_replay(start.point)
         fitted = fit(fine, start.point, model.names, model.joints, most=MOST_STEPS, frozen=start, every=0)
+        fitted = replace(fitted, columns=start.columns)  # those that `fit` corrected make more seem determined
         if not moved(start, fitted):
             break
     problem, fitted = settled(problem, [(fitted, model.names, model.joints)])[0]
