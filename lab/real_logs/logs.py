@@ -221,10 +221,10 @@ def xl330_logs(folder: Path) -> dict[str, JointLog]:
     return made
 
 
-def halves(log: JointLog) -> tuple[JointLog, JointLog]:
-    """Return the first and the second half of a log as two logs."""
-    middle = len(log.t) // 2
-    return log.part(slice(middle)), log.part(slice(middle, None))
+def divided(log: JointLog, share: float = 0.5) -> tuple[JointLog, JointLog]:
+    """Return this share of a log, and the rest, as two logs."""
+    at = int(share * len(log.t))
+    return log.part(slice(at)), log.part(slice(at, None))
 
 
 def _relative(made: FloatArray, measured: FloatArray) -> float:
@@ -257,7 +257,7 @@ def main() -> None:
     (arguments.out / "emps.xml").write_text(EMPS_MJCF, encoding="utf-8")
     go2 = go2_log(arguments.data / "go2_air_chirp" / "log.parquet")
     write_log(go2, arguments.out / "go2.parquet")
-    for name, half in zip(("first", "second"), halves(go2), strict=True):
+    for name, half in zip(("first", "second"), divided(go2), strict=True):
         write_log(half, arguments.out / f"go2_{name}.parquet")
     for motion, log in servo_logs(arguments.data / "sts3250").items():
         write_log(log, arguments.out / f"servo_{motion}.parquet")

@@ -16,6 +16,7 @@ from lab.real_logs.logs import (
     EMPS_MJCF,
     SERVO_MJCF,
     XL330_MJCF,
+    divided,
     emps_log,
     go2_log,
     identify,
@@ -173,41 +174,38 @@ def xl330_case(folder: Path, left_out: str) -> Case:
 
 def arm_case(folder: Path, name: str) -> Case:
     """Return two thirds of a log of the arm of another pen to fit and the last third to judge by."""
-    log, text = read_log(folder / "arm" / f"{name}.parquet"), (folder / "arm" / "arm.xml").read_text(encoding="utf-8")
-    fitted, test = _parts(log, 2 / 3)
     hidden = ARM_EFFECTS[name.split("_")[-2]]
+    what = " ".join(hidden or ("something unknown",)).replace("_", " ")
+    ranges = {**LEG_RANGES, ("coulomb", "level"): (0.0, 0.6), ("viscous", "coefficient"): (0.0, 0.3)}
+    log = read_log(folder / "arm" / f"{name}.parquet")
+    title = f"arm, {what} hidden, judged by its last third"
+    return _by_its_rest(title, hidden, log, 2 / 3, folder / "arm" / "arm.xml", ranges)
+
+
+def go2_case(folder: Path) -> Case:
+    """Return the first half of the Go2's log in the air to fit and the second to judge by."""
+    ranges = {**LEG_RANGES, ("coulomb", "level"): (0.0, 1.0), ("viscous", "coefficient"): (0.0, 0.5)}
+    air = folder / "go2_air_chirp"
+    log = go2_log(air / "log.parquet")
+    return _by_its_rest("Go2 in the air, judged by the second half", None, log, 1 / 2, air / "go2_hung.xml", ranges)
+
+
+def _by_its_rest(
+    title: str, hidden: tuple[str, ...] | None, log: JointLog, share: float, model: Path, ranges: Ranges
+) -> Case:
+    """Return a share of a log to fit and the rest, which begins in motion, to judge by."""
+    fitted, test = divided(log, share)
+    text = model.read_text(encoding="utf-8")
     return Case(
-        title=f"arm, {' '.join(hidden or ('something unknown',)).replace('_', ' ')} hidden, judged by its last third",
+        title=title,
         hidden=hidden,
         fitted=(fitted,),
         test=test,
         machine=_compiled(text),
         mjcf=text,
-        ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 0.6), ("viscous", "coefficient"): (0.0, 0.3)},
+        ranges=ranges,
         judged_from=1.0,
     )
-
-
-def go2_case(folder: Path) -> Case:
-    """Return the first half of the Go2's log in the air to fit and the second to judge by."""
-    log = go2_log(folder / "go2_air_chirp" / "log.parquet")
-    text = (folder / "go2_air_chirp" / "go2_hung.xml").read_text(encoding="utf-8")
-    fitted, test = _parts(log, 1 / 2)
-    return Case(
-        title="Go2 in the air, judged by the second half",
-        hidden=None,
-        fitted=(fitted,),
-        test=test,
-        machine=_compiled(text),
-        mjcf=text,
-        ranges={**LEG_RANGES, ("coulomb", "level"): (0.0, 1.0), ("viscous", "coefficient"): (0.0, 0.5)},
-        judged_from=1.0,
-    )
-
-
-def _parts(log: JointLog, share: float) -> tuple[JointLog, JointLog]:
-    at = round(share * len(log.t))
-    return log.part(slice(at)), log.part(slice(at, None))
 
 
 def _compiled(mjcf: str) -> MachineModel:

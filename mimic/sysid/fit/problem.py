@@ -224,15 +224,20 @@ class Problem:
         From replays with ``FINE`` and twice as many times more steps: what is left of their error goes with the step
         where the motors are at their limits, and with its square elsewhere (Richardson).
         """
-        some, more = (
-            self._whitened(self._replayed(self.replay.finer(FINE * times, len(points)), points)) for times in (1, 2)
-        )
+        some, more = self._in_finer_replays(points)
         return 2.0 * more - some
 
     def in_finer_replay(self, point: Point) -> Problem:
         """Return the problem of a replay with ``FINE`` times more steps, corrected at a point; see `in_fine_steps`."""
-        fine = self.changed(replay=self.replay.finer(FINE), correction=None)
-        return fine.changed(correction=(self.in_fine_steps([point]) - fine.uncorrected([point]))[0])
+        some, more = self._in_finer_replays([point])
+        return self.changed(replay=self.replay.finer(FINE), correction=2.0 * (more - some)[0])
+
+    def _in_finer_replays(self, points: Sequence[Point]) -> tuple[FloatArray, FloatArray]:
+        """Return whitened residuals (N, T, C) in ``FINE`` and twice as many times more steps."""
+        some, more = (
+            self._whitened(self._replayed(self.replay.finer(FINE * times, len(points)), points)) for times in (1, 2)
+        )
+        return some, more
 
     def columns_in_fine_steps(self, point: Point, free_parameters: Sequence[FreeParameter]) -> list[FloatArray]:
         """Return the derivatives (T, C) for each free parameter in finer steps; see `columns`.

@@ -616,7 +616,7 @@ def _is_none(model: FittedModel, k: FreeParameter) -> bool:
 
 
 def _polished(model: FittedModel, tick: Callable[[str], None]) -> FittedModel:
-    """Return the model fitted again, in fine steps: what a log hardly determines moves far in coarse ones."""
+    """Return the model fitted again, in fine steps: coarse ones hold back what a log hardly determines."""
     tick("final fit")
     problem = model.problem
     if "kt_heat" in model.names:
