@@ -48,18 +48,25 @@ class Lateness:
 
 
 def _lost(value: FloatArray, deviation: FloatArray, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
-    """Return the share of lost targets, from what a log says of each (K,): none or whole periods late.
+    """Return the share of lost targets, and the lateness to be expected of each (K,): none or whole periods.
 
-    One that is sent again until another follows (K,) may be lost each time.
+    The share and what it makes of each target are found in turn (expectation and maximisation). A target that is sent
+    again until another follows (K,) may be lost each time.
     """
     known = deviation < CERTAIN
     usual = float(np.median(value[known])) if known.any() else 0.0
-    gone = (np.round(value - usual) > 0) & known
-    if not gone.any():
-        return 0.0, (0.0, 0.0), np.zeros(len(gone))
-    interval = binomtest(int(gone.sum()), int(known.sum())).proportion_ci(method="wilson")
-    times = np.clip(np.round(value - usual), 1.0, gaps)
-    return gone.sum() / known.sum(), (interval.low, interval.high), np.where(gone, times, 0.0) + usual
+    late = value - usual
+    times = np.clip(np.round(late), 1.0, gaps)
+    likely = np.exp(np.clip((late**2 - (late - times) ** 2) / (2 * deviation**2), -50.0, 50.0))
+    share, gone = 0.5, np.zeros(len(value))
+    for _ in range(30):
+        gone = share * likely / (share * likely + 1 - share)
+        share = float(gone.mean())
+    count = int(known.sum())
+    if round(share * count) == 0:
+        return 0.0, (0.0, 0.0), np.zeros(len(value))
+    interval = binomtest(round(share * count), count).proportion_ci(method="wilson")
+    return share, (interval.low, interval.high), gone * times + usual
 
 
 def _jittered(

@@ -23,13 +23,13 @@ from mimic.sysid.select.models import compare
 TIMING = ("lost_commands", "delay_jitter")
 
 
-def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False) -> JointLog:
+def log_of(pair: MachineModel, *hidden: EffectValues, held: bool = False, size: float = 0.4) -> JointLog:
     """Return 11 s of sines, a target each 20 ms; with ``held`` each is sent five times in every other second."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 11.0, 0.02)
     phase = rng.uniform(0, 2 * np.pi, (4, 2))
     rates = (0.4, 0.9, 1.7, 3.1)
-    q_des = sum(0.4 / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
+    q_des = sum(size / (1 + k) * np.sin(2 * np.pi * f * t[:, None] + phase[k]) for k, f in enumerate(rates))
     if held:
         rows = np.arange(len(t))
         q_des = q_des[np.where(t % 2.0 < 1.0, rows - rows % 5, rows)]
@@ -56,6 +56,14 @@ def test_lost_commands_are_named_with_their_share(pair: MachineModel) -> None:
     effect = next(e for e in result.effects if e.name == "lost_commands")
     low, high = effect.intervals["share"][0]
     assert low < share < high
+    assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
+
+
+@pytest.mark.slow
+def test_lost_commands_are_named_where_a_log_hardly_tells_which_were_lost(pair: MachineModel) -> None:
+    log = log_of(pair, EffectValues(name="lost_commands", values={"share": 0.13}), size=0.04)
+    result = calibrate(log, pair, CalibrateSettings(effects=TIMING, timestep=0.005))
+    assert found(result) == ["lost_commands"]
     assert np.all(result.stages[-1].errors.held_out < 1.15 * result.noise)
 
 
