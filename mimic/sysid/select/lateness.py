@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse
 from scipy.ndimage import uniform_filter1d
+from scipy.special import expit, logit
 from scipy.stats import binomtest
 
 from mimic.records import BoolArray, FloatArray
@@ -50,9 +51,9 @@ class Lateness:
 def _lost(value: FloatArray, deviation: FloatArray, gaps: FloatArray) -> tuple[float, tuple[float, float], FloatArray]:
     """Return the share of lost targets, and the lateness to be expected of each (K,): none or whole periods.
 
-    The share and what it makes of each target are found in turn (expectation and maximisation). How far values scatter
-    towards early, which no target can be, shows what the model's errors add. A target that is sent again until another
-    follows (K,) may be lost each time.
+    The share and each target's probability of being lost are found in turn (expectation-maximisation). How far values
+    scatter towards early, which no target can be, shows what the model's errors add. A target that is sent again until
+    another follows (K,) may be lost each time.
     """
     known = deviation < CERTAIN
     usual = float(np.median(value[known])) if known.any() else 0.0
@@ -60,11 +61,11 @@ def _lost(value: FloatArray, deviation: FloatArray, gaps: FloatArray) -> tuple[f
     early = float(np.mean(np.minimum(late / deviation, 0.0) ** 2))
     spread = deviation * np.sqrt(max(2 * early, 1.0))
     times = np.clip(np.round(late), 1.0, gaps)
-    likely = np.exp(np.clip((late**2 - (late - times) ** 2) / (2 * spread**2), -50.0, 50.0))
-    share, gone = 0.5, np.zeros(len(value))
+    evidence = times * (late - times / 2) / spread**2
+    gone = expit(evidence)
     for _ in range(30):
-        gone = share * likely / (share * likely + 1 - share)
-        share = float(gone.mean())
+        gone = expit(evidence + logit(gone.mean()))
+    share = float(gone.mean())
     count = max(int(known.sum()), 1)
     interval = binomtest(round(share * count), count).proportion_ci(method="wilson")
     return share, (interval.low, interval.high), gone * times + usual
