@@ -61,10 +61,9 @@ def static_fields(batch: Batch, machine: MachineModel, law: Law, p: Parameters) 
     if law.rotor is not None:
         armature[law.rotor["there"]] = 0.0
     parts = _inertial_parts(p)
-    changed = any(part is not None for part in parts)
-    made = inertias(machine, *parts) if changed else Inertias.of(model)
-    for f in fields(made):
-        if changed or batch.expanded(f"body_{f.name}") is not None:
+    if any(part is not None for part in parts):
+        made = inertias(machine, *parts)
+        for f in fields(made):
             batch.expand(f"body_{f.name}")[:] = getattr(made, f.name)
     gravity = batch.expand("opt.gravity")
     gravity[:] = model.opt.gravity

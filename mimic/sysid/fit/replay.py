@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
-from threading import Event
 from typing import Any, Self
 
 import mujoco
@@ -58,12 +56,6 @@ class Readings:
     """How far into the step, up to 1 for its end."""
     since: IntArray
     """Steps of the segment that were over at the reading before; 0 for its first."""
-
-    def of(self, segments: IntArray) -> Readings:
-        """Return those of some segments that follow each other, which are then numbered from 0."""
-        mine = np.flatnonzero((self.segment >= segments[0]) & (self.segment <= segments[-1]))
-        found = {name: values[mine] for name, values in vars(self).items()}
-        return Readings(**found | {"segment": found["segment"] - segments[0]})
 
     def at(self, steps: int) -> IntArray:
         """Return where the readings of each step begin (steps + 1,)."""
@@ -162,10 +154,6 @@ SEGMENTS, SEGMENT = 24, (1.5, 6.0)
 MOST_SIMULATIONS = 1536
 """Simulations in one batch: enough that Python's share of a step is small, few enough for the cache."""
 
-FEW = 400
-"""Fewest simulated joints for each thread: with fewer, threads wait for each other's Python."""
-
-
 AROUND = 0.01
 """The velocity that a segment begins with is that between readings so long before and after [s]."""
 
@@ -252,8 +240,6 @@ class Replay:
         self._count = [0]
         self.heat: FloatArray | None = None
         """Square torque at each reading (T, J), where it is known."""
-        self._batches: dict[int, Batch] = {}
-        self._stop = Event()
         self._finer: dict[int, Replay] = {}
 
     def finer(self, times: int, count: int = 1) -> Replay:
@@ -314,7 +300,7 @@ class Replay:
         return self._with(sending=sending, _finer={}).with_late(None)
 
     def _with(self, **fields: Any) -> Self:
-        """Return the replay with other fields; batches are used by both."""
+        """Return the replay with other fields."""
         other = copy(self)
         for name, value in fields.items():
             setattr(other, name, value)
@@ -372,28 +358,14 @@ class Replay:
             targets: Those of each of them (count, ...), instead of the log's.
             square: Instead of a torque residual return minus the mean square torque.
         """
-        shape = (count, len(self.log.t), len(self.machine.joints))
-        out = np.full(shape, np.nan, dtype=np.float32)
+        out = np.full((count, len(self.log.t), len(self.machine.joints)), np.nan, dtype=np.float32)
         torque = np.full_like(out, np.nan) if self.torque or square else None
-        threads = min(self.threads, self.segments, max(1, count * self.segments * shape[2] // FEW))
-        cuts = np.linspace(0, self.segments, threads + 1).round().astype(int)
-
-        def share(thread: int) -> None:
-            for begin in range(0, count, self.sets_per_batch):
-                rows = slice(begin, begin + self.sets_per_batch)
-                values: dict[tuple[str, str], FloatArray] = {
-                    k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()
-                }
-                own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
-                made = Prediction(residual=out[rows], torque_residual=None if torque is None else torque[rows])
-                self._run(values, own, made, np.arange(*cuts[thread : thread + 2]), thread, square)
-
-        self._stop.clear()
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                list(pool.map(share, range(threads)))
-            finally:  # Ctrl-C does not wait for the rest
-                self._stop.set()
+        for begin in range(0, count, self.sets_per_batch):
+            rows = slice(begin, begin + self.sets_per_batch)
+            values: Parameters = {k: np.asarray(v, dtype=np.float64)[rows] for k, v in parameters.items()}
+            own = self._grid if targets is None else Targets(held=targets.held[rows], begun=targets.begun[rows])
+            made = Prediction(residual=out[rows], torque_residual=None if torque is None else torque[rows])
+            self._run(values, own, made, square)
         self.replays += count
         out[~np.isfinite(out)] = np.nan
         return Prediction(residual=out, torque_residual=torque)
@@ -419,26 +391,12 @@ class Replay:
         model.dof_solimp[:] = [STIFFNESS, STIFFNESS, 0.001, 0.5, 2.0]
         return model
 
-    def _batch(self, size: int, thread: int) -> Batch:
-        kept = self._batches.get(thread)
-        if kept is None or kept.nsim != size:
-            kept = self._batches[thread] = Batch(self._model(), size, 1)
-        return kept
-
-    def _run(
-        self,
-        parameters: dict[tuple[str, str], FloatArray],
-        targets: Targets,
-        made: Prediction,
-        chosen: IntArray,
-        thread: int,
-        square: bool,
-    ) -> None:
-        """Write what some segments predict; with ``square`` minus the mean square torque instead of the residual."""
+    def _run(self, parameters: Parameters, targets: Targets, made: Prediction, square: bool) -> None:
+        """Write what the segments predict; with ``square`` minus the mean square torque instead of the residual."""
         out, torque = made.residual, made.torque_residual
-        sets, segments, joints = len(out), len(chosen), len(self.machine.joints)
+        sets, segments, joints = len(out), self.segments, len(self.machine.joints)
         n = sets * segments
-        part_of = np.tile(self._part_of[chosen], sets)
+        part_of = np.tile(self._part_of, sets)
         p = {key: np.repeat(value, segments, 0) for key, value in parameters.items()}
         if any(part.payload.any() for part in self.parts):
             load = np.stack([part.payload for part in self.parts])[part_of]
@@ -451,33 +409,31 @@ class Replay:
         if any(part.supply != 1.0 for part in self.parts) and self.machine.drives.volts is None:
             law.scale_supply(np.array([part.supply for part in self.parts])[part_of, None])
         began = np.array([part.begin for part in self.parts])[part_of]
-        batch = self._batch(n, thread)
+        batch = Batch(self._model(), n, self.threads)
         static_fields(batch, self.machine, law, p)
         fields = Servo.of_batch(batch)
-        begin = np.tile(self._begin[chosen], sets)
+        begin = np.tile(self._begin, sets)
         q, dq = batch.bind("qpos"), batch.bind("qvel")
         start_q, start_dq = self._starts(begin, part_of)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        law.reset(start_q, start_dq, self._heat_at(parameters, chosen))
+        law.reset(start_q, start_dq, self._heat_at(parameters))
         q[:], dq[:] = law.unread(start_q), start_dq
         late = target_shift(p, self.dt)
         whole = np.floor(late).astype(int)
         shifts = (whole, late - whole)
         measured = None if square else self.log.tau
-        gone, seen = np.zeros((n, joints)), np.zeros((n, joints))
-        before = np.array(law.reading(q))  # q is the simulation, and moves on
-        order = np.arange(n).reshape(sets, segments)
+        shape = (sets, segments, joints)
+        gone, seen = np.zeros(shape), np.zeros(shape)
+        before = np.array(law.reading(q)).reshape(shape)  # q is the simulation, and moves on
         own = np.repeat(np.arange(sets), segments)
         which = own if targets.held.ndim > 2 else None
-        plan = self.readings.of(chosen)
+        plan = self.readings
         at = plan.at(self.length)
         for i in range(at[0]):
-            out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[order[:, plan.segment[i]]]
+            out[:, plan.row[i]] = self.log.q[plan.row[i]] - before[:, plan.segment[i]]
             if torque is not None:
                 torque[:, plan.row[i]] = 0.0
         for k, (target, shares) in enumerate(self._acting(begin, shifts, targets, which)):
-            if self._stop.is_set():
-                return
             now = begin + k
             force = None if self._force is None else self._force[np.minimum(now, self.total - 1)]
             if self._supply is not None:
@@ -486,26 +442,26 @@ class Replay:
                 law.limit_torque(self._most[np.minimum(now, self.total - 1)])
             inputs = law.step(q, dq, target, (now * self.dt - began)[:, None], force, shares)
             fields.write(inputs)
-            asked = inputs.tau**2 if square else inputs.tau
+            asked = (inputs.tau**2 if square else inputs.tau).reshape(shape)
             if torque is not None:
                 gone += asked
             batch.step()
             law.needed = fields.needed  # not before the first step: it is of the run before
             law.settle(dq)
-            reading = law.reading(q)
+            reading = law.reading(q).reshape(shape)
             mine = slice(at[k], at[k + 1])
             if mine.start < mine.stop:
-                rows, sims, part = plan.row[mine], order[:, plan.segment[mine]], plan.part[mine, None]
-                value = reading[sims]
+                rows, of, part = plan.row[mine], plan.segment[mine], plan.part[mine, None]
+                value = reading[:, of]
                 if (part < 1).any():
-                    value = before[sims] * (1 - part) + value * part
+                    value = before[:, of] * (1 - part) + value * part
                 out[:, rows] = self.log.q[rows] - value
                 if torque is not None:
                     since = plan.since[mine, None]
-                    mean = (gone[sims] - seen[sims]) / (k + 1 - since)
-                    mean = np.where(since > 0, mean, asked[sims])
+                    mean = (gone[:, of] - seen[:, of]) / (k + 1 - since)
+                    mean = np.where(since > 0, mean, asked[:, of])
                     torque[:, rows] = (0.0 if measured is None else measured[rows]) - mean
-                    seen[sims] = gone[sims]
+                    seen[:, of] = gone[:, of]
             before = np.array(reading)
 
     def _supply_share(self) -> FloatArray | None:
@@ -551,7 +507,7 @@ class Replay:
         before, after = (np.stack([np.interp(x, t, column) for column in self.log.q.T], -1) for x in around)
         return q, (after - before) / (around[1] - around[0])[:, None]
 
-    def _heat_at(self, p: Parameters, chosen: IntArray) -> FloatArray | None:
+    def _heat_at(self, p: Parameters) -> FloatArray | None:
         """Return the mean square torque of each set of parameters (N, J) at the start of segments (N segments, J).
 
         None where no set has an effect of heat, or none is known.
@@ -569,7 +525,7 @@ class Replay:
                 continue  # another log: cold again
             heat[:, i] = heat[:, i - 1] * np.exp(-len(own) * dt / time[:, 0])
             heat[:, i] += (own * np.exp(-age / time) * (dt / time)).sum(1)
-        return heat[:, chosen].reshape(-1, heat.shape[2])
+        return heat.reshape(-1, heat.shape[2])
 
     def _acting(
         self, begin: IntArray, shifts: tuple[Any, Any], targets: Targets, which: IntArray | None
@@ -582,16 +538,15 @@ class Replay:
         whole, part = shifts
         own = () if which is None else (which[:, None],)
         last, joints = targets.held.shape[-2] - 1, np.arange(targets.held.shape[-1])
-
-        def at(row: IntArray) -> tuple[FloatArray, FloatArray]:
-            row = np.minimum(np.maximum(row, 0), last)
-            return targets.held[(*own, row, joints)], targets.begun[(*own, row)]
-
+        alike = whole.shape[1] == 1  # all joints of a machine are as late
         first = begin[:, None] - whole
-        (before, _), (older, began) = at(first - 2), at(first - 1)
-        same = np.array_equal(before, older)
-        for k in range(self.length):
-            newer, begins = at(first + k)
-            still = np.array_equal(older, newer)
-            yield (older, []) if same and still else acting(before, older, newer, (began, begins), part, np)
-            before, older, began, same = older, newer, begins, still
+        together = max(1, MOST_SIMULATIONS // len(begin))  # NumPy takes longer to be called than to work on few
+        for k in range(0, self.length, together):
+            steps = np.arange(k - 2, min(k + together, self.length))
+            row = np.minimum(np.maximum(first + steps[:, None, None], 0), last)
+            held = targets.held[(*own, row)][..., 0, :] if alike else targets.held[(*own, row, joints)]
+            begun, same = targets.begun[(*own, row)], (held[1:] == held[:-1]).all((1, 2))
+            mean, shares = acting(held[:-2], held[1:-1], held[2:], (begun[1:-1], begun[2:]), part, np)
+            for i in range(len(mean)):
+                still = same[i] and same[i + 1]
+                yield mean[i], [] if still else [(share[i], target[i]) for share, target in shares]
