@@ -457,13 +457,14 @@ class Problem:
         rows_of = [np.flatnonzero(self.blocks.index == b) for b in range(total)]
         for c in np.unique(self.channel_chain):
             mine, index = np.flatnonzero(self.channel_chain == c), np.flatnonzero((of == c) | (of < 0))
-            stacked = np.zeros((len(index), len(residual), len(mine)), dtype=np.float32)
+            stacked = np.zeros((len(index) + 1, len(residual), len(mine)), dtype=np.float32)
             for i, k in enumerate(index.tolist()):
                 stacked[i] = columns[k][:, mine]
+            stacked[-1] = residual[:, mine]
+            stacked[~np.isfinite(stacked)] = 0.0
             for b, rows in enumerate(rows_of):
-                a = stacked[:, rows].reshape(len(index), len(rows) * len(mine))
-                a = np.nan_to_num(a.astype(np.float64))
-                r = np.nan_to_num(residual[np.ix_(rows, mine)].reshape(-1).astype(np.float64), posinf=0.0, neginf=0.0)
+                both = stacked[:, rows].reshape(len(stacked), -1).astype(np.float64)
+                a, r = both[:-1], both[-1]
                 outer, along = a @ a.T, a @ r
                 for (h, g), w in (((hessian, gradient), 1.0), (weighed, self.weight[c])):
                     h[b][np.ix_(index, index)] += w * outer
