@@ -199,7 +199,7 @@ def test_a_stalled_motor_gives_its_torque_and_a_free_one_runs_to_its_speed(bench
     assert halfway == pytest.approx(2.0, abs=0.15)
 
 
-@pytest.mark.parametrize(("low", "high"), [(-0.5, 2.0), (0.1, 2.0), (-2.0, 2.0), (1.0, 2.0), (0.1, 0.3)])
+@pytest.mark.parametrize(("low", "high"), [(-0.5, 2.0), (0.1, 2.0), (-2.0, 2.0), (1.0, 2.0), (0.1, 0.3), (0.35, 0.42)])
 def test_a_step_shared_by_two_targets_is_limited_in_each_part_of_it(bench, low, high):
     """30 N m/rad and a limit of 12: a target of 2 rad asks for 60."""
     made = bench()
