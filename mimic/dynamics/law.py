@@ -356,10 +356,11 @@ class Law:
         asked = kp * (ctrl - theta) + bias - kd * omega
         low, high = self._torque_limits(omega, self._supply_left(asked, omega))
         tau = xp.minimum(xp.maximum(asked, low), high)
-        load, square = xp.abs(tau), tau * tau
         if parts and not self._limited_nowhere(parts, asked, kp, low, high):
             mean, load, square, free = self._one_by_one(parts, target, asked, kp, low, high)
             kp, kd, bias, tau = self._where_limited(mean, free, kp, kd, bias, omega, tau)
+        else:
+            load, square = xp.abs(tau), tau * tau
         if "heat" in s:
             s["heat"] = s["heat"] + self.dt * (square - s["heat"]) / get("kt_heat", "time")
         friction, bent = self._friction(q, dq, load, tau)
@@ -376,7 +377,10 @@ class Law:
         return StepInputs(torque=torque, inertia=inertia, friction=friction, applied=applied, tau=tau)
 
     def _limited_nowhere(self, parts: Sequence[tuple[Any, Any]], asked: Any, kp: Any, low: Any, high: Any) -> bool:
-        """Return whether no torque limit acts at any of several targets, so that their mean tells all that counts."""
+        """Return whether no torque limit acts at any of several targets, so that their mean tells all that counts.
+
+        False where it was not asked: a captured graph of PyTorch cannot branch, and some effects need each target.
+        """
         if self.xp is not np or self._has & {"load_friction", "kt_heat"}:
             return False
         targets = [target for _, target in parts]
