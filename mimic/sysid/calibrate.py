@@ -214,11 +214,9 @@ def _no_worse(final: FittedModel, before: FittedModel) -> FittedModel:
     ]
     if final is before or not left[1] > left[0]:
         return final
-    if not final.added:
-        return before
     titles = " and ".join(CATALOGUE[n].title for n in final.added)
     note = f"{titles} made the prediction of held-out blocks worse, so that the baseline stays"
-    return replace(before, notes=(*final.notes, note))
+    return replace(before, notes=(*final.notes, *([note] if titles else [])))
 
 
 def _at_bounds(h: FittedModel) -> list[tuple[FreeParameter, float]]:

@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.problem import Problem
 from mimic.sysid.fit.replay import Replay
+from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import make_blocks
 from mimic.sysid.select.models import compare
 
@@ -93,3 +95,26 @@ def test_what_removes_little_of_the_unexplained_error_is_not_better(problem: Pro
     assert found.gain > 0.01
     assert not found.better
     assert "of the unexplained error" in found.why_not
+
+
+def test_white_noise_is_forgotten_at_once_and_a_wander_after_its_time(problem: Problem) -> None:
+    rng = np.random.default_rng(4)
+    noise, keep = rng.standard_normal((2800, 1)), np.exp(-0.01 / 0.8)
+    wander = lfilter([1.0], [1.0, -keep], noise, axis=0)
+    assert problem.memory(noise) == pytest.approx(MEMORY)
+    assert problem.memory(wander) == pytest.approx(2 * 0.8, rel=0.4)
+    both = noise + wander / wander.std()  # half of it is forgotten at once
+    assert problem.memory(both) == pytest.approx(0.8, rel=0.4)
+    assert problem.memory(np.hstack([noise, wander]), np.array([True, False])) == pytest.approx(MEMORY)
+
+
+def test_what_is_sure_beside_white_noise_is_not_beside_a_slow_wander(problem: Problem) -> None:
+    """Of 21 blocks of a second three are independent where what is left is forgotten after seven."""
+    rng = np.random.default_rng(5)
+    worse = rng.uniform(4.0, 6.0, len(problem.readings))
+    better = worse * rng.uniform(0.5, 1.1, len(worse))
+    fast, slow = (compare(problem, squares(problem, better), squares(problem, worse), 1, None, m) for m in (0.1, 7.0))
+    assert fast.better
+    assert slow.gain == fast.gain
+    assert slow.z < fast.z / np.sqrt(7.0)
+    assert "standard errors" in slow.why_not
