@@ -301,18 +301,20 @@ class Problem:
         there = self.blocks.switched
         return values if there is None else np.where(there[self.blocks.train][:, None], 0, values)
 
-    def memory(self, residual: FloatArray, channels: BoolArray | None = None) -> float:
-        """Return the time after which what is left (T, C) is forgotten, at least ``MEMORY`` [s].
+    def independent(self, residual: FloatArray, channels: BoolArray | None = None) -> float:
+        """Return how many of the fitted readings of a residual (T, C) are independent.
 
-        Twice the integral of its autocorrelation, up to where that is first negative.
+        One for each time in which it is forgotten: twice the integral of its autocorrelation up to where that is first
+        negative, at least ``MEMORY``. Of several channels those count in which as much is left.
         """
         there = self.blocks.fitted[:, None]
         left = np.nan_to_num(residual if channels is None else residual[:, channels], nan=0.0).astype(np.float64)
         left = np.where(there, left - np.mean(left, axis=0, where=there), 0.0)
         alike = _lagged(left) / np.maximum(np.round(_lagged(there.astype(np.float64))), 1.0)
-        until = int(np.argmax(alike <= 0)) or len(alike)
-        twice = 2 * alike[:until].sum() / max(alike[0], np.finfo(float).tiny) - 1
-        return max(float(twice) / self.replay.log.rate, MEMORY)
+        until, least = int(np.argmax(alike <= 0)) or len(alike), np.finfo(float).tiny
+        rows = max(2 * alike[:until].sum() / max(alike[0], least) - 1, MEMORY * self.replay.log.rate, 1.0)
+        size = (left**2).sum(0)
+        return max(float(there.sum() / rows * size.sum() ** 2 / max((size**2).sum(), least)), 2.0)
 
     def mean_squares(self, residual: FloatArray, held_out: bool) -> FloatArray:
         """Return the mean square of each channel (C,), over the fitted or the held-out blocks."""

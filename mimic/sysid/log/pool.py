@@ -47,9 +47,6 @@ class Blocks:
     """True for blocks in which a drive is switched: they are always fitted and judge nothing, since
     no other says what happens then (B,)."""
 
-    seconds: float = 1.0
-    """Length of a block, about [s]."""
-
     @property
     def train(self) -> IntArray:
         """Blocks that are fitted."""
@@ -95,10 +92,7 @@ def make_blocks(
         held_out.append(np.isin(np.arange(last + 1), np.concatenate([[-1], *held])))
         switched.append(~rest)
     return Blocks(
-        index=np.where(counts, index, -1),
-        held_out=np.concatenate(held_out),
-        switched=np.concatenate(switched),
-        seconds=seconds,
+        index=np.where(counts, index, -1), held_out=np.concatenate(held_out), switched=np.concatenate(switched)
     )
 
 

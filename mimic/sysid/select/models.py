@@ -4,9 +4,9 @@ A model is better than another if it predicts blocks that were left out better: 
 the blocks, after a price for each number that it has more, by `Thresholds.gain` of the error and `Thresholds.share` of
 what noise does not explain. Effects are added while that makes the model better (forward selection with a beam); then
 effects, joint by joint, are taken out while the model is not better with them (pruning). Effects of which none makes
-the model better than another does are reported as one group. Nothing else decides. What is taken out is judged with
-readings counted as independent only after the time that what the whole model leaves takes to be forgotten: beside a
-slow wander of unknown torque, whatever is slow, too, seems to predict.
+the model better than another does are reported as one group. Nothing else decides. Where effects are taken out, the
+price is that of what the whole model leaves: of a torque that wanders slowly few readings are independent, and whatever
+is slow, too, seems to predict it.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def compare(
     other: FloatArray,
     numbers: int,
     channels: BoolArray | None = None,
-    memory: float = MEMORY,
+    independent: float | None = None,
 ) -> Comparison:
     """Compare two models by blocks that were left out.
 
@@ -102,14 +102,15 @@ def compare(
         other: Those of the other.
         numbers: How many more the one has.
         channels: That can differ (C,); all by default.
-        memory: Time after which what is left is forgotten, and readings are independent [s].
+        independent: How many readings count for the price; by default one of each channel for each time in which a
+            drive forgets.
     """
     use = np.ones(one.shape[1], dtype=bool) if channels is None else channels
     judging = problem.readings > 0
     if not use.any() or not judging.any():
         return Comparison(gain=0.0, z=0.0, share=0.0)
     good, bad, noise = one[judging][:, use], other[judging][:, use], problem.readings[judging, None]
-    price = _price(numbers, _independent(problem, memory) * int(use.sum()))
+    price = _price(numbers, independent or _independent(problem) * int(use.sum()))
     each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
     whole = noise[:, 0] * int(use.sum())
     d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole)) - price
@@ -117,8 +118,7 @@ def compare(
     left = float(bad.sum() - whole.sum())
     return Comparison(
         gain=float(0.5 * np.log(max(bad.sum(), SMALLEST) / max(good.sum(), SMALLEST))),
-        z=max(float(d.mean() / error), _rank_score(each[np.abs(each) > RULES.material] - price))
-        * float(np.sqrt(min(problem.blocks.seconds / memory, 1.0))),
+        z=max(float(d.mean() / error), _rank_score(each[np.abs(each) > RULES.material] - price)),
         share=float(bad.sum() - good.sum()) / left if left > 0.0 else 0.0,  # noise explains all: nothing to remove
     )
 
@@ -135,10 +135,10 @@ def _score(problem: Problem, squares: FloatArray, numbers: int) -> float:
     return float(-0.5 * count * np.log(size).sum() - 0.5 * numbers * np.log(count * len(size)))
 
 
-def _independent(problem: Problem, memory: float = MEMORY) -> float:
+def _independent(problem: Problem) -> float:
     """Return how many readings count in a likelihood: one for each time in which a drive forgets."""
     readings = max(int(problem.blocks.fitted.sum()), 1)
-    return max(readings * min(1.0 / (memory * problem.replay.log.rate), 1.0), 2.0)
+    return max(readings * min(1.0 / (MEMORY * problem.replay.log.rate), 1.0), 2.0)
 
 
 def _rank_score(d: FloatArray) -> float:
@@ -580,8 +580,8 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         for part in (p for p in parts if p.any()):
             own = [k for k in model.fitted.free_parameters if k.key[0] == name and (k.joint < 0 or part[k.joint])]
             channels = model.channels(part, name)
-            memory = problem.memory(near.fitted.residual, channels)
-            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels, memory)
+            count = problem.independent(near.fitted.residual, channels)
+            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels, count)
             none = all(_is_none(model, k) for k in own if not _is_shape(k)) and bool(own)
             if (none or not with_it.better) and (least is None or with_it.z < least[0]):
                 least = (-np.inf if none else with_it.z, name, part, with_it)
