@@ -4,9 +4,9 @@ A model is better than another if it predicts blocks that were left out better: 
 the blocks, after a price for each number that it has more, by `Thresholds.gain` of the error and `Thresholds.share` of
 what noise does not explain. Effects are added while that makes the model better (forward selection with a beam); then
 effects, joint by joint, are taken out while the model is not better with them (pruning). Effects of which none makes
-the model better than another does are reported as one group. Nothing else decides. Where effects are taken out, the
-price is that of what the whole model leaves: of a torque that wanders slowly few readings are independent, and whatever
-is slow, too, seems to predict it.
+the model better than another does are reported as one group. Nothing else decides. Where effects are taken out, joints
+judge their own, and the price is that of what the whole model leaves: of a torque that wanders slowly few readings are
+independent, and whatever is slow, too, seems to predict it, in joints that it shakes most surely.
 """
 
 from __future__ import annotations
@@ -579,7 +579,7 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         parts = [joints] if CATALOGUE[name].scope == "machine" else [joints & (chain == c) for c in np.unique(chain)]
         for part in (p for p in parts if p.any()):
             own = [k for k in model.fitted.free_parameters if k.key[0] == name and (k.joint < 0 or part[k.joint])]
-            channels = model.channels(part, name)
+            channels = None if CATALOGUE[name].scope == "machine" else part[problem.channel_joint]
             count = problem.independent(near.fitted.residual, channels)
             with_it = compare(problem, near.squares, squares, max(len(own), 1), channels, count)
             none = all(_is_none(model, k) for k in own if not _is_shape(k)) and bool(own)
