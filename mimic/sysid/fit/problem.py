@@ -301,21 +301,6 @@ class Problem:
         there = self.blocks.switched
         return values if there is None else np.where(there[self.blocks.train][:, None], 0, values)
 
-    def independent(self, residual: FloatArray, channels: BoolArray | None = None) -> float:
-        """Return how many of the fitted readings of a residual (T, C) are independent.
-
-        One for each time in which it is forgotten: twice the integral of its autocorrelation up to where that is first
-        negative, at least ``MEMORY``. Of several channels those count in which as much is left.
-        """
-        there = self.blocks.fitted[:, None]
-        left = np.nan_to_num(residual if channels is None else residual[:, channels], nan=0.0).astype(np.float64)
-        left = np.where(there, left - np.mean(left, axis=0, where=there), 0.0)
-        alike = _lagged(left) / np.maximum(np.round(_lagged(there.astype(np.float64))), 1.0)
-        until, least = int(np.argmax(alike <= 0)) or len(alike), np.finfo(float).tiny
-        rows = max(2 * alike[:until].sum() / max(alike[0], least) - 1, MEMORY * self.replay.log.rate, 1.0)
-        size = (left**2).sum(0)
-        return max(float(there.sum() / rows * size.sum() ** 2 / max((size**2).sum(), least)), 2.0)
-
     def mean_squares(self, residual: FloatArray, held_out: bool) -> FloatArray:
         """Return the mean square of each channel (C,), over the fitted or the held-out blocks."""
         inside = self.blocks.held_out[np.maximum(self.blocks.index, 0)] == held_out
@@ -486,9 +471,3 @@ class Problem:
                     g[b][index] += w * along
         weight = np.where(of < 0, 1.0, self.weight[of])
         return Sums(hessian=hessian, gradient=gradient, weighed=weighed, weight=weight)
-
-
-def _lagged(x: FloatArray) -> FloatArray:
-    """Return the sum of products of the columns (T, C) with themselves, each number of rows later (T,)."""
-    power = np.abs(np.fft.rfft(x, 2 * len(x), axis=0)) ** 2
-    return np.fft.irfft(power.sum(1), 2 * len(x))[: len(x)]

@@ -4,9 +4,7 @@ A model is better than another if it predicts blocks that were left out better: 
 the blocks, after a price for each number that it has more, by `Thresholds.gain` of the error and `Thresholds.share` of
 what noise does not explain. Effects are added while that makes the model better (forward selection with a beam); then
 effects, joint by joint, are taken out while the model is not better with them (pruning). Effects of which none makes
-the model better than another does are reported as one group. Nothing else decides. Where effects are taken out, joints
-judge their own, and the price is that of what the whole model leaves: of a torque that wanders slowly few readings are
-independent, and whatever is slow, too, seems to predict it, in joints that it shakes most surely.
+the model better than another does are reported as one group. Nothing else decides.
 """
 
 from __future__ import annotations
@@ -81,12 +79,7 @@ class Comparison:
 
 
 def compare(
-    problem: Problem,
-    one: FloatArray,
-    other: FloatArray,
-    numbers: int,
-    channels: BoolArray | None = None,
-    independent: float | None = None,
+    problem: Problem, one: FloatArray, other: FloatArray, numbers: int, channels: BoolArray | None = None
 ) -> Comparison:
     """Compare two models by blocks that were left out.
 
@@ -102,15 +95,13 @@ def compare(
         other: Those of the other.
         numbers: How many more the one has.
         channels: That can differ (C,); all by default.
-        independent: How many readings count for the price; by default one of each channel for each time in which a
-            drive forgets.
     """
     use = np.ones(one.shape[1], dtype=bool) if channels is None else channels
     judging = problem.readings > 0
     if not use.any() or not judging.any():
         return Comparison(gain=0.0, z=0.0, share=0.0)
     good, bad, noise = one[judging][:, use], other[judging][:, use], problem.readings[judging, None]
-    price = _price(numbers, independent or _independent(problem) * int(use.sum()))
+    price = _price(numbers, _independent(problem) * int(use.sum()))
     each = 0.5 * np.log((bad + noise) / (good + noise)).reshape(-1)
     whole = noise[:, 0] * int(use.sum())
     d = 0.5 * np.log((bad.sum(1) + whole) / (good.sum(1) + whole)) - price
@@ -579,9 +570,8 @@ def _without_least(model: FittedModel) -> FittedModel | None:
         parts = [joints] if CATALOGUE[name].scope == "machine" else [joints & (chain == c) for c in np.unique(chain)]
         for part in (p for p in parts if p.any()):
             own = [k for k in model.fitted.free_parameters if k.key[0] == name and (k.joint < 0 or part[k.joint])]
-            channels = None if CATALOGUE[name].scope == "machine" else part[problem.channel_joint]
-            count = problem.independent(near.fitted.residual, channels)
-            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels, count)
+            channels = model.channels(part, name)
+            with_it = compare(problem, near.squares, squares, max(len(own), 1), channels)
             none = all(_is_none(model, k) for k in own if not _is_shape(k)) and bool(own)
             if (none or not with_it.better) and (least is None or with_it.z < least[0]):
                 least = (-np.inf if none else with_it.z, name, part, with_it)

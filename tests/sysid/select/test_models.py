@@ -4,13 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from mimic.dynamics.machine import read_machine
 from mimic.io.joint_log import JointLog
 from mimic.sysid.fit.problem import Problem
 from mimic.sysid.fit.replay import Replay
-from mimic.sysid.log.noise import MEMORY
 from mimic.sysid.log.pool import make_blocks
 from mimic.sysid.select.models import compare
 
@@ -95,27 +93,3 @@ def test_what_removes_little_of_the_unexplained_error_is_not_better(problem: Pro
     assert found.gain > 0.01
     assert not found.better
     assert "of the unexplained error" in found.why_not
-
-
-def test_of_a_slow_wander_and_of_channels_with_little_left_few_readings_are_independent(problem: Problem) -> None:
-    """21 s are fitted; a drive forgets in 0.1 s, the wander in 1.6 s."""
-    rng = np.random.default_rng(4)
-    noise, keep = rng.standard_normal((2800, 1)), np.exp(-0.01 / 0.8)
-    wander = lfilter([1.0], [1.0, -keep], noise, axis=0)
-    count = 21.0 / MEMORY
-    assert problem.independent(noise) == pytest.approx(count, rel=0.05)
-    assert problem.independent(wander) == pytest.approx(21.0 / 1.6, rel=0.4)
-    assert problem.independent(rng.standard_normal((2800, 3))) == pytest.approx(3 * count, rel=0.05)
-    uneven = np.hstack([noise, 0.1 * rng.standard_normal((2800, 2))])
-    assert problem.independent(uneven) == pytest.approx(count, rel=0.1)
-    assert problem.independent(uneven, np.array([False, True, True])) == pytest.approx(2 * count, rel=0.05)
-
-
-def test_a_number_costs_more_where_few_readings_are_independent(problem: Problem) -> None:
-    rng = np.random.default_rng(5)
-    worse = rng.uniform(4.0, 6.0, len(problem.readings))
-    better = worse * rng.uniform(0.5, 1.1, len(worse))
-    many, few = (compare(problem, squares(problem, better), squares(problem, worse), 2, None, n) for n in (210.0, 5.0))
-    assert many.better
-    assert few.gain == many.gain
-    assert "standard errors" in few.why_not
