@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from threadpoolctl import threadpool_info
 
 from mimic.config.sysid import CalibrateSettings, LogSettings
@@ -284,3 +285,19 @@ def test_what_a_coarse_encoder_rounds_off_is_noise_to_all_else(arm: MachineModel
             off += list((found.values[name] - truth) / ((row[:, 1] - row[:, 0]) / 3.92))
     assert np.max(np.abs(off)) < 4.0
     assert np.mean(np.abs(off)) < 1.6
+
+
+@pytest.mark.slow
+def test_a_torque_that_wanders_slowly_is_called_nothing(arm: MachineModel) -> None:
+    """Forgotten after 3 s, it looks like a constant torque over much of a log: a difference of friction."""
+    (t, q_des), keep = targets(24.0), np.exp(-0.02 / 3.0)
+    kicks = np.sqrt(1 - keep**2) * np.random.default_rng(0).standard_normal(len(t) + 500)
+    torque = np.stack([0.3 * lfilter([1.0], [1.0, -keep], kicks)[500:], np.zeros(len(t))], -1)
+    pushed = q_des + torque / arm.drives.kp  # as a torque from outside does
+    made = simulate_log(arm, t, pushed, EffectSet(BASELINE), LogSettings(seed=0, timestep=0.0005))
+    row = np.searchsorted(t, made.t + 1e-9, side="right") - 1
+    log = replace(made, q_des=q_des[row], tau=None)
+    result = calibrate(log, arm, settings(effects=("asymmetric_friction",)))
+    assert added(result) == []
+    assert any(line.startswith("asymmetric friction was found and taken out again") for line in result.warnings)
+    assert result.unexplained[0].verdict != "explained"

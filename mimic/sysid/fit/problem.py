@@ -177,6 +177,8 @@ class Problem:
         """Numbers that are not fitted, since the log cannot tell them from others that are."""
         self.encoder_steps: FloatArray = np.zeros(joints)
         """Of coarse encoders (J,) [rad], 0 where none is seen; the noise floor has what they round off."""
+        self.offsets = np.zeros(self.channels)
+        """Share of its mean in each block that a residual goes without (C,), see `with_block_offsets`."""
         self._scales = scales(replay)
         self.correction: FloatArray | None = None
         """Fine replay - replay at these steps, whitened (T, C): what all residuals are corrected by."""
@@ -270,7 +272,44 @@ class Problem:
         """Return residuals (…, T, C) in noise floors, NaN where readings do not count; in place."""
         residual /= self.noise.astype(np.float32) * self.log_scale
         residual[..., self.blocks.index < 0, :] = np.nan
+        return self._without_offsets(residual)
+
+    def _without_offsets(self, residual: FloatArray) -> FloatArray:
+        """Take the share ``offsets`` of their mean in each block from residuals (…, T, C); in place."""
+        if self.offsets.any():
+            rows, begin, size = self._counting()
+            means = np.add.reduceat(residual[..., rows, :], begin, axis=-2) * (self.offsets / size[:, None])
+            residual[..., rows, :] -= np.repeat(means, size, axis=-2).astype(residual.dtype)
         return residual
+
+    def _counting(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Return the rows that count, where among them each block begins, and how many it has."""
+        rows = np.flatnonzero(self.blocks.index >= 0)
+        begin = np.flatnonzero(np.diff(self.blocks.index[rows], prepend=-1))  # blocks follow each other
+        return rows, begin, np.diff(begin, append=len(rows))
+
+    def with_block_offsets(self, residual: FloatArray) -> Problem:
+        """Return the problem in which each block may have an offset of its own, of the size that a residual (T, C) has.
+
+        They are random effects, as in panel data (Balestra and Nerlove 1966), and each is taken out as far as it is
+        known (best linear unbiased prediction): what wanders slowly, because of a torque that no effect is, else seems
+        to be explained by whatever is slow, too. It is this very problem where the means of blocks are no larger than
+        those of a residual that is forgotten in ``MEMORY``.
+        """
+        rows, begin, size = self._counting()
+        fitted = ~self.blocks.held_out[self.blocks.index[rows[begin]]]
+        r = np.nan_to_num(residual[rows], nan=0.0).astype(np.float64)
+        means, squares = (np.add.reduceat(x, begin)[fitted] / size[fitted, None] for x in (r, r**2))
+        between, inside = (means**2).mean(0), (squares - means**2).mean(0)
+        independent = max(float(size[fitted].mean()) / (MEMORY * self.replay.log.rate), 1.0)
+        other = self.changed(
+            offsets=1.0 - np.clip(inside / independent / np.maximum(between, np.finfo(float).tiny), 0.0, 1.0)
+        )
+        if not other.offsets.any():
+            return self
+        if self.correction is not None:
+            other.correction = other._without_offsets(self.correction.copy())
+        return other
 
     def _replayed(self, replay: Replay, points: Sequence[Point], targets: Targets | None = None) -> FloatArray:
         """Return the residuals of points in units of the log (N, T, C)."""
@@ -288,12 +327,10 @@ class Problem:
 
     def block_squares(self, residual: FloatArray) -> FloatArray:
         """Return the sum of squares of each block and channel (B, C); inf where it blew up."""
-        there = self.blocks.index >= 0
+        rows, begin, _ = self._counting()
         squares = np.where(np.isfinite(residual), residual, np.inf).astype(np.float64) ** 2
         out = np.zeros((len(self.blocks.held_out), residual.shape[-1]))
-        index = self.blocks.index[there]
-        begin = np.flatnonzero(np.diff(index, prepend=-1))  # blocks follow each other
-        out[index[begin]] = np.add.reduceat(squares[there], begin, axis=0)
+        out[self.blocks.index[rows[begin]]] = np.add.reduceat(squares[rows], begin, axis=0)
         return out
 
     def judged(self, values: Any) -> Any:

@@ -4,7 +4,9 @@ A model is better than another if it predicts blocks that were left out better: 
 the blocks, after a price for each number that it has more, by `Thresholds.gain` of the error and `Thresholds.share` of
 what noise does not explain. Effects are added while that makes the model better (forward selection with a beam); then
 effects, joint by joint, are taken out while the model is not better with them (pruning). Effects of which none makes
-the model better than another does are reported as one group. Nothing else decides.
+the model better than another does are reported as one group. Nothing else decides. Where effects are taken out, each
+block may have an offset of its own, of the size that the whole model leaves: beside a torque that wanders slowly,
+whatever is slow, too, seems to predict it.
 """
 
 from __future__ import annotations
@@ -563,7 +565,11 @@ def _without_least(model: FittedModel) -> FittedModel | None:
     if not units:
         return None
     near = model.compared
-    problem, chain, least = near.problem, near.problem.machine.chain, None
+    problem = near.problem.with_block_offsets(near.fitted.residual)
+    if problem is not near.problem:
+        again = fit(problem, near.fitted.point, near.names, near.joints, most=3)
+        near = replace(near, problem=problem, fitted=again)
+    chain, least = problem.machine.chain, None
     bare = [_bare(near, name, joints) for name, joints in units]
     fits = fit_all(problem, [fitting(problem, p, n, w, most=3, frozen=near.fitted, every=0) for n, w, p in bare])
     for (name, joints), (squares, _) in zip(units, left_out_all(fits, problem), strict=True):

@@ -88,3 +88,22 @@ def test_a_fit_in_fine_steps_finds_what_coarse_ones_are_wrong_about(pair: Machin
     off = [np.abs(f.point.values["gains", "kp"] - 0.7).max() for f in (coarse, again)]
     assert left[1] < left[0]
     assert off[1] < 0.5 * off[0]
+
+
+def test_blocks_have_offsets_where_what_is_left_wanders_but_not_beside_white_noise(
+    pair: MachineModel, log_of, problem_of
+) -> None:
+    problem, start = problem_of(pair, log_of(pair))
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((len(problem.blocks.index), 2))
+    assert problem.with_block_offsets(white) is problem
+    steps = 4.0 * rng.standard_normal(len(problem.blocks.held_out))[problem.blocks.index]
+    wandering = problem.with_block_offsets(white + np.stack([steps, np.zeros(len(steps))], -1))
+    assert wandering.offsets[0] > 0.95
+    assert wandering.offsets[1] == 0.0
+    plain, less = (p.residuals([start])[0] for p in (problem, wandering))
+    block = problem.blocks.index == 1
+    means = plain[block].mean(0)
+    assert less[block].mean(0) == pytest.approx((1.0 - wandering.offsets) * means, abs=1e-4)
+    assert less[block, 0] - less[block, 0].mean() == pytest.approx(plain[block, 0] - means[0], abs=1e-4)
+    assert np.array_equal(less[block, 1], plain[block, 1])
