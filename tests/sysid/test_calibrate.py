@@ -290,7 +290,7 @@ def test_what_a_coarse_encoder_rounds_off_is_noise_to_all_else(arm: MachineModel
 @pytest.mark.slow
 def test_a_torque_that_wanders_slowly_is_called_nothing(arm: MachineModel) -> None:
     """Forgotten after 3 s, it looks like a constant torque over much of a log: a difference of friction."""
-    (t, q_des), keep = targets(24.0), np.exp(-0.02 / 3.0)
+    (t, q_des), keep = targets(44.0), np.exp(-0.02 / 3.0)
     kicks = np.sqrt(1 - keep**2) * np.random.default_rng(0).standard_normal(len(t) + 500)
     torque = np.stack([0.3 * lfilter([1.0], [1.0, -keep], kicks)[500:], np.zeros(len(t))], -1)
     pushed = q_des + torque / arm.drives.kp  # as a torque from outside does
