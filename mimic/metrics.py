@@ -47,44 +47,30 @@ def _step(log: RunLog) -> float:
     return float(np.median(np.diff(log.t))) if len(log.t) > 1 else float(log.metadata["dt"])
 
 
-def early_ticks(log: RunLog) -> int:
-    """Return how many ticks before its time each target was asked for; 0 for live commands."""
-    settings = log.metadata.get("settings")
-    return round(((settings or {}).get("early") or 0.0) / _step(log))
-
-
-def target_toes(log: RunLog) -> FloatArray:
-    """Return where the toes should be at each tick (ticks, 2, 3), base axes [m]: what was asked for, in its time."""
-    rows = np.arange(len(log.t)) - early_ticks(log)
-    return log.p_BE_des[np.maximum(rows, 0)]
-
-
 def toe_error(log: RunLog) -> FloatArray:
     """Return the distance between target and reached toe while tracking (ticks, 2) [m]."""
     rows = log.phase == PHASES.index("track")
-    return np.linalg.norm(log.p_BE[rows] - target_toes(log)[rows], axis=-1)
+    return np.linalg.norm(log.p_BE[rows] - log.p_BE_des[rows], axis=-1)
 
 
 def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     """Return the delay that explains most of the toe error [s], and the mean error left with it [m].
 
-    The targets are shifted in time by whole ticks; the shift with the least mean error wins. A motion whose commands
-    run ahead may come early; its lag is then negative.
+    The targets are shifted in time by whole ticks; the shift with the least mean error wins, 0 where there is no motion.
     """
     rows = np.flatnonzero(log.phase == PHASES.index("track"))
     if len(rows) < 3:
         return 0.0, float("nan")
     dt = _step(log)
-    reached, target = log.p_BE[rows], target_toes(log)[rows]
+    reached, target = log.p_BE[rows], log.p_BE_des[rows]
     most = len(rows) // 2
-    shifts = range(-min(early_ticks(log), most - 1), min(round(longest / dt) + 1, most))
+    shifts = range(min(round(longest / dt) + 1, most))
 
     def error(shift: int) -> float:
-        late, early = max(shift, 0), max(-shift, 0)
-        apart = reached[late : len(reached) - early] - target[early : len(target) - late]
+        apart = reached[shift:] - target[: len(target) - shift]
         return float(np.linalg.norm(apart, axis=-1).mean())
 
-    best = min(sorted(shifts, key=abs), key=error)
+    best = min(shifts, key=error)
     return best * dt, error(best)
 
 
@@ -154,7 +140,6 @@ def run_metrics(log: RunLog, description: RobotDescription) -> dict[str, Any]:
             "right": float(error[:, 1].mean()) if error.size else float("nan"),
         },
         "lag_s": lag,
-        "early_s": early_ticks(log) * dt,
         "toe_error_without_lag_cm": 100 * left,
         "heading_error_rad": float(np.abs(wrap_angle(heading - log.heading_des))[rows].mean()) if rows.any() else None,
         "drift_m": float(drift),

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from mimic.cli.console import ConsoleReporter
-from mimic.config.play import TOE_LAG, RunSettings
+from mimic.config.play import RunSettings
 from mimic.config.retarget import RetargetSettings
 from mimic.control.loop import run_policy
 from mimic.flows.motion import InputSettings, load_motion
@@ -29,9 +29,10 @@ def main() -> None:
     parser.add_argument("videos", nargs="*", type=Path)
     parser.add_argument("--rate", type=float, default=0.1)
     parser.add_argument("--policy", default=None)
-    parser.add_argument("--early", type=float, default=TOE_LAG, help="see RunSettings.early")
+    parser.add_argument("--arms", choices=("network", "inverse_kinematics"), help="see RunSettings.arms")
+    parser.add_argument("--robot-model", default="cyberdog2")
     options = parser.parse_args()
-    description = load_description("cyberdog2")
+    description = load_description(options.robot_model)
     policy = load_policy(options.policy, description)
     lines = [
         "| clip | length | toe error mean / p95 | lag | without lag "
@@ -40,11 +41,11 @@ def main() -> None:
     ]
     for video in options.videos or sorted(EXAMPLES.glob("*.mp4")):
         settings = InputSettings(retarget=RetargetSettings(rate=options.rate))
-        targets = load_motion(video, settings, reporter=ConsoleReporter()).targets
+        targets = load_motion(video, settings, description=description, reporter=ConsoleReporter()).targets
         assert targets is not None
         plant = SimulatedPlant(description)
         m = run_metrics(
-            run_policy(plant, policy, command_track(targets), RunSettings(early=options.early)).log, description
+            run_policy(plant, policy, command_track(targets), RunSettings(arms=options.arms)).log, description
         )
         e, r = m["toe_error_cm"], targets.report
         lines.append(

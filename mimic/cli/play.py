@@ -78,7 +78,7 @@ def play(
             f"--video films a simulated run of a file; leave it out with {'--robot' if robot else '--camera'}"
         )
     if camera is not None:
-        _check_camera_options(run, retarget, pose)
+        _check_camera_options(retarget, pose)
 
     settings = o.input_settings(pose=pose, stored=stored, retarget=retarget, language=language)
     if robot is not None:
@@ -116,12 +116,8 @@ def _options(settings: Any) -> str:
     return " and ".join(f"--{'no-' * (f.default is True)}{f.name.replace('_', '-')}" for f in changed)
 
 
-def _check_camera_options(run: o.Run, retarget: o.Retarget, pose: o.Pose) -> None:
+def _check_camera_options(retarget: o.Retarget, pose: o.Pose) -> None:
     """Raise a ConfigError for what can be asked of a stored motion only."""
-    if run is not None and run.early is not None:
-        raise ConfigError(
-            "early asks for targets before their time; what a camera will see is not known: leave it out of --config"
-        )
     if pose is not None and pose.person is not None:
         raise ConfigError("--person chooses among the people of a video file; before a camera, let one person stand")
     if retarget is not None and retarget.slow_down != 1.0:

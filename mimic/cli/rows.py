@@ -39,10 +39,9 @@ def target_rows(targets: TargetTrack | None) -> dict[str, str]:
 
 
 def _lag(m: dict[str, Any]) -> str:
-    """Return how late the toes were, and what was done about it."""
+    """Return how late the toes were."""
     left = number(m["toe_error_without_lag_cm"], "{:.1f} cm")
-    asked = f"each target asked for {1e3 * m['early_s']:.0f} ms early" if m["early_s"] else "no target asked for early"
-    return f"{number(1e3 * m['lag_s'], '{:.0f} ms')}, with {asked} (error with lag removed: {left})"
+    return f"{number(1e3 * m['lag_s'], '{:.0f} ms')} (error with lag removed: {left})"
 
 
 def _wanted_to_reached(m: dict[str, Any]) -> dict[str, str]:

@@ -11,14 +11,6 @@ from mimic.config.ranges import check_range
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
 
-TOE_LAG = 0.06
-"""How far the toes of the shipped policy lag behind their commands [s].
-
-Source: thirteen clips (lab/results/results.md). A lead of 0, 40, 60, 80 and 100 ms leaves a mean toe error of
-2.33, 1.63, 1.42, 1.47 and 1.71 cm.
-"""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunSettings:
     """Timing of a run, and its policy."""
@@ -35,16 +27,14 @@ class RunSettings:
     """Time to hold the last target [s]."""
     sit_down: float = 2.5
     """Time to sit down at the end [s]; the policy needs about half."""
-    early: float | None = None
-    """Lead of the commands, to make up for the lag of the toes [s]; default: 0.06, and 0 for a camera."""
+    arms: Literal["network", "inverse_kinematics"] | None = None
+    """Who moves the front legs; default: what the policy's contract says."""
 
     def __post_init__(self) -> None:
         check_range("stand-up", self.stand_up, 1.0, 10.0, "s")
         check_range("blend", self.blend, 0.1, 5.0, "s")
         check_range("hold-last", self.hold_last, 0.0, 30.0, "s")
         check_range("sit-down", self.sit_down, 1.5, 10.0, "s")
-        if self.early is not None:
-            check_range("early", self.early, 0.0, 0.5, "s")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -35,7 +35,7 @@ from mimic.records import (
     LiveCommands,
     RunLog,
 )
-from mimic.robot.leg_kinematics import front_toes
+from mimic.robot.description import RobotDescription
 
 LIE, SIT_DOWN, DAMP = (PHASES.index(name) for name in ("lie", "sit_down", "damp"))
 
@@ -105,7 +105,7 @@ def run_policy(
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
         safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
-    motion, expected = _motion(track, settings, contract, endless=safety.endless)
+    motion, expected = _motion(track, settings, contract, plant.description, endless=safety.endless)
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
@@ -142,19 +142,24 @@ def _report(progress: Callable[[int, int], None], expected: int, done: int) -> N
 
 
 def _motion(
-    track: CommandTrack | LiveCommands, settings: RunSettings, contract: PolicyContract, *, endless: bool
+    track: CommandTrack | LiveCommands,
+    settings: RunSettings,
+    contract: PolicyContract,
+    description: RobotDescription,
+    *,
+    endless: bool,
 ) -> tuple[DesiredMotion, int]:
     """Return the motion to play, and the control ticks that are known of it."""
-    dt, neutral = contract.dt, np.array(contract.neutral_toes).reshape(2, 3)
+    dt = contract.dt
     if not isinstance(track, CommandTrack):
         known = round((settings.stand_up + settings.blend + settings.hold_last) / dt)
-        return LiveMotion(track, settings, dt, neutral), known
+        return LiveMotion(track, settings, contract, description), known
     if not len(track.t):
         raise ContractError("there are no commands to play; expected at least one row")
     if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
         given = float(np.median(np.diff(track.t)))
         raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
-    motion = StoredMotion(track, settings, dt, neutral, endless=endless)
+    motion = StoredMotion(track, settings, contract, description, endless=endless)
     return motion, motion.ticks
 
 
@@ -207,11 +212,12 @@ def _follow(run: Run, policy: Policy, motion: DesiredMotion) -> None:
     builder = ObservationBuilder(policy.contract)
     heading0 = float(heading_from_quat(run.sensed.quat_WB))
     for tick in count():
-        desired = motion.at(tick, lambda: front_toes(run.sensed.q, run.plant.description))
+        desired = motion.at(tick, run.sensed.q)
         if desired is None:
             return
         asked = desired.command
-        run.tick(policy, builder, desired.phase, Command(v=asked.v, heading=heading0 + asked.heading, p_BE=asked.p_BE))
+        command = Command(v=asked.v, heading=heading0 + asked.heading, p_BE=asked.p_BE)
+        run.tick(policy, builder, desired.phase, command, desired.arms)
         if run.mode > SafetyMode.RUN:
             return
 

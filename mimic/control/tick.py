@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mimic.control.arms import FRONT, ArmGoal, ArmTorques
 from mimic.control.dropouts import DropoutFilter
 from mimic.control.limits import clamp_command, clamp_desired
 from mimic.control.plant import Plant
@@ -62,6 +63,7 @@ class Run:
     ) -> None:
         self.plant, self.sink, self.progress, self.safety = plant, sink, progress, safety
         self._width = width
+        self._arm_torques = ArmTorques(plant.description)
         self._rows: dict[str, list[Any]] = {}
         self._health: dict[str, list[Any]] = {}
         self._events = self._phase = 0
@@ -92,7 +94,14 @@ class Run:
         self.safety.supervisor.decide(rule, mode, text, self.state.t if self.ticks else 0.0)
         self._log_events()
 
-    def tick(self, policy: Policy, builder: ObservationBuilder, phase: int, desired: Command) -> None:
+    def tick(
+        self,
+        policy: Policy,
+        builder: ObservationBuilder,
+        phase: int,
+        desired: Command,
+        arms: ArmGoal | None = None,
+    ) -> None:
         """Let a policy act on the newest state, for one control step.
 
         Args:
@@ -100,6 +109,7 @@ class Run:
             builder: Makes what the policy sees.
             phase: Index into PHASES.
             desired: What is asked for; its heading is in the world.
+            arms: Where the front legs should be; None leaves them to the policy.
         """
         contract = policy.contract
         if not np.isfinite(np.concatenate([desired.v, [desired.heading], np.ravel(desired.p_BE)])).all():
@@ -118,11 +128,24 @@ class Run:
         if not np.isfinite(action).all():
             return self.decide(FAILURE, SafetyMode.DAMP, "the policy returned something that is not a number")
         builder.acted(action)
-        q_des, zeros = joint_command(contract, action), np.zeros(12)
-        kp, kd = np.array(contract.kp), np.array(contract.kd)
-        ramp = contract.dt if contract.interpolate else 0.0
-        command = JointCommand(q_des=q_des, dq_des=zeros, kp=kp, kd=kd, tau_ff=zeros, ramp=ramp)
-        clamped += int(np.count_nonzero(np.abs(action) > contract.action_clip))
+        q_des = joint_command(contract, action)
+        dq_des = np.zeros(12)
+        tau_ff = np.zeros(12)
+        own = action
+        if arms is not None:
+            q_des[:FRONT] = arms.q
+            dq_des[:FRONT] = arms.dq
+            tau_ff[:FRONT] = self._arm_torques.of(arms, self.sensed.q, self.sensed.quat_WB)
+            own = action[FRONT:]
+        command = JointCommand(
+            q_des=q_des,
+            dq_des=dq_des,
+            kp=np.array(contract.kp),
+            kd=np.array(contract.kd),
+            tau_ff=tau_ff,
+            ramp=contract.dt if contract.interpolate else 0.0,
+        )
+        clamped += int(np.count_nonzero(np.abs(own) > contract.action_clip))
         asked = {"v_des": v_des, "heading_des": desired.heading, "p_BE_des": p_BE_des}
         seen = np.full(self._width, np.nan)
         seen[: len(observation)] = observation
@@ -150,7 +173,7 @@ class Run:
             **{name: getattr(state, name) for name in ("q", "dq", "tau", "quat_WB", "omega_B", "p_WB", "v_WB")},
             "p_BE": front_toes(state.q, self.plant.description),
             **asked,
-            "q_des": command.q_des,
+            "q_des": command.position_target(),
         }
         try:
             done = self.plant.step(command)
@@ -159,7 +182,7 @@ class Run:
             self._record(row | unsent, health_row(None, state.t, clamped, self.mode))
             raise
         self._record(
-            row | {"q_sent": done.sent.q_des, "kp": done.sent.kp, "kd": done.sent.kd},
+            row | {"q_sent": done.sent.position_target(), "kp": done.sent.kp, "kd": done.sent.kd},
             health_row(done.health, state.t, clamped, self.mode),
         )
         self.state = done.state

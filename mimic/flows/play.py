@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mimic.config.play import DEFAULT_ROBOT, TOE_LAG, EffectsSettings, RunSettings
+from mimic.config.play import DEFAULT_ROBOT, EffectsSettings, RunSettings
 from mimic.errors import AssetError, ConfigError, SourceError
 from mimic.flows.motion import InputSettings, Motion, as_motion, is_video, load_motion, motion_from_text
 from mimic.flows.preload import PreloadingReporter
@@ -144,8 +144,6 @@ def play(
     else:
         motion = as_motion(commands, description=description, reporter=reporter)
         asked = motion.commands
-    if settings.early is None or motion is None:
-        settings = replace(settings, early=0.0 if motion is None else TOE_LAG)
     if not isinstance(policy, Policy):
         policy = policy_for(settings.policy if policy is None else policy, description)
     sit_down = sit_down or shipped_sit_down(description, reporter)

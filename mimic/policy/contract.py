@@ -18,6 +18,10 @@ from mimic.geometry import heading_sin_cos, world_axes_in_base
 from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
 
+NETWORK = "network"
+INVERSE_KINEMATICS = "inverse_kinematics"
+"""Who moves the front legs."""
+
 PAPER_TERMS = (
     ("joint_position", 12),
     ("down", 3),
@@ -87,6 +91,10 @@ TASK_GUIDE = {
         "Then the toe command moves from where the toes are to the first target within blend_steps steps: with "
         "s = (i + 1) / blend_steps in step i from 0, by the share s s (3 - 2 s).",
         "Toe targets from toe_low to toe_high were trained, given for the left toe; the right toe mirrors y.",
+        "With arms inverse_kinematics the front legs leave the network when that blend begins: their q_des is "
+        "q + (kd dq + tau) / kp of the joints q that bring the toes to their targets, delay + dt ahead, with tau the "
+        "torque of gravity, inertia and friction; while they blend, q moves with the same share from the measured "
+        "joints. The network still sees its own action for them.",
     ),
     "sit_down": (
         "It begins in whatever state a tracking policy has left, with a history and a clock of its own. The toe "
@@ -172,6 +180,8 @@ class PolicyContract:
     """Velocity command above which the robot is asked to step [m/s]."""
     walk_turn: float
     """Heading error above which it is asked to step [rad]; half as much once it steps."""
+    arms: str = NETWORK
+    """Who moves the front legs from the blend to the first target on: network or inverse_kinematics."""
     training: str = ""
     """SHA-256 of the settings.json of its training."""
     noise: tuple[tuple[str, float], ...] = ()
@@ -239,6 +249,8 @@ class PolicyContract:
         for what, given, expected in pairs:
             if given != expected:
                 raise ContractError(f"the policy's {what} is {given}; this robot expects {expected}")
+        if self.arms not in (NETWORK, INVERSE_KINEMATICS):
+            raise ContractError(f"the policy's arms is {self.arms!r}; expected {NETWORK} or {INVERSE_KINEMATICS}")
         self._check_numbers(description)
         low, high = np.array(self.q_min), np.array(self.q_max)
         if np.any(low < description.q_min - 1e-9) or np.any(high > description.q_max + 1e-9):

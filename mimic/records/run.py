@@ -48,7 +48,15 @@ class JointCommand:
     tau_ff: FloatArray
     """Feed-forward torques (12,) [N m]."""
     ramp: float = 0.0
-    """Time in which q_des moves linearly from the previous command's to this one's [s]; 0: at once."""
+    """Time in which q_des, dq_des and tau_ff move linearly from the previous command's to these [s]; 0: at once."""
+
+    def position_target(self) -> FloatArray:
+        """Return the target (12,) [rad] with which position and velocity gain alone give the same torque.
+
+        ``q_des + (kd dq_des + tau_ff) / kp``; q_des where kp is 0.
+        """
+        ahead = self.kd * self.dq_des + self.tau_ff
+        return self.q_des + np.divide(ahead, self.kp, out=np.zeros_like(ahead), where=self.kp > 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -64,7 +72,7 @@ class JointSamples(Record):
     tau: FloatArray = array("joint")
     """Torques [N m]."""
     q_des: FloatArray = array("joint")
-    """Desired positions as they were sent [rad]."""
+    """Position targets as they were sent, feed-forward included (`JointCommand.position_target`) [rad]."""
 
 
 DOUBLED = 128

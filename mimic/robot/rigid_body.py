@@ -20,7 +20,7 @@ _JOINTS = {"abad": pin.JointModelRX, "hip": pin.JointModelRY, "knee": pin.JointM
 def rigid_body_model(description: RobotDescription) -> tuple[pin.Model, pin.GeometryModel]:
     """Return Pinocchio's model of a robot and its collision shapes.
 
-    Joints are called as in JOINTS, after a free joint; a frame of type OP_FRAME at each toe is called as in TOES.
+    Joints are called as in JOINTS, after a free joint, and have the MJCF's armature, damping and dry friction; a frame of type OP_FRAME at each toe is called as in TOES.
 
     Raises:
         AssetError: If a shape is neither a box, a ball, a capsule nor a cylinder.
@@ -34,7 +34,11 @@ def rigid_body_model(description: RobotDescription) -> tuple[pin.Model, pin.Geom
             body = compiled.body(name).id
             placement = _placement(compiled.body_pos[body], compiled.body_quat[body])
             parent = model.addJoint(parent, _JOINTS[name[3:]](), placement, name)
-            model.armature[model.joints[parent].idx_v] = compiled.dof_armature[compiled.joint(name).dofadr[0]]
+            dof = compiled.joint(name).dofadr[0]
+            own = model.joints[parent].idx_v
+            model.armature[own] = compiled.dof_armature[dof]
+            model.damping[own] = compiled.dof_damping[dof]
+            model.upperDryFrictionLimit[own] = compiled.dof_frictionloss[dof]
             at[body] = parent
     for body in range(1, compiled.nbody):
         joint, placement = _carrier(compiled, at, body)

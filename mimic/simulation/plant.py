@@ -226,18 +226,18 @@ class SimulatedPlant:
         """Send a command and let one control step pass.
 
         Raises:
-            PlantError: If the command or the simulation is not finite, or the command asks for more than positions.
+            PlantError: If the command or the simulation is not finite.
         """
-        if not np.all(np.isfinite(command.q_des)):
-            raise PlantError(f"the command holds numbers that are not finite: {command.q_des}")
+        if not np.isfinite([command.q_des, command.dq_des, command.tau_ff]).all():
+            raise PlantError(f"the command holds numbers that are not finite: {command}")
         if command.ramp and not np.isclose(command.ramp, self._description.dt):
             raise PlantError(
                 f"this simulated robot interpolates commands over {self._description.dt:g} s; the command asked for "
                 f"{command.ramp:g} s"
             )
         self._ramps = command.ramp > 0.0
-        if np.any(command.dq_des) or np.any(command.tau_ff):
-            raise PlantError("this simulated robot takes desired positions only; dq_des and tau_ff must be zero")
+        zeros = np.zeros(12)
+        command = dataclasses.replace(command, q_des=command.position_target(), dq_des=zeros, tau_ff=zeros)
         dropped = self.disturber.command_dropped()
         if dropped or (self._motors is not None and self._motors.command_dropped()):
             command = dataclasses.replace(command, q_des=self._commands[0])

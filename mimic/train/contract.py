@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mimic.config.play import RunSettings
 from mimic.config.training import MdpSettings
-from mimic.policy.contract import DQ_SCALE, GYRO_SCALE, TERMS, PolicyContract
+from mimic.policy.contract import DQ_SCALE, GYRO_SCALE, INVERSE_KINEMATICS, NETWORK, TERMS, PolicyContract
 from mimic.records import JOINTS
 from mimic.robot.description import RobotDescription
 from mimic.robot.leg_kinematics import front_toes
@@ -56,6 +56,7 @@ def make_contract(description: RobotDescription, settings: MdpSettings, training
         speed_flat=tuple(description.speed_flat.tolist()),
         speed_max=tuple(description.speed_max.tolist()),
         delay=description.delay,
+        arms=NETWORK if sits else INVERSE_KINEMATICS,
         training=training,
         task=settings.task,
         interpolate=True,

@@ -182,7 +182,7 @@ class Robot:
             q=np.array([row["q"] for row in rows]),
             dq=np.array([row["dq"] for row in rows]),
             tau=np.array([row["tau"] for row in rows]),
-            q_des=np.repeat(sent.q_des[None], len(rows), axis=0),
+            q_des=np.repeat(sent.position_target()[None], len(rows), axis=0),
         )
 
     def load(self) -> FloatArray:

@@ -103,7 +103,7 @@ class Sender:
         self.ending = ""
         """How the robot was left, as a sentence without its full stop; once DONE."""
         self._order: Order | None = None
-        self._from: FloatArray | None = None
+        self._from: JointCommand | None = None
         self._ordered = self._due = np.inf
         self._since = self._reached = self._rested = self._reported = 0.0
         self._rests = False
@@ -136,7 +136,7 @@ class Sender:
         if not np.isfinite([c.q_des, c.dq_des, c.kp, c.kd, c.tau_ff]).all():
             self.damp("a command holds numbers that are not finite")
             return
-        self._from = c.q_des if self._order is None or c.ramp <= 0.0 else self._target(now)
+        self._from = c if self._order is None or c.ramp <= 0.0 else self._part(now)
         self._order, self._ordered, self._due = order, now, now
 
     def finish(self) -> None:
@@ -210,7 +210,7 @@ class Sender:
         assert order is not None
         command = order.command
         try:
-            driver.drive(replace(command, q_des=self._target(now)), order.joints)
+            driver.drive(self._part(now), order.joints)
         except FrameError as reason:
             self.damp(str(reason))
             return
@@ -218,15 +218,24 @@ class Sender:
         if not driver.repeats and self._due > order.begin + command.ramp - 0.5 * driver.period:
             self._due = np.inf  # that was the last part
 
-    def _target(self, now: float) -> FloatArray:
-        """Return the desired positions of a message that holds for one period (12,) [rad]."""
+    def _part(self, now: float) -> JointCommand:
+        """Return the command of a message that holds for one period."""
         order = self._order
         assert order is not None
-        target, ramp = order.command.q_des, order.command.ramp
-        if ramp <= 0.0 or self._from is None:
-            return target
-        share = min(max(self._slot_end(now) / ramp, 0.0), 1.0)
-        return self._from + share * (target - self._from)
+        command, begin = order.command, self._from
+        if command.ramp <= 0.0 or begin is None:
+            return command
+        share = min(max(self._slot_end(now) / command.ramp, 0.0), 1.0)
+
+        def on_the_way(old: FloatArray, new: FloatArray) -> FloatArray:
+            return old + share * (new - old)
+
+        return replace(
+            command,
+            q_des=on_the_way(begin.q_des, command.q_des),
+            dq_des=on_the_way(begin.dq_des, command.dq_des),
+            tau_ff=on_the_way(begin.tau_ff, command.tau_ff),
+        )
 
     def _slot_end(self, now: float) -> float:
         """Return when the period in which a time is ends, from the begin of the order's step on [s]."""

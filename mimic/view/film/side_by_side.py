@@ -12,7 +12,6 @@ import numpy as np
 
 from mimic.dynamics.robot_model import load_model
 from mimic.io.store import plain, written_whole
-from mimic.metrics import target_toes
 from mimic.records import PHASES, SIDES, FloatArray, PoseTrack, Provenance, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film import footage, skeleton
@@ -77,7 +76,7 @@ class RobotFilm(AbstractContextManager["RobotFilm"]):
         self._aimed = log.aimed
         model = load_model(description)
         self._qpos = qpos_at_ticks(log, model)
-        self._target, self._actual = in_world(self._qpos, target_toes(log)), in_world(self._qpos, log.p_BE)
+        self._target, self._actual = in_world(self._qpos, log.p_BE_des), in_world(self._qpos, log.p_BE)
         self._unclamped = None if targets is None else self._unclamped_targets(targets)
         self._path = camera_path(log, self._qpos[:, :3])
         self._azimuth = initial_heading(log) + seen_from(pose, targets) + np.pi
@@ -154,7 +153,7 @@ def save_video(
     clock = shared_time(log)
     times = clock[0] + np.arange(max(1, round((clock[-1] - clock[0]) * fps))) / fps
     ticks = nearest(clock, times)
-    errors = 100 * np.linalg.norm(log.p_BE - target_toes(log), axis=-1)
+    errors = 100 * np.linalg.norm(log.p_BE - log.p_BE_des, axis=-1)
     slow = slowed_down(targets)
     video_frames = None if video is None else _video_frames(video, pose, times, height, stamps, slow)
 
