@@ -14,7 +14,7 @@ import scipy.interpolate
 
 def boxing(dt, seconds=8.0, period=1.2):
     """Return toe targets (N, 2, 3) [m]: left and right punch in turn, each out and back in a period [s]."""
-    guard, punch = np.array([[0.06, 0.10, -0.14], [0.06, -0.10, -0.14]]), np.array([0.30, 0.0, -0.10])
+    guard, punch = np.array([[0.06, 0.10, -0.14], [0.06, -0.10, -0.14]]), np.array([0.30, 0.0, -0.13])
     phase = np.arange(0.0, seconds, dt) / period
     out = np.sin(np.pi * (phase % 1.0)) ** 2
     turn = (phase.astype(int) % 2)[:, None] == np.arange(2)
@@ -37,22 +37,22 @@ def arm_joints(model, toes):
     return np.stack(legs, 1)
 
 
-def arm_targets(model, data, kp, kd, q, dq, ddq):
+def arm_targets(model, data, c, q, dq, ddq):
     """Return position targets (6,) [rad] that keep the arms in a motion: q + (kd dq + tau) / kp."""
     other, torque = mujoco.MjData(model), np.zeros(18)
     other.qpos[:], other.qpos[7:13], other.qvel[6:12], other.qacc[6:12] = data.qpos, q, dq, ddq
     mujoco.mj_step1(model, other)
     mujoco.mj_rne(model, other, 1, torque)
     damping, dry, rotor = (v[6:12] for v in (model.dof_damping, model.dof_frictionloss, model.dof_armature))
-    return q + ((kd + damping) * dq + torque[6:12] + rotor * ddq + dry * dq / (np.abs(dq) + 0.1)) / kp
+    torque = torque[6:12] + rotor * ddq + damping * dq + dry * dq / (np.abs(dq) + 0.1)
+    return q + (np.array(c["kd"][:6]) * dq + torque) / c["kp"][:6]
 
 
 def play(policy, model_path, toes, stand_seconds=2.0):
     """Yield (t, q, quat, q_des) while a robot lying on the ground stands up and follows toe targets (N, 2, 3)."""
-    session = onnxruntime.InferenceSession(policy, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(policy)
     c = json.loads(session.get_modelmeta().custom_metadata_map["mimic_contract"])
     default, scale, low, high = (np.array(c[k]) for k in ("default_q", "action_scale", "q_min", "q_max"))
-    kp, kd = np.array(c["kp"][:6]), np.array(c["kd"][:6])
     spec = mujoco.MjSpec.from_file(model_path)
     for motor in spec.actuators:
         motor.delay = motor.nsample = 0  # the delay is played below, from the contract
@@ -61,12 +61,11 @@ def play(policy, model_path, toes, stand_seconds=2.0):
     folded = np.tile([0.0, 1.3963, -2.3562], 4)
     data.qpos[:] = [0, 0, 0.1412, 1, 0, 0, 0, *folded]
     substeps, late = round(c["dt"] / model.opt.timestep), round(c["delay"] / model.opt.timestep)
-    neutral = np.array(c["neutral_toes"]).reshape(2, 3)
+    begin = np.array(c["neutral_toes"]).reshape(2, 3)
     stand, blend, tick = round(stand_seconds / c["dt"]), c["blend_steps"], 2 * np.pi * c["clock_hz"] * c["dt"]
     frames, slow, action, gait, sent = None, None, np.zeros(12), 0.0, [folded] * 3
     for k in range(stand + blend + len(toes)):
-        q, quat = data.qpos[7:].copy(), data.qpos[3:7].copy()
-        w, x, y, z = quat
+        q, (w, x, y, z) = data.qpos[7:].copy(), data.qpos[3:7].copy()
         heading = np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z))
         if k == stand:
             arms, share = arm_joints(model, toes), np.arange(blend)[:, None] / blend
@@ -74,17 +73,17 @@ def play(policy, model_path, toes, stand_seconds=2.0):
             times = c["dt"] * (np.arange(len(rows)) - blend)
             path = scipy.interpolate.CubicSpline(times, rows, bc_type="clamped")
             mujoco.mj_kinematics(model, data)
-            R = data.body("base").xmat.reshape(3, 3)
-            begin = np.array([(data.site(f"{leg}_toe").xpos - data.qpos[:3]) @ R for leg in ("FL", "FR")])
-        s = min((k - stand + 1) / blend, 1.0)
-        goal = neutral if k < stand else begin + s * s * (3 - 2 * s) * (toes[max(k - stand - blend, 0)] - begin)
-        error = np.clip(-heading, -1, 1)
+            from_base = [data.site(f"{leg}_toe").xpos - data.qpos[:3] for leg in ("FL", "FR")]
+            begin = from_base @ data.body("base").xmat.reshape(3, 3)
+        s = np.clip((k - stand + 1) / blend, 0, 1)
+        goal = begin + s * s * (3 - 2 * s) * (toes[max(k - stand - blend, 0)] - begin)
         down = -2 * (x * z - w * y), -2 * (y * z + w * x), -(1 - 2 * (x * x + y * y))
         forward = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        steps = 1 if abs(error) > c["walk_turn"] * (1 - gait / 2) else -1
+        steps = 1 if abs(heading) > c["walk_turn"] * (1 - gait / 2) else -1
         gait = np.clip(gait + steps * c["dt"] / c["clock_fade"], 0, 1) if c["clock_fade"] else 1.0
         clock = gait * np.array([np.sin(k * tick), np.cos(k * tick)])
-        frame = np.concatenate([q - default, down, forward, action, [0, 0], [error], goal.ravel(), clock])
+        turn = np.clip([-heading], -1, 1)
+        frame = np.concatenate([q - default, down, forward, action, [0, 0], turn, goal.ravel(), clock])
         turning, moving = np.clip(0.25 * data.qvel[3:6], -5, 5), np.clip(0.05 * data.qvel[6:], -2, 2)
         now = np.concatenate([frame[:18], frame[30:32]])  # joint_position, down, forward, velocity_command
         slow = now if slow is None else slow + (now - slow) * c["dt"] / 3
@@ -96,8 +95,8 @@ def play(policy, model_path, toes, stand_seconds=2.0):
         if k >= stand and c.get("arms") == "inverse_kinematics":
             t = c["delay"] + c["dt"] * (k - stand - blend + (1 if c["interpolate"] else 0.5))
             moves = [path(min(t, times[-1]), order) * (order == 0 or t < times[-1]) for order in range(3)]
-            sent[0][:6] = arm_targets(model, data, kp, kd, *moves)
-        yield k * c["dt"], q, quat, sent[0]
+            sent[0][:6] = arm_targets(model, data, c, *moves)
+        yield k * c["dt"], q, np.array([w, x, y, z]), sent[0]
         for step in range(substeps):
             way = (step + 1 - late) / substeps if c["interpolate"] else float(step >= late)
             old, new, way = (sent[1], sent[0], way) if way > 0 else (sent[2], sent[1], way + 1)

@@ -56,7 +56,7 @@ def toe_error(log: RunLog) -> FloatArray:
 def toe_lag(log: RunLog, longest: float = 0.4) -> tuple[float, float]:
     """Return the delay that explains most of the toe error [s], and the mean error left with it [m].
 
-    The targets are shifted in time by whole ticks; the shift with the least mean error wins, 0 where there is no motion.
+    The targets are shifted in time by whole ticks; the shift with the least mean error wins.
     """
     rows = np.flatnonzero(log.phase == PHASES.index("track"))
     if len(rows) < 3:

@@ -14,7 +14,7 @@ from mimic.control.loop import RunResult, run_policy
 from mimic.control.safety_limits import limits_for
 from mimic.control.supervisor import Supervisor
 from mimic.control.tick import Safety
-from mimic.policy.contract import METADATA_KEY, PolicyContract
+from mimic.policy.contract import METADATA_KEY, NETWORK, PolicyContract
 from mimic.policy.runtime import load_policy
 from mimic.records import CommandTrack, Health, JointCommand, RobotState, Tick
 from mimic.robot.description import RobotDescription, load_description
@@ -202,7 +202,8 @@ def play(forgiving) -> Callable[..., RunResult]:
 
 @pytest.fixture
 def fixed_policy(contract) -> Callable[..., FixedPolicy]:
-    return lambda **options: FixedPolicy(contract, **options)
+    """Return a function that makes a policy that moves all legs, the front legs too."""
+    return lambda **options: FixedPolicy(replace(contract, arms=NETWORK), **options)
 
 
 @pytest.fixture

@@ -70,26 +70,6 @@ def test_a_late_toe_is_explained_by_its_lag(lag_ticks, description):
     assert run_metrics(log, description)["lag_s"] == lag
 
 
-@pytest.mark.parametrize(("lag_ticks", "early_ticks"), [(3, 3), (4, 3), (2, 3), (5, 0)])
-def test_targets_that_were_asked_for_early_count_in_their_own_time(lag_ticks, early_ticks, description):
-    t = 0.02 * np.arange(400)
-    path = 0.1 * np.stack([np.sin(3 * t), np.cos(2 * t), np.sin(t)], -1)
-    target = np.stack([path, -path], 1)
-    asked = np.concatenate([target[early_ticks:], np.repeat(target[-1:], early_ticks, 0)])
-    reached = np.concatenate([np.repeat(asked[:1], lag_ticks, 0), asked[: 400 - lag_ticks]])
-    phase = np.full(400, TRACK)
-    phase[:10] = phase[-10:] = HOLD
-    metadata = {"settings": {"early": 0.02 * early_ticks}}
-    log = make_log(400, phase=phase, p_BE=reached, p_BE_des=asked, metadata=metadata)
-    figures = run_metrics(log, description)
-    assert figures["lag_s"] == pytest.approx(0.02 * (lag_ticks - early_ticks))
-    assert figures["early_s"] == pytest.approx(0.02 * early_ticks)
-    assert figures["toe_error_without_lag_cm"] == pytest.approx(0.0, abs=1e-6)
-    late = 100 * np.linalg.norm(reached - target, axis=-1)[10:-10]
-    assert figures["toe_error_cm"]["mean"] == pytest.approx(late.mean())
-    assert (late.mean() < 1e-6) == (lag_ticks == early_ticks)
-
-
 def make_targets(person: np.ndarray, **columns: np.ndarray) -> TargetTrack:
     rows = len(person)
     values = {"t": 0.02 * np.arange(rows), "p_BE": person, "wanted": person, "person": person, "within_reach": person}

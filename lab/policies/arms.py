@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -72,9 +73,7 @@ class Stream:
 def play(case: Case, policy: Policy, description: RobotDescription, arms: str | None) -> RunResult:
     """Play a case in plain MuJoCo."""
     settings = RunSettings(arms=arms, hold_last=0.0)  # type: ignore[arg-type]
-    plant = SimulatedPlant(
-        description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, samples=False
-    )
+    plant = SimulatedPlant(description, ranges=case.ranges, seed=case.seed, disturbance=case.disturbance, samples=False)
     if case.push is not None:
         begin = settings.stand_up + settings.blend + 0.5 * case.track.t[-1]
         plant.watch(_pusher(plant, case.push, begin))
@@ -107,7 +106,7 @@ def goals_track(description: RobotDescription, seed: int = 0) -> CommandTrack:
     dt = description.dt
     pairs = draw_goals(description, 30, np.random.default_rng(seed))
     rows: list[FloatArray] = []
-    for before, after in zip(pairs[:-1], pairs[1:], strict=True):
+    for before, after in pairwise(pairs):
         share = np.clip(2.0 * np.arange(0.0, 1.0, dt), 0.0, 1.0)[:, None, None]
         rows.append(before + share**2 * (3.0 - 2.0 * share) * (after - before))
     p_BE = np.concatenate(rows)

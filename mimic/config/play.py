@@ -11,6 +11,7 @@ from mimic.config.ranges import check_range
 DEFAULT_ROBOT = "cyberdog2"
 """The robot where none is named."""
 
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunSettings:
     """Timing of a run, and its policy."""

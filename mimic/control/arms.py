@@ -88,6 +88,7 @@ class StoredArms:
         self._reach = Reach(description)
         upright = description.poses["upright"][:FRONT]
         self._goals, self.out_of_reach = arm_joints(p_BE, self._reach, upright)
+        """Joints at each control step (T, 6) [rad], and how many of them had to be moved into reach."""
         self._blend = blend
         self._path: CubicSpline | None = None
 

@@ -103,6 +103,8 @@ class StoredMotion:
             self._arms = StoredArms(track.p_BE, self._timing.blend, contract, description)
         self.ticks = self._timing.stand + self._timing.blend + len(track.t) + self._timing.hold
         """Control ticks of the motion, unless it is endless."""
+        self.out_of_reach = 0 if self._arms is None else self._arms.out_of_reach
+        """Targets that the arms cannot reach; they go to the closest point."""
 
     def _row(self, row: int) -> Command:
         track = self._track

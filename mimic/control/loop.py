@@ -105,7 +105,7 @@ def run_policy(
     if safety is None:
         supervisor = Supervisor(plant.description, sits=sit_down is not None)
         safety = Safety(supervisor=supervisor, ramp=0.0, damp_at_end=False)
-    motion, expected = _motion(track, settings, contract, plant.description, endless=safety.endless)
+    motion, expected = _motion(track, settings, contract, plant.description, safety)
     sit_ticks = 0 if sit_down is None else round(settings.sit_down / contract.dt)
     report = None if progress is None else partial(_report, progress, expected + sit_ticks)
     run = Run(plant, observation_width(policy, sit_down), sink, report, safety)
@@ -146,8 +146,7 @@ def _motion(
     settings: RunSettings,
     contract: PolicyContract,
     description: RobotDescription,
-    *,
-    endless: bool,
+    safety: Safety,
 ) -> tuple[DesiredMotion, int]:
     """Return the motion to play, and the control ticks that are known of it."""
     dt = contract.dt
@@ -159,7 +158,10 @@ def _motion(
     if not np.allclose(np.diff(track.t), dt, rtol=0.0, atol=1e-6):
         given = float(np.median(np.diff(track.t)))
         raise ContractError(f"the commands come every {given:g} s; the policy needs one every {dt:g} s throughout")
-    motion = StoredMotion(track, settings, contract, description, endless=endless)
+    motion = StoredMotion(track, settings, contract, description, endless=safety.endless)
+    if motion.out_of_reach:
+        text = f"{motion.out_of_reach} of {len(track.t)} rows ask for toes out of reach; they go to the closest point"
+        safety.supervisor.note("clamped", text, 0.0)
     return motion, motion.ticks
 
 

@@ -20,7 +20,8 @@ _JOINTS = {"abad": pin.JointModelRX, "hip": pin.JointModelRY, "knee": pin.JointM
 def rigid_body_model(description: RobotDescription) -> tuple[pin.Model, pin.GeometryModel]:
     """Return Pinocchio's model of a robot and its collision shapes.
 
-    Joints are called as in JOINTS, after a free joint, and have the MJCF's armature, damping and dry friction; a frame of type OP_FRAME at each toe is called as in TOES.
+    Joints are called as in JOINTS, after a free joint, and have the MJCF's armature, damping and dry friction; a frame
+    of type OP_FRAME at each toe is called as in TOES.
 
     Raises:
         AssetError: If a shape is neither a box, a ball, a capsule nor a cylinder.

@@ -7,7 +7,6 @@ import pytest
 
 from mimic.config.play import RunSettings
 from mimic.errors import ContractError, PlantError
-from mimic.metrics import target_toes
 from mimic.records import PHASES, RunLog
 
 SHORT = RunSettings(stand_up=1.0, blend=0.2, hold_last=0.1)
@@ -53,26 +52,6 @@ def test_tracking_asks_for_the_track_row_by_row(play, memory_plant, fixed_policy
     assert np.array_equal(log.p_BE_des[rows], wanted.p_BE)
     assert np.array_equal(log.v_des[rows], wanted.v)
     assert np.allclose(log.heading_des[rows], 0.7 + wanted.heading)
-
-
-def test_a_lead_lets_commands_run_ahead_of_the_time_of_the_motion(play, memory_plant, fixed_policy, track):
-    wanted, lead = track(20), 3
-    settings = dataclasses.replace(SHORT, early=0.06)
-    log = play(memory_plant(), fixed_policy(), wanted, settings).log
-    assert names(log) == ["stand_up"] * STAND + ["blend"] * (BLEND + lead) + ["track"] * 20 + ["hold"] * HOLD
-    rows = np.flatnonzero(log.phase == PHASES.index("track"))
-    assert np.array_equal(log.p_BE_des[rows - lead], wanted.p_BE)
-    assert np.array_equal(log.p_BE_des[rows[-lead:]], np.tile(wanted.p_BE[-1:], (lead, 1, 1)))
-    assert not log.v_des[rows[-lead:]].any()
-    assert np.array_equal(target_toes(log)[rows], wanted.p_BE)
-
-
-def test_the_robot_moves_alike_with_and_without_a_lead(play, memory_plant, fixed_policy, track):
-    plain, ahead = (
-        play(memory_plant(), fixed_policy(), track(20), dataclasses.replace(SHORT, early=early)).log
-        for early in (0.0, 0.1)
-    )
-    assert np.array_equal(ahead.p_BE_des[: len(plain.t)], plain.p_BE_des)
 
 
 def test_at_the_end_it_stands_still_with_the_last_toes(play, memory_plant, fixed_policy, track):

@@ -36,9 +36,15 @@ def player():
 def test_it_is_short_and_needs_four_libraries():
     text = SCRIPT.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 110
-    imported = {name.name for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import) for name in node.names}
-    assert not [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
-    assert {name.split(".")[0] for name in imported} - set(sys.stdlib_module_names) == {"mujoco", "numpy", "onnxruntime", "scipy"}
+    nodes = list(ast.walk(ast.parse(text)))
+    imported = {name.name.split(".")[0] for node in nodes if isinstance(node, ast.Import) for name in node.names}
+    assert not [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    assert imported - set(sys.stdlib_module_names) == {
+        "mujoco",
+        "numpy",
+        "onnxruntime",
+        "scipy",
+    }
 
 
 @pytest.fixture(params=["as shipped", pytest.param("held, with a clock that never fades", marks=pytest.mark.train)])

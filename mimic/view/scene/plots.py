@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mimic.geometry import R_BT
-from mimic.metrics import target_toes, uprightness
+from mimic.metrics import uprightness
 from mimic.records import JOINTS, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film.skeleton import CENTRE, LEFT, RIGHT, Colour, soft
@@ -55,7 +55,7 @@ def curves(log: RunLog, description: RobotDescription, targets: TargetTrack | No
     """Yield every curve of a run; toe positions are relative to the base, in torso axes."""
     t = shared_time(log)
     shown = log.aimed
-    wanted = target_toes(log)
+    wanted = log.p_BE_des
     error = 100 * np.linalg.norm(log.p_BE - wanted, axis=-1)
     target, actual = 100 * wanted @ R_BT, 100 * log.p_BE @ R_BT
     for i, (side, colour) in enumerate(zip(SIDES, (LEFT, RIGHT), strict=True)):

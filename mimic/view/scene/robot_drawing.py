@@ -9,7 +9,6 @@ import rerun as rr
 
 from mimic.dynamics.robot_model import load_model
 from mimic.geometry import rotation_from_quat
-from mimic.metrics import target_toes
 from mimic.records import PHASES, SIDES, FloatArray, RunLog, TargetTrack
 from mimic.robot.description import RobotDescription
 from mimic.view.film import skeleton
@@ -101,7 +100,7 @@ def _toes(
     description: RobotDescription,
     frames: FloatArray | None,
 ) -> None:
-    target, actual = in_world(qpos, target_toes(log)), in_world(qpos, log.p_BE)
+    target, actual = in_world(qpos, log.p_BE_des), in_world(qpos, log.p_BE)
     shown = np.flatnonzero(log.aimed & np.isfinite(target).all(axis=(1, 2)))
     if not len(shown):
         return
