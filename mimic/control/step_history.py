@@ -41,6 +41,10 @@ class StepReport:
     """Whether SIGTERM asked the process to end."""
 
 
+NOT_YET = 2
+"""Newest targets that no joint can have followed yet: delay and ramp of a command take 35 ms of 20 ms steps."""
+
+
 class StepHistory:
     """What the rules need of the steps before: counters, the change since the last step, and the thermal model."""
 
@@ -177,7 +181,9 @@ class StepHistory:
         self._rows.append((state.q, report.q_des))
         q, q_des = (np.array(rows) for rows in zip(*self._rows, strict=True))
         full = len(q) == limits.frozen_ticks
-        self.frozen = self.moves & full & np.all(q == q[0], axis=0) & (np.ptp(q_des, axis=0) > limits.frozen_targets)
+        in_effect = q_des[:-NOT_YET] if full else q_des
+        moved = np.ptp(in_effect, axis=0) > limits.frozen_targets
+        self.frozen = self.moves & full & np.all(q == q[0], axis=0) & moved
 
     def _compare_legs(self, report: StepReport) -> None:
         """Compute the heights of the toes against each other, by legs and IMU."""
