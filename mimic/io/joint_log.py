@@ -169,9 +169,28 @@ def read_log(path: str | Path, notes: Mapping[str, Any] | None = None) -> JointL
     known = columns["t"][np.isfinite(columns["t"])]
     check_clock(known, path.name, CalibrationError, repeats=True)
     log = _carried(JointLog(joints=joints, t=columns["t"], metadata=metadata, extra=extra, **found))
-    if fault := jump_fault(log) or unit_fault(log):
+    readings = without_marks(log)[0]
+    if fault := jump_fault(readings) or unit_fault(readings):
         raise CalibrationError(f"{path.name}: {fault}")
     return log
+
+
+def without_marks(log: JointLog) -> tuple[JointLog, list[str]]:
+    """Return the log without positions that stand for no reading, such as 9999, and a line for each such number.
+
+    It occurs more than once, and no reading comes near it: it is twice as far away as all others are from each other,
+    and more than two turns.
+    """
+    q, told = np.array(log.q), []
+    for j, joint in enumerate(log.joints):
+        values, counts = np.unique(q[np.isfinite(q[:, j]), j], return_counts=True)
+        for end, others in ((0, values[1:]), (-1, values[:-1])):
+            if len(others) < 2 or counts[end] < 2:
+                continue
+            if np.abs(others - values[end]).min() > max(2 * float(np.ptp(others)), 4 * np.pi):
+                q[q[:, j] == values[end], j] = np.nan
+                told.append(f"q.{joint} is {values[end]:.10g} in {counts[end]} of {len(q)} rows, which is no reading")
+    return (replace(log, q=q) if told else log), told
 
 
 FACTORS = {
@@ -218,7 +237,9 @@ def unit_fault(log: JointLog, limits: FloatArray | None = None) -> str | None:
             most = bound if np.isfinite(bound) else 2 * np.pi
             likely = WHOLE if whole else ANGLES
             units = [unit for unit in likely if reach <= 1.1 * FACTORS[unit] * most][:3]
-            scales = " or ".join(f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units) or "something else"
+            offers = [f"{unit} ({FACTORS[unit]:.4g} a radian)" for unit in units]
+            offers += ["percent of the joint's range"] if reach <= 100.0 else []
+            scales = " or ".join(offers) or "something else"
             limit = f"the joint's limit is {bound:.2f} rad" if np.isfinite(bound) else "a turn is 6.28 rad"
             sign = ", with a sign bit or from a counter that wraps" if np.abs(np.diff(x)).max() > reach / 2 else ""
             given = f"whole numbers up to {reach:.0f}{sign}" if whole else f"up to {reach:.4g}"

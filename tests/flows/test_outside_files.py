@@ -24,7 +24,7 @@ from mimic.flows.calibrate import checked_log
 from mimic.flows.camera import follow_camera
 from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
-from mimic.io.joint_log import read_log
+from mimic.io.joint_log import read_log, without_marks
 from mimic.records import PoseTrack, WristTrack
 from mimic.retargeting.commands import command_track
 from mimic.retargeting.wrists import wrist_track
@@ -32,16 +32,17 @@ from mimic.robot.description import load_description
 from mimic.sources.mocap.load import track_mocap
 from mimic.sources.video.camera import check_camera
 from mimic.sources.video.decoding import missing_bytes, open_video
+from mimic.sysid.log.checks import check_log
 
 HERE = Path(__file__).parents[2]
-PLACES = [up / "shared" / "data" / "outside" for up in (HERE.parent, HERE.parent.parent)]
-OUTSIDE = next((place for place in PLACES if place.is_dir()), PLACES[0])
+PLACES = [up / "shared" / "data" for up in (HERE.parent, HERE.parent.parent)]
+DATA = next((place for place in PLACES if place.is_dir()), PLACES[0])
 
 
-def outside(name: str) -> Path:
-    if not OUTSIDE.is_dir():
+def outside(name: str, folder: str = "outside") -> Path:
+    if not DATA.is_dir():
         pytest.skip("the shared test data is not beside the repository (../shared/data)")
-    return OUTSIDE / name
+    return DATA / folder / name
 
 
 def one_line(error: pytest.ExceptionInfo[MimicError], *words: str) -> None:
@@ -585,6 +586,34 @@ def test_a_unit_is_named_only_where_it_can_be(factor, whole, possible, impossibl
     with pytest.raises(CalibrationError) as error:
         read_log(path)
     assert impossible not in str(error.value)
+
+
+def test_percent_of_a_range_are_named(tmp_path):
+    turned = {f"{name.replace('.', '__')}": 60 * np.array(x) for name, x in columns().items() if name != "t"}
+    refused(parquet(tmp_path / "a.parquet", **turned), "degrees (57.3 a radian)", "or percent of the joint's range")
+
+
+def test_a_number_that_stands_for_no_reading_is_none():
+    log = read_log(outside("missing_is_9999.csv", "outside_2"))
+    check = check_log(log)
+    assert "q.a is 9999 in 8 of 700 rows, which is no reading" in check.warnings
+    assert np.nanmax(np.abs(check.log.q)) < 1.0
+
+
+@pytest.mark.parametrize(("mark", "rows"), [(9999.0, slice(30, 1000, 97)), (-1e30, slice(0, 40)), (65535.0, [5, 9])])
+def test_any_far_number_that_occurs_again_is_no_reading(mark, rows, tmp_path):
+    q = np.array(ANGLES[:, 0])
+    q[rows] = mark
+    check = check_log(read_log(parquet(tmp_path / "a.parquet", q__a=q)))
+    assert f"q.a is {mark:.10g} in {np.sum(q == mark)} of {len(q)} rows, which is no reading" in check.warnings
+
+
+def test_numbers_that_a_joint_may_come_to_are_readings(tmp_path):
+    q = np.array(ANGLES[:, 0])
+    q[q > 0.9 * q.max()] = 0.9 * q.max()
+    log = read_log(parquet(tmp_path / "a.parquet", q__a=q))
+    assert without_marks(log)[1] == []
+    assert np.array_equal(without_marks(log)[0].q, log.q)
 
 
 @pytest.mark.parametrize("steps", [1024, 16384])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mimic.errors import CalibrationError
-from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault
+from mimic.io.joint_log import CHANNELS, JointLog, jump_fault, unit_fault, without_marks
 from mimic.records import BoolArray, FloatArray
 from mimic.sysid.log.noise import (
     FOLLOWS,
@@ -286,7 +286,7 @@ def _readable(log: JointLog) -> tuple[JointLog, list[str]]:
     Raises:
         CalibrationError: If too little is left.
     """
-    warnings: list[str] = []
+    log, warnings = without_marks(log)
     if len(log.t) < 2:
         raise CalibrationError(f"the log has {len(log.t)} rows; a calibration needs {SHORTEST:g} s of readings")
     empty = [n for n in ("dq", "tau") if getattr(log, n) is not None and not np.isfinite(getattr(log, n)).any()]
