@@ -11,12 +11,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mimic.dynamics.actuators import FileDrives, Reference, refuse_other_machine, touches
 from mimic.dynamics.catalogue.kinds import UNLIMITED
 from mimic.dynamics.law import Drives
 from mimic.errors import AssetError, ConfigError
-from mimic.records import FloatArray, IntArray
+from mimic.records import JOINTS, FloatArray, IntArray
 from mimic.robot.description import RobotDescription
-from mimic.robot.model import read_model, remove_free_joint
+from mimic.robot.model import make_room, read_model, remove_free_joint
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -59,11 +60,21 @@ class MachineModel:
 
 
 def hung_robot(description: RobotDescription) -> MachineModel:
-    """Return the robot hung up by its trunk: base fixed, belly down, in the air."""
+    """Return the robot hung up by its trunk: base fixed, belly down, in the air.
+
+    Raises:
+        AssetError: If it moves otherwise than with the motors of its model.
+    """
     spec = read_model(description)
     remove_free_joint(spec)
     d = description
-    return _machine(spec, kp=d.kp, kd=d.kd, torque=d.torque_max, flat=d.speed_flat, speed=d.speed_max)
+    for key in list(spec.keys):  # they have numbers of the free joint
+        spec.delete(key)
+    native = Reference.of(spec.compile())
+    native.of_target[:] = np.eye(len(JOINTS))
+    machine = _machine(spec, d.mjcf, kp=d.kp, kd=d.kd, torque=d.torque_max, flat=d.speed_flat, speed=d.speed_max)
+    refuse_other_machine(machine, native, d.mjcf)
+    return machine
 
 
 def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineModel:
@@ -75,13 +86,14 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
             actuators; without these, joints are driven by force alone.
 
     Raises:
-        AssetError: If the file cannot be compiled, a joint is free or a ball, or joints are tied to each other.
+        AssetError: If the file cannot be compiled, a joint is free or a ball, joints are tied to each other, or
+            the machine does not move as the file says for a reason that mimic does not know.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         original = spec.compile()
     except (ValueError, OSError) as reason:
-        raise AssetError(f"{path} is not an MJCF that MuJoCo compiles: {str(reason).strip()}") from None
+        raise AssetError(f"{path} is not an MJCF that MuJoCo compiles: {' '.join(str(reason).split())}") from None
     single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     for j in range(original.njnt):
         if int(original.jnt_type[j]) not in single:
@@ -94,51 +106,12 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
     tied = [n for n, count in (("equality", original.neq), ("tendon", original.ntendon)) if count]
     if tied:
         raise AssetError(f"{path} has elements of {' and '.join(tied)}, which replays do not model; remove them")
-    names = [original.joint(j).name for j in range(original.njnt)]
-    kp, kd, most = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(names))
-    for a in range(original.nu):
-        if original.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
-            continue
-        j, gear = int(original.actuator_trnid[a, 0]), abs(float(original.actuator_gear[a, 0]))
-        if original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE:  # a position and a velocity servo add up
-            kp[j] -= original.actuator_biasprm[a, 1] * gear**2
-            kd[j] -= original.actuator_biasprm[a, 2] * gear**2
-        force = original.actuator_forcerange[a, 1] if original.actuator_forcelimited[a] else UNLIMITED
-        if original.actuator_ctrllimited[a] and original.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
-            force = min(force, original.actuator_ctrlrange[a, 1] * abs(original.actuator_gainprm[a, 0]))
-        most[j] += force * gear
-    torque = np.where(most > 0.0, np.minimum(most, UNLIMITED), UNLIMITED)
-    limited = original.jnt_actfrclimited.astype(bool)
-    torque = np.where(limited, np.minimum(torque, original.jnt_actfrcrange[:, 1]), torque)
-    far = np.full(len(names), UNLIMITED)
-    dropped = _dropped(original)
-    machine = replace(_machine(spec, kp=kp, kd=kd, torque=torque, flat=far, speed=2 * far), dropped=dropped)
-    return with_gains(machine, gains or {})
-
-
-def _dropped(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the parts of a model that are not replayed, each with the names or the number of those that have it."""
-    servo = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    parts = {
-        "activation dynamics (timeconst)": model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE,
-        "delays": model.actuator_delay > 0 if hasattr(model, "actuator_delay") else np.zeros(model.nu, dtype=bool),
-        "gains that depend on the state": model.actuator_gaintype != mujoco.mjtGain.mjGAIN_FIXED,
-        "forces of a user's code": model.actuator_biastype == mujoco.mjtBias.mjBIAS_USER,
-        "ranges of targets (ctrlrange)": servo & model.actuator_ctrllimited.astype(bool),
-        "all, because they act on no joint": model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT,
-    }
-    names = [
-        model.actuator(a).name or model.joint(max(int(model.actuator_trnid[a, 0]), 0)).name for a in range(model.nu)
-    ]
-    said = [
-        f"{part} of the actuators {', '.join(n for n, own in zip(names, has, strict=True) if own)}"
-        for part, has in parts.items()
-        if has.any()
-    ]
-    return (
-        *said,
-        *(f"{count} {what}" for what, count in (("sensors", model.nsensor), ("plugins", model.nplugin)) if count),
-    )
+    drives, far = FileDrives(original), np.full(original.njnt, UNLIMITED)
+    make_room(spec)
+    machine = _machine(spec, path, kp=drives.kp, kd=drives.kd, torque=drives.torque, flat=far, speed=2 * far)
+    refuse_other_machine(machine, drives.reference, path)
+    contacts = ("contacts",) if touches(original, machine) else ()
+    return with_gains(replace(machine, dropped=(*drives.dropped, *contacts)), gains or {})
 
 
 def as_logged(machine: MachineModel, notes: Mapping[str, Any], by_force: bool = False) -> MachineModel:
@@ -217,12 +190,14 @@ def drive_notes(machine: MachineModel) -> dict[str, Any]:
     return {"drive": "voltage", "voltage": float(d.volts[0]), **{k: by_joint(values) for k, values in rows.items()}}
 
 
-def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
-    """Return the compiled machine; numbers are those of `Drives` that the model does not have."""
-    shapes = ()
-    if all(body.explicitinertial for body in spec.bodies if body.name != "world"):  # they weigh and touch nothing
-        shapes = (spec.pairs, spec.excludes, spec.geoms)
-    for group in (spec.keys, spec.sensors, spec.equalities, spec.tendons, *shapes):
+def _machine(spec: Any, path: Path, **numbers: FloatArray) -> MachineModel:
+    """Return the compiled machine of a file; numbers are those of `Drives` that the model does not have."""
+    weighed = all(body.explicitinertial for body in spec.bodies if body.name != "world")
+    if weighed and not (spec.compiler.inertiafromgeom == 1 or spec.option.density or spec.option.viscosity):
+        shapes = (spec.pairs, spec.excludes, spec.geoms)  # they weigh and touch nothing
+    else:
+        shapes = ()
+    for group in (spec.keys, spec.sensors, spec.equalities, spec.tendons, spec.tuples, *shapes):
         for item in list(group):
             spec.delete(item)
     names = [joint.name for joint in spec.joints]
@@ -232,7 +207,10 @@ def _machine(spec: Any, **numbers: FloatArray) -> MachineModel:
     for body in spec.bodies:
         body.simple = 0  # effects move its centre of mass
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as reason:
+        raise AssetError(f"{path} does not compile without its actuators: {' '.join(str(reason).split())}") from None
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND)
     joints = tuple(model.joint(j).name for j in range(model.njnt))
     body = np.array(model.jnt_bodyid)

@@ -50,7 +50,8 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
     try:
         spec: Any = mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError) as reason:
-        raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {str(reason).strip()}") from None
+        raise AssetError(f"{path} is not an MJCF that MuJoCo reads: {' '.join(str(reason).split())}") from None
+    make_room(spec)
     own = [names.of_leg(name, leg) for leg in LEGS for name in names.joints] == list(JOINTS)
     if not (own and all(a.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR for a in spec.actuators)):
         _leave_out(spec, path)
@@ -77,6 +78,37 @@ def read_model(description: RobotDescription, *, floor: bool = False) -> Any:
         if description.scene is None:
             spec.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05], priority=1)
     return spec
+
+
+_NO_SETTINGS = {"alt", "classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature"}
+"""What an actuator or a shape has besides settings that a file may give a default of."""
+
+
+def make_room(spec: Any) -> None:
+    """Let parts be added to a specification to which nothing comes from its file.
+
+    Defaults of actuators and shapes become MuJoCo's own, no actuator is disabled, and what actuators add to the inertia
+    and the damping of joints becomes the joints'.
+    """
+    empty = mujoco.MjSpec()
+    for plain, default in (
+        (empty.add_actuator(), spec.default.actuator),
+        (empty.worldbody.add_geom(), spec.default.geom),
+    ):
+        for name in dir(plain):
+            if not name.startswith(("_", "set_")) and name not in _NO_SETTINGS:
+                setattr(default, name, getattr(plain, name))
+    spec.option.disableactuator = 0
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    of_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    for actuator in spec.actuators:
+        joint = spec.joint(actuator.target) if actuator.trntype in of_joint else None
+        if joint is None or joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            continue
+        reflected = actuator.gear[0] ** 2
+        joint.armature += reflected * actuator.armature
+        joint.damping = joint.damping + reflected * actuator.damping
+        actuator.armature, actuator.damping = 0.0, [0.0, 0.0, 0.0]
 
 
 def is_visual(geom: Any) -> bool:

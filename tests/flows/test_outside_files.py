@@ -22,6 +22,7 @@ from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
 from mimic.flows.batch import batch
 from mimic.flows.calibrate import checked_log
 from mimic.flows.camera import follow_camera
+from mimic.flows.machine_log import predict_log
 from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
 from mimic.io.joint_log import read_log, without_marks
@@ -736,6 +737,31 @@ def test_the_range_of_a_motor_bounds_its_torque(tmp_path):
     motors = '<motor joint="a" gear="20" ctrlrange="-.4 .4"/>', '<motor joint="b" gear="10" forcerange="-.2 .2"/>'
     (tmp_path / "a.xml").write_text(PENDULUMS.format(a=motors[0], b=motors[1], more=""))
     assert read_machine(tmp_path / "a.xml").drives.torque == pytest.approx([8.0, 2.0])
+
+
+SAME_MACHINE = {
+    "plain.xml": "",
+    "default_position.xml": "",
+    "default_limited.xml": "ranges of targets (ctrlrange) of the actuators a",
+    "actuator_armature.xml": "",
+    "general_offset.xml": "constant forces (biasprm) of the actuators a",
+}
+
+
+@pytest.mark.parametrize("name", SAME_MACHINE)
+def test_models_that_say_the_same_machine_are_the_same_machine(name):
+    plain, found = (read_machine(outside(file, "outside_2")) for file in ("plain.xml", name))
+    for field in ("dof_armature", "dof_damping", "actuator_gainprm", "actuator_gear", "actuator_forcelimited"):
+        assert np.array_equal(getattr(found.model, field), getattr(plain.model, field)), field
+    assert (found.drives.kp, found.drives.kd) == (plain.drives.kp, plain.drives.kd)
+    assert list(found.dropped) == ([SAME_MACHINE[name]] if SAME_MACHINE[name] else [])
+
+
+@pytest.mark.slow  # 3 s a model
+def test_models_that_say_the_same_machine_predict_the_same():
+    log = outside("one_joint.csv", "outside_2")
+    found = [predict_log(log, model=outside(name, "outside_2"), threads=1) for name in SAME_MACHINE]
+    assert len({predicted.errors["as given"]["all"] for predicted in found}) == 1
 
 
 # ---------------------------------------------------------------------- sources
