@@ -194,8 +194,7 @@ def checked_log(
     log = log.of(machine.joints)
     show("checking the log", 0)
     check = check_log(log, np.stack([machine.low, machine.high], -1), unit=machine.unit)
-    dropped = [f"of the model, a replay leaves out: {'; '.join(machine.dropped)}"] if machine.dropped else []
-    return check, machine, [*dropped, *_missing_gains(log, machine), *check.warnings]
+    return check, machine, [*left_out(machine), *_missing_gains(log, machine), *check.warnings]
 
 
 def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]) -> MachineModel:
@@ -214,6 +213,11 @@ def machine_of(model: str | Path | MachineModel | None, gains: Mapping[str, Any]
     if not path.is_file():
         raise AssetError(f"there is no model {path}; give an MJCF whose base is held")
     return read_machine(path, gains)
+
+
+def left_out(machine: MachineModel) -> list[str]:
+    """Return a warning where the machine lacks parts of its file."""
+    return [f"mimic leaves out of the model: {'; '.join(machine.dropped)}"] if machine.dropped else []
 
 
 def _missing_gains(log: JointLog, machine: MachineModel) -> list[str]:

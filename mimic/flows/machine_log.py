@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from mimic.config.sysid import LogSettings
 from mimic.errors import ConfigError
-from mimic.flows.calibrate import checked_log, machine_of
+from mimic.flows.calibrate import checked_log, left_out, machine_of
 from mimic.flows.play import load_robot
 from mimic.flows.provenance import provenance
 from mimic.flows.reporter import Reporter, SilentReporter
@@ -159,6 +159,9 @@ def simulate_log(
         if value is not None and not 0.0 <= value < 1e9:
             raise ConfigError(f"{name} is {value:g}; a gain is a number of at least 0")
     machine = machine_of(model, {name: value for name, value in given.items() if value is not None})
+    reporter = reporter or SilentReporter()
+    for line in left_out(machine):
+        reporter.warn(line)
     if model is None:
         low, high, centre = hung_ranges(load_robot())
     else:
@@ -174,7 +177,7 @@ def simulate_log(
     moved = probe_targets(
         low, high, centre, seconds=motion.seconds, seed=settings.seed, kind=motion.kind, size=motion.amplitude
     )
-    with (reporter or SilentReporter()).activity("") as show:
+    with reporter.activity("") as show:
         show(f"simulating {motion.seconds:g} s", 0)
         log = simulate(machine, moved.t, moved.q_des, hidden, settings)
     sections = [[name, moved.t[a], moved.t[min(b, len(moved.t) - 1)]] for name, a, b in moved.sections]

@@ -22,7 +22,7 @@ from mimic.errors import CalibrationError, ConfigError, MimicError, SourceError
 from mimic.flows.batch import batch
 from mimic.flows.calibrate import checked_log
 from mimic.flows.camera import follow_camera
-from mimic.flows.machine_log import predict_log
+from mimic.flows.machine_log import predict_log, simulate_log
 from mimic.flows.motion import InputSettings, as_motion, load_motion, motion_from_text, retarget, track_video
 from mimic.flows.reporter import SilentReporter
 from mimic.io.joint_log import read_log, without_marks
@@ -762,6 +762,15 @@ def test_models_that_say_the_same_machine_predict_the_same():
     log = outside("one_joint.csv", "outside_2")
     found = [predict_log(log, model=outside(name, "outside_2"), threads=1) for name in SAME_MACHINE]
     assert len({predicted.errors["as given"]["all"] for predicted in found}) == 1
+
+
+def test_what_a_simulated_log_leaves_out_of_a_model_is_said(tmp_path):
+    servos = '<position joint="a" kp="8" ctrlrange="-1 1"/>', '<position joint="b" kp="8" kv=".3"/>'
+    (tmp_path / "a.xml").write_text(PENDULUMS.format(a=servos[0], b=servos[1], more=""))
+    heard = Heard()
+    with pytest.raises(ConfigError, match="has no range"):
+        simulate_log(model=tmp_path / "a.xml", reporter=heard)
+    assert heard.said == ["mimic leaves out of the model: ranges of targets (ctrlrange) of the actuators a"]
 
 
 # ---------------------------------------------------------------------- sources
