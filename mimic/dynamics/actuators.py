@@ -176,13 +176,14 @@ SLOW, FAST = 3.0, 30.0
 MuJoCo's motors differ (docs/architecture.md)."""
 
 
-def refuse_other_machine(machine: MachineModel, reference: Reference, source: object) -> None:
+def refuse_other_machine(machine: MachineModel, reference: Reference, source: object, advice: str) -> None:
     """Refuse a machine that does not move as its file says.
 
     Args:
         machine: As it is replayed.
         reference: What the file says.
         source: What the file is called.
+        advice: What to do if it is not the same.
 
     Raises:
         AssetError: If accelerations differ at one of a few states and targets, drawn at random.
@@ -197,9 +198,8 @@ def refuse_other_machine(machine: MachineModel, reference: Reference, source: ob
         j = int(apart.argmax())
         unit = f"{machine.unit}/s^2"
         raise AssetError(
-            f"{source}: a replay would accelerate joint {machine.joints[j]!r} by {found[j]:.4g} {unit} where the file"
-            f" does by {expected[j]:.4g}, for a reason that mimic does not know; take out of the file what is no"
-            " joint, link, or actuator of a joint"
+            f"{source}: mimic would accelerate joint {machine.joints[j]!r} by {found[j]:.4g} {unit} where the file says"
+            f" {expected[j]:.4g}; {advice}"
         )
 
 

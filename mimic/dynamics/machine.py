@@ -73,7 +73,7 @@ def hung_robot(description: RobotDescription) -> MachineModel:
     native = Reference.of(spec.compile())
     native.of_target[:] = np.eye(len(JOINTS))
     machine = _machine(spec, d.mjcf, kp=d.kp, kd=d.kd, torque=d.torque_max, flat=d.speed_flat, speed=d.speed_max)
-    refuse_other_machine(machine, native, d.mjcf)
+    refuse_other_machine(machine, native, d.mjcf, "make its motors those of robot.toml, or take them out of the file")
     return machine
 
 
@@ -109,7 +109,8 @@ def read_machine(path: Path, gains: Mapping[str, Any] | None = None) -> MachineM
     drives, far = FileDrives(original), np.full(original.njnt, UNLIMITED)
     make_room(spec)
     machine = _machine(spec, path, kp=drives.kp, kd=drives.kd, torque=drives.torque, flat=far, speed=2 * far)
-    refuse_other_machine(machine, drives.reference, path)
+    advice = "it holds something that mimic does not know; take out what is no link, joint, or actuator of a joint"
+    refuse_other_machine(machine, drives.reference, path, advice)
     contacts = ("contacts",) if touches(original, machine) else ()
     return with_gains(replace(machine, dropped=(*drives.dropped, *contacts)), gains or {})
 

@@ -229,11 +229,11 @@ def test_a_machine_that_moves_otherwise_than_its_file_is_refused_in_one_line(tmp
     path = arm(tmp_path, joint=' stiffness="1"')
     machine = read_machine(path)
     drives = FileDrives(mujoco.MjModel.from_xml_path(str(path)))
-    refuse_other_machine(machine, drives.reference, path)
+    refuse_other_machine(machine, drives.reference, path, "mend it")
     values = getattr(machine.model, field)
     values[-1:] += 0.01 * np.ones_like(values[-1:])
-    with pytest.raises(AssetError, match=r"a replay would accelerate joint '.' by .* rad/s") as error:
-        refuse_other_machine(machine, drives.reference, path)
+    with pytest.raises(AssetError, match=r"mimic would accelerate joint '.' by .* rad/s.*; mend it") as error:
+        refuse_other_machine(machine, drives.reference, path, "mend it")
     assert "\n" not in str(error.value)
 
 
@@ -242,4 +242,14 @@ def test_gains_that_are_not_those_of_the_file_are_noticed(tmp_path: Path) -> Non
     other = read_machine(path, {"kd": 0.31})
     drives = FileDrives(mujoco.MjModel.from_xml_path(str(path)))
     with pytest.raises(AssetError, match=r"arm\.xml"):
-        refuse_other_machine(other, drives.reference, path)
+        refuse_other_machine(other, drives.reference, path, "mend it")
+
+
+def test_a_robot_whose_motors_are_not_those_of_its_description_is_refused_with_effects(
+    tmp_path: Path, description: RobotDescription
+) -> None:
+    path = tmp_path / "robot.xml"
+    path.write_text(description.mjcf.read_text().replace('saturation="12"', 'saturation="9"'))
+    with pytest.raises(AssetError, match=r"make its motors those of robot\.toml") as error:
+        hung_robot(with_file(description, path))
+    assert "\n" not in str(error.value)
