@@ -42,12 +42,15 @@ class DisturbanceRanges:
     """Factor on the position gain that all joints share, besides each joint's own: one firmware, one supply voltage."""
     kd: tuple[float, float] = (0.75, 1.25)
     """… and on the velocity gain."""
+    torque: tuple[float, float] = (0.7, 1.5)
+    """Factor on the largest torque of all motors: nobody has measured them."""
+    speed: tuple[float, float] = (0.7, 1.5)
+    """… and on the speeds at which it falls and ends."""
     contact_time: tuple[float, float] = (0.3, 2.0)
     """Factor on the time constant of the ground, which counts for half of a contact's (12 to 30 ms); nothing about a
     real floor's is known, and solvers differ. Quiet worlds have it too, and the next one."""
-    friction_ratio: tuple[float, float] = (1.0, 10.0)
-    """How much stiffer contacts are against sliding than against sinking, log-uniform: MuJoCo's impratio. At 1 a foot
-    that bears weight creeps, and a policy learns to stand on what no floor does."""
+    friction_ratio: tuple[float, float] = (30.0, 100.0)
+    """MuJoCo's impratio (mimic.config.play.Solver), log-uniform; evaluations have 100."""
     slope: tuple[float, float] = (0.0, 5.0)
     """Inclination of the ground in any direction [deg]; pavements are built with 1-2, ramps with 3-5."""
     toe_payload: tuple[float, float] = (0.0, 0.3)
@@ -74,8 +77,10 @@ class DisturbanceRanges:
 UNDISTURBED = DisturbanceRanges(
     kp=(1.0, 1.0),
     kd=(1.0, 1.0),
+    torque=(1.0, 1.0),
+    speed=(1.0, 1.0),
     contact_time=(1.0, 1.0),
-    friction_ratio=(1.0, 1.0),
+    friction_ratio=(100.0, 100.0),
     slope=(0.0, 0.0),
     toe_payload=(0.0, 0.0),
     imu_tilt=(0.0, 0.0),
@@ -114,7 +119,9 @@ class MdpSettings:
     fastest: float = 0.7
     """Fastest velocity command, forward and back [m/s]; paper: 0.3."""
     hold_share: float = 0.3
-    """Share of goals that stay where they are."""
+    """Probability that an arm stays where it is while the other one may move."""
+    unknown_share: float = 0.3
+    """Share of the episodes in which a policy is not told where its arms will be; besides all in which it is led."""
     clock_hz: float = 4.0
     """Frequency of the gait clock [Hz]. The feet stand 0.28 m apart, so that the robot rocks from foot to foot: 0.13
     m/s to each side at 3 Hz, 0.09 at 4 (root mean square), which counts as velocity error."""
@@ -236,14 +243,10 @@ class LearnSettings:
     mirror: float = 0.2
     """Weight of the loss that asks for mirrored actions in mirrored states; 0 is none. With 0.5, the one tried, the
     loss was as large as PPO's own, and front toes did not learn to follow their goals."""
-    reaching: float = 0.1
-    """Weight, at the beginning, of the loss that shows the front legs the closed form of reaching a goal; 0 is none,
-    and so it is for a training that is resumed. By reward alone some seeds stay at half the sideways reach."""
 
     def __post_init__(self) -> None:
         check_range("iterations", self.iterations, 0, ENDLESS)
         check_range("minutes", self.minutes, 0.0, 1e6)
-        check_range("reaching", self.reaching, 0.0, 100.0)
         check_range("resume-std", self.resume_std, 1e-3, 10.0)
         if not self.iterations and not self.minutes:
             raise ConfigError("iterations and minutes are both 0; set one, or the training never ends")

@@ -25,9 +25,6 @@ from mimic.train.sit_down import SitDownEnv
 from mimic.train.stand_track import StandTrackEnv
 from mimic.train.warm_start import take_over
 
-REACHING_SHARE = 0.4
-"""Share of a training after which front legs are no longer shown how to reach; from then on only rewards count."""
-
 SAVE_EVERY = 100
 """Updates between two checkpoints."""
 
@@ -52,7 +49,6 @@ def runner_config(settings: LearnSettings) -> dict[str, Any]:
             "desired_kl": settings.desired_kl,
             "use_clipped_value_loss": False,
             "mirror_coef": settings.mirror,
-            "reaching_coef": settings.reaching,
         },
     }
 
@@ -92,8 +88,6 @@ def train(
     device, first = own_device(learn.device), rank() == 0
     if mdp.task == "sit_down":  # its clock tells the time, which has no mirror image
         learn = replace(learn, mirror=0.0)
-    if mdp.task == "sit_down" or resume is not None:  # there is nothing to reach, or it was shown before
-        learn = replace(learn, reaching=0.0)
     torch.backends.cuda.matmul.allow_tf32 = True
     settings = settings_text(mdp, learn)
     if first:
@@ -119,8 +113,6 @@ def train(
                 runner.alg.begin_policy()  # type: ignore[attr-defined]
         runner.alg.entropy_coef = learn.entropy * (learn.entropy_end / learn.entropy) ** min(share, 1.0)
         runner.alg.desired_kl = learn.desired_kl * (learn.desired_kl_end / learn.desired_kl) ** min(share, 1.0)
-        if learn.reaching:
-            runner.alg.reaching_coef = learn.reaching * max(1 - share / REACHING_SHARE, 0.0)  # type: ignore
 
     runner.logger.attach(report, deadline, progressed)  # type: ignore[attr-defined]
     if resume is not None and resume.suffix == ".onnx":
