@@ -17,6 +17,7 @@ from tensordict import TensorDict
 
 from mimic.config.rewards import REFINING_TERMS, RESTING_TERMS
 from mimic.config.training import MdpSettings
+from mimic.errors import ConfigError
 from mimic.dynamics.cuda_graphs import Replayed
 from mimic.dynamics.robot_model import command_in_effect
 from mimic.geometry import heading_sin_cos, upright_cosine
@@ -77,6 +78,12 @@ squared changes of the action, drift [m], and speed of a hind toe on the ground 
 
 BEARS = 0.2
 """A foot is planted that bears this share of the robot's weight."""
+
+def kept_tensors(value: Any) -> dict[Any, torch.Tensor]:
+    """Return the tensors of an attribute that have memory of their own."""
+    items = value if isinstance(value, dict) else dict(enumerate(value if isinstance(value, list | tuple) else [value]))
+    return {key: t for key, t in items.items() if isinstance(t, torch.Tensor) and 0 not in t.stride()}
+
 
 Judged = tuple[dict[str, torch.Tensor], torch.Tensor, dict[str, torch.Tensor]]
 
@@ -177,6 +184,57 @@ class StandTrackEnv(VecEnv, Chance):
         """Go on as if each world had already lived this many control steps; the regularisers stay grown."""
         self._calls, begin = 240 * (steps // 240), self.settings.curriculum_latest
         self._ramp = self._passed((begin, begin + self.settings.curriculum_steps))
+
+    def progress(self) -> dict[str, Any]:
+        """Return how far the curriculum has come."""
+        return {"calls": self._calls, "ramp": self._ramp, "log": {k: float(v) for k, v in self._log.items()}}
+
+    def resume(self, progress: dict[str, Any]) -> None:
+        """Go on with a curriculum, with worlds that begin anew."""
+        self._calls, self._ramp = 240 * (progress["calls"] // 240), progress["ramp"]
+        if progress["log"]:
+            self._log_values = torch.tensor(list(progress["log"].values()), device=self.device)
+            self._log = dict(zip(progress["log"], self._log_values.unbind(), strict=True))
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the next step depends on: every tensor of the worlds, and the generators of chance."""
+        generators = {"cpu": torch.get_rng_state()}
+        if str(self.device).startswith("cuda"):
+            generators["cuda"] = torch.cuda.get_rng_state(self.device)
+        tensors = {name: tensor.clone() for name, tensor in self._tensors().items()}
+        return {"progress": self.progress(), "tensors": tensors, "generators": generators}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on exactly from a state of as many worlds of the same settings.
+
+        Raises:
+            ConfigError: If it is of others.
+        """
+        self.resume(state["progress"])
+        self._calls = state["progress"]["calls"]
+        there = state["tensors"]
+        for name, tensor in self._tensors().items():
+            if name not in there:
+                continue
+            if there[name].shape != tensor.shape:
+                raise ConfigError(
+                    f"the worlds that were kept have {name} of shape {tuple(there[name].shape)}; the settings have "
+                    f"{tuple(tensor.shape)}; remove their files to begin with new worlds"
+                )
+            tensor.copy_(there[name])
+        torch.set_rng_state(state["generators"]["cpu"].cpu())
+        if "cuda" in state["generators"]:
+            torch.cuda.set_rng_state(state["generators"]["cuda"].cpu(), self.device)
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        owners = {"": self, "worlds": self.worlds, "arms": self.arms, "moves": self.moves, "starts": self._starts}
+        owners |= {"disturbances": self.disturbances, "motors": self.worlds.motors}
+        found: dict[str, torch.Tensor] = {}
+        for owner, holder in owners.items():
+            for name, value in vars(holder).items() if holder is not None else ():
+                for key, tensor in kept_tensors(value).items():
+                    found[f"{owner}.{name}.{key}"] = tensor
+        return found
 
     def get_observations(self) -> TensorDict:
         """Return what actor (policy) and critic see of each world, and 1 for actions that count, else 0 (own, N, 12)."""

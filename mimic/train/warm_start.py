@@ -91,8 +91,8 @@ def take_over(actor: Any, path: Path, contract: PolicyContract, spread: float) -
     layers = [(columns, bias), *layers[1:]]
     normalizer = actor.obs_normalizer
     with torch.no_grad():
-        normalizer._mean.copy_(torch.as_tensor(mean)[None])
-        normalizer._std.copy_(torch.as_tensor(scale)[None] - normalizer.eps)
+        normalizer._mean.copy_(torch.as_tensor(means)[None])
+        normalizer._std.copy_(torch.as_tensor(scales)[None] - normalizer.eps)
         normalizer._var.copy_(normalizer._std.square())
         normalizer.count.fill_(SEEN)
         for module, (weight, bias) in zip(linear, layers, strict=True):

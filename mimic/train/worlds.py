@@ -60,8 +60,8 @@ BOX, CYLINDER, CAPSULE = int(_KINDS.mjGEOM_BOX), int(_KINDS.mjGEOM_CYLINDER), in
 QUIET_ROBOT = Randomisation(com=(-0.015, 0.015))
 """The robots of quiet worlds."""
 
-LINE_SEARCHES = 6
-"""Line-search iterations of the training physics."""
+LINE_SEARCHES = 20
+"""Line-search iterations of the training physics; see MdpSettings.solver_iterations."""
 
 CONTACTS, SPARE_CONTACTS = 8, 64
 """Most contacts of a world on average, since all worlds share one store, and room beyond that, which few worlds do not
